@@ -194,6 +194,7 @@ class Effect:
                          lengths in proportion to the effect's size
     remedy               what a machine builder does about it
     exposed_by           reading that separates it from its rivals
+    check                what to check where it is far larger than expected
     nature               what it has in common with others, in words: how a class of many
                          effects is told
     unfit(machine)       why it cannot occur on a machine, in words; None where it can
@@ -213,11 +214,18 @@ class Effect:
     proportional: Mapping[str, float] = dataclasses.field(default_factory=dict)
     remedy: str = ""
     exposed_by: str = ""
+    check: str = ""
     nature: str = ""
     unfit: Callable[[Machine], str | None] = lambda machine: None
     common_to_limbs: bool = False
     textbook_share: float = 0.5
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
+
+    @property
+    def varies_with_time(self) -> bool:
+        """Whether it is a function of the time or of a temperature."""
+        options = [part.strip() for need in self.needs for part in need.split(" or ")]
+        return any(part == "time" or part.startswith("temp_") for part in options)
 
     def unit(self, coefficient: str) -> str:
         """SI unit of a coefficient by its name."""

@@ -3,27 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oed import identification
 from oed.arrays import Array
+from oed.correction import sizes as sizes_of
 from oed.correction.effect_measurement import SEPARATOR, MeasurementWithEffects
 from oed.correction.forms import ChosenForm, choose_forms
 from oed.effect import Effect, State
 from oed.estimate import Estimate
 from oed.gap.data import problem as problems
 from oed.gap.data import signature as signatures
+from oed.gap.data.linearisation import ActingForm, settle
 from oed.gap.data.state import DOWN
 from oed.measurement import Measurement, Series
+from oed.noise.law import stated_law
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: rounds of estimation and linearisation, and relative change that ends them
-ROUNDS, SETTLED = 4, 0.02
+#: rounds of estimation, linearisation and sizes; changes that end them, of values in
+#: standard deviations (laws of the noise that are drawn move them by a few hundredths)
+#: and of the logarithms of sizes
+ROUNDS, SETTLED, SAME_SIZE = 6, 0.1, 0.1
+#: choices of forms and settled points about each other
+PASSES = 2
+#: departure from the linear model, in units of the noise over all readings, up to which it
+#: serves
+LINEAR = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,22 +114,41 @@ def estimate_with_effects(
 
     None where no effect changes a reading. Raises IdentificationError.
     """
-    forms = choose_forms(readings.problem(theta), effects)
-    if not forms:
-        return None
-    patterns = [list(p) for p in stages[:-1]] + [["*"]]
     fit = _JointFit(readings, estimate_noise, max_iterations)
-    corrected = fit.settle(forms, theta, {}, patterns)
+    start = fit.start(theta, effects)
+    if not start.forms:
+        return None
+    patterns = [["*"]] if start.settled else [*stages[:-1], ["*"]]
+    corrected = fit.settle(start, patterns)
     clean = corrected.estimate.robust_readings
     if clean is None:
         return corrected
-    # Few readings far off inflate the noise level, and sizes look too small next to it.
+    # Few readings far off inflate the noise level, next to which forms are chosen.
+    cleaned = _JointFit(
+        dataclasses.replace(readings, y=clean), estimate_noise, max_iterations
+    )
     theta = corrected.estimate.theta[: corrected.parameters]
-    cleaned = dataclasses.replace(readings, y=clean)
-    again = choose_forms(cleaned.problem(theta), effects)
-    if not again or _same_forms(forms, again):
+    again = cleaned.start(theta, effects)
+    if not again.forms or _same_constants(start.forms, again.forms):
         return corrected
-    return fit.settle(again, theta, corrected.coefficients, [["*"]])
+    return fit.settle(again, [["*"]])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Start:
+    """Where a joint fit begins.
+
+    forms    of the effects
+    theta    (n,) parameters, SI
+    beta     (k,) coefficients of all forms, in expected sizes
+    settled  whether that is where the forms explain the readings best, as it is where the
+             effects are too large for the linear model about the fit without them
+    """
+
+    forms: tuple[ChosenForm, ...]
+    theta: Array
+    beta: Array
+    settled: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,17 +159,37 @@ class _JointFit:
     estimate_noise: bool
     max_iterations: int
 
+    def start(self, theta: Array, effects: Sequence[Effect]) -> _Start:
+        """Forms, chosen about parameters (n,), and where they explain the readings best.
+
+        Large effects bend the readings: about that point the forms are chosen again.
+        """
+        problem = self.readings.problem(theta)
+        forms = choose_forms(problem, effects)
+        if not forms:
+            return _Start((), theta, np.zeros(0), False)
+        for _ in range(PASSES):
+            acting = [
+                ActingForm(f.effect, f.constants, f.signature.names, f.size)
+                for f in forms
+            ]
+            law = stated_law(problem)
+            settled = settle(problem, acting, law, np.zeros(len(problem)))
+            if not LINEAR < settled.departure < np.inf:
+                return _Start(forms, theta, np.zeros_like(settled.coefficients), False)
+            before, forms = forms, choose_forms(settled.problem, effects)
+            if _same_forms(before, forms):
+                break
+        return _Start(before, settled.problem.theta, settled.coefficients, True)
+
     def settle(
-        self,
-        forms: Sequence[ChosenForm],
-        theta: Array,
-        coefficients: Mapping[str, float],
-        patterns: Sequence[Sequence[str]],
+        self, start: _Start, patterns: Sequence[Sequence[str]]
     ) -> CorrectedEstimate:
-        """Estimate and linearise in turn, from theta (n,) and coefficients by name."""
-        names = [n for form in forms for n in _coefficient_names(form)]
-        beta = np.array([coefficients.get(name, 0.0) for name in names])
-        sizes = np.concatenate([np.full(len(f.signature.names), f.size) for f in forms])
+        """Estimate, linearise and find the sizes of the effects in turn."""
+        forms, theta, beta = start.forms, start.theta, start.beta
+        groups = sizes_of.groups_by_effect(forms)
+        parts = [np.full(len(f.signature.names), f.size) for f in forms]
+        sizes = np.maximum(np.concatenate(parts), 1.0)
         for _ in range(ROUNDS):
             problem = self.readings.problem(theta)
             measurement = _linearised(self.readings, problem, forms, sizes, beta)
@@ -150,12 +199,17 @@ class _JointFit:
                 self.readings.y,
                 stages=patterns,
                 estimate_noise=self.estimate_noise,
+                start=np.concatenate([theta, beta]) if start.settled else None,
                 max_iterations=self.max_iterations,
             )
             patterns = [["*"]]
             moved = np.abs(estimate.theta - np.concatenate([theta, beta]))
             theta, beta = np.split(estimate.theta, [len(theta)])
-            if np.all(moved <= SETTLED * np.maximum(estimate.sd, 1e-12)):
+            before = sizes
+            of_effects = estimate.covariance[len(theta) :, len(theta) :]
+            sizes = sizes_of.updated_sizes(groups, sizes, beta, of_effects)
+            still = np.all(np.abs(np.log(sizes / before)) <= SAME_SIZE)
+            if still and np.all(moved <= SETTLED * np.maximum(estimate.sd, 1e-12)):
                 break
         return CorrectedEstimate(
             readings=self.readings,
@@ -173,9 +227,16 @@ def _coefficient_names(form: ChosenForm) -> list[str]:
 
 
 def _same_forms(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> bool:
-    """Whether two choices agree in effects, constants and sizes."""
-    return [(f.effect.name, f.constants, f.size) for f in one] == [
-        (f.effect.name, f.constants, f.size) for f in other
+    """Whether two choices agree in effects, constants, coefficients and sizes."""
+    sizes = [[f.size for f in forms] for forms in (one, other)]
+    names = [[f.signature.names for f in forms] for forms in (one, other)]
+    return _same_constants(one, other) and sizes[0] == sizes[1] and names[0] == names[1]
+
+
+def _same_constants(one: Sequence[ChosenForm], other: Sequence[ChosenForm]) -> bool:
+    """Whether two choices agree in effects and constants."""
+    return [(f.effect.name, f.constants) for f in one] == [
+        (f.effect.name, f.constants) for f in other
     ]
 
 

@@ -19,9 +19,8 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature
 from oed.noise.law import NoiseLaw
+from oed.size_prior import EFFECT_SIZES
 
-#: factors on an effect's prior standard deviations between which the readings choose
-SIZES = (0.3, 1.0, 3.0)
 #: constants beyond which textbook forms alone are scanned
 LARGE_GRID = 64
 #: passes over the effects
@@ -66,7 +65,8 @@ def _best_form(
     others: Sequence[ChosenForm],
 ) -> ChosenForm | None:
     """The form of one effect of highest evidence, next to others; None without any."""
-    fixed = [problem.in_noise_units(f.signature.columns * f.size) for f in others]
+    parts = [problem.in_noise_units(f.signature.columns * f.size) for f in others]
+    fixed = np.hstack([np.zeros((len(problem), 0)), *parts])
     grid = effect.constant_grid()
     textbook = len(grid) > LARGE_GRID
     best, best_value = None, -np.inf
@@ -75,12 +75,11 @@ def _best_form(
         if not signature.names:
             continue
         columns = problem.in_noise_units(signature.columns)
-        for size in SIZES:
-            both = np.hstack([*fixed, size * columns])
-            value = evidence.log_evidence(both, problem.residual)
-            if value > best_value:
-                best_value = value
-                best = ChosenForm(effect, constants, size, signature)
+        values = evidence.of_sizes(fixed, columns, problem.residual)
+        if values.max() > best_value:
+            best_value = float(values.max())
+            size = float(EFFECT_SIZES.values[np.argmax(values)])
+            best = ChosenForm(effect, constants, size, signature)
     if best is None or not textbook:
         return best
     adapted = problem.signature(effect, best.constants)
@@ -95,22 +94,47 @@ class FormEvidence:
 
     def log_evidence(self, columns: Array, residual: Array) -> float:
         """Log evidence of columns (N, k) for a residual (N,), in noise units."""
-        log_det, unexplained = self._solve(columns, residual)
-        return -0.5 * log_det - 0.5 * len(residual) * float(np.log(unexplained))
+        products = self._products(columns, residual)
+        return _log_evidence(products, len(residual))
+
+    def of_sizes(self, fixed: Array, columns: Array, residual: Array) -> Array:
+        """Log evidence (S,) of columns (N, k) at each size, with the size's prior.
+
+        fixed  (N, f) columns that are in the model as they are
+        """
+        products = self._products(np.hstack([fixed, columns]), residual)
+        values = []
+        for size in EFFECT_SIZES.values:
+            scale = np.ones(len(products))
+            scale[fixed.shape[1] : -1] = size
+            values.append(
+                _log_evidence(products * np.outer(scale, scale), len(residual))
+            )
+        return np.array(values) + EFFECT_SIZES.log_shares
 
     def unexplained(self, columns: Array, residual: Array) -> float:
         """Sum of squares that columns with their prior leave of a residual."""
-        return self._solve(columns, residual)[1]
+        return _solve(self._products(columns, residual))[1]
 
-    def _solve(self, columns: Array, residual: Array) -> tuple[float, float]:
-        metric = self.metric
-        inner = metric.gram(columns, columns) + np.eye(columns.shape[1])
-        b = metric.gram(columns, residual[:, None])[:, 0]
-        total = float(metric.gram(residual[:, None], residual[:, None])[0, 0])
-        root = linalg.cholesky(inner, lower=True)
-        explained = float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
-        log_det = 2.0 * float(np.log(np.diag(root)).sum())
-        return log_det, max(total - explained, 1e-12 * total)
+    def _products(self, columns: Array, residual: Array) -> Array:
+        """Inner products (k + 1, k + 1) of columns and residual."""
+        both = np.column_stack([columns, residual])
+        return self.metric.gram(both, both)
+
+
+def _log_evidence(products: Array, size: int) -> float:
+    log_det, unexplained = _solve(products)
+    return -0.5 * log_det - 0.5 * size * float(np.log(unexplained))
+
+
+def _solve(products: Array) -> tuple[float, float]:
+    """Log determinant of A, and sum of squares that the columns leave."""
+    inner = products[:-1, :-1] + np.eye(len(products) - 1)
+    b, total = products[:-1, -1], float(products[-1, -1])
+    root = linalg.cholesky(inner, lower=True)
+    explained = float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
+    log_det = 2.0 * float(np.log(np.diag(root)).sum())
+    return log_det, max(total - explained, 1e-12 * total)
 
 
 def form_evidence(problem: GapProblem) -> FormEvidence:

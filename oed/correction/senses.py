@@ -17,7 +17,7 @@ import numpy as np
 
 from oed.arrays import Array, Index, Mask
 from oed.correction.fit import CorrectedEstimate
-from oed.correction.forms import ChosenForm, FormEvidence, form_evidence
+from oed.correction.forms import FormEvidence, form_evidence
 from oed.gap.data.problem import GapProblem
 
 if TYPE_CHECKING:
@@ -57,8 +57,8 @@ def find_turned_runs(corrected: CorrectedEstimate) -> TurnedRuns | None:
     search = _Search(
         form_evidence(given),
         given.residual,
-        _columns(given, corrected.forms),
-        _columns(other_way, corrected.forms),
+        _columns(given, corrected),
+        _columns(other_way, corrected),
     )
     felt = [rows for rows in given.members if search.is_felt(rows)]
     if len(felt) < LEAST:
@@ -153,15 +153,16 @@ def _with_reversed_orders(covariates: pd.DataFrame) -> pd.DataFrame:
     return covariates.assign(order=ends - covariates["order"])
 
 
-def _columns(problem: GapProblem, forms: Sequence[ChosenForm]) -> Array:
-    """Columns (N, k) of the effects in noise units, by the names of their forms."""
+def _columns(problem: GapProblem, corrected: CorrectedEstimate) -> Array:
+    """Columns (N, k) of the effects at their estimated sizes, in noise units."""
     parts = []
-    for form in forms:
+    for form in corrected.forms:
         signature = problem.signature(form.effect, form.constants)
         place = {name: k for k, name in enumerate(signature.names)}
         table = np.zeros((len(problem), len(form.signature.names)))
         for k, name in enumerate(form.signature.names):
             if name in place:
                 table[:, k] = signature.columns[:, place[name]]
-        parts.append(problem.in_noise_units(table) * form.size)
-    return np.hstack(parts)
+        parts.append(problem.in_noise_units(table))
+    sizes = corrected.measurement.tolerance[corrected.parameters :]
+    return np.asarray(np.hstack(parts) * sizes)

@@ -11,13 +11,16 @@ from oed.arrays import Array
 from oed.effect import Effect
 from oed.gap import place
 from oed.gap.cause import advice, answers, closure
-from oed.gap.cause.compare import compare, probabilities
+from oed.gap.cause.compare import probabilities
+from oed.gap.cause.expansion import compare_expanded
 from oed.gap.cause.explained import explain
 from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.reversal import ReversedForms
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import UNKNOWN, Block, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
+from oed.gap.place_draws import LikelyForms
 from oed.noise.law import NoiseLaw, describe
 
 #: forms that an unknown remainder is reported to be like, at most, and the least
@@ -44,8 +47,10 @@ def diagnose(
     `law` is the noise law where it is known but for its level; by default the readings
     determine it.
     """
-    search_results = _searches(problem, effects, law)
-    hypotheses = compare(search_results)
+    comparison = compare_expanded(
+        problem, effects, lambda about: _searches(about, effects, law)
+    )
+    search_results, hypotheses = comparison.searches, comparison.hypotheses
     diagnosis, best = conclude(problem, search_results, hypotheses, effects)
     clean = search_results[best.law].problem  # without outliers, where there are any
     where: tuple[Block, ...] = ()
@@ -54,7 +59,8 @@ def diagnose(
         named = (h for h in hypotheses if h.effects and not h.unknown)
         best = next(named, best)
     else:
-        where = _locate(clean, search_results[best.law], best, diagnosis.law, rng)
+        search = search_results[best.law]
+        where = _locate(search, best, effects, diagnosis.law, rng)
     closures = _closures(clean, search_results[best.law], best, diagnosis.law, rng)
     return dataclasses.replace(diagnosis, where=where, closure=closures)
 
@@ -88,11 +94,11 @@ def conclude(
     named = {name for members in first.classes for name in members}
     if not named & set(best.effects):
         named = set(best.effects)
-    parts = explain(problem, search, best, named)
+    parts = explain(search.given, search, best, named)
     law = search.law_at(parts.level)
     untested = search.library.not_testable
     diagnosis = Diagnosis(
-        problem=problem,
+        problem=search.given,
         verdict=answers.verdict(first),
         answers=ranked,
         set95=answers.credible_set(groups),
@@ -152,26 +158,30 @@ def _marginal(
 
 
 def _locate(
-    problem: GapProblem,
     search: Search,
     best: Hypothesis,
+    effects: Sequence[Effect],
     law: NoiseLaw,
     rng: np.random.Generator,
 ) -> tuple[Block, ...]:
     """Places in which the gap lies, over all likely forms of the best hypothesis."""
+    library, processes = search.library, search.processes
+    other_way = ReversedForms(search.problem, library, processes, effects)
     level = search.noise_level(best)
     parts = len(best.effects) + best.unknown
     models = [
-        place.LikelyForms(
+        LikelyForms(
             share,
-            h.columns(search.library, search.processes, level),
-            h.labels(search.library, search.processes),
+            h.columns(library, processes, level),
+            h.labels(library, processes),
+            np.array(h.timed(library, processes)),
+            other_way.columns(h, level),
         )
         for part in range(parts)
         for share, h in search.forms(best, part)
         if share > LEAST_SHARE
     ]
-    return place.locate(problem, law, models, rng)
+    return place.locate(search.problem, law, models, rng)
 
 
 # -- closure ---------------------------------------------------------------------------

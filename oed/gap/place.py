@@ -9,6 +9,12 @@ every leg,
 
 A place holds its share of the sum. Where all readings, or all legs, have as much, it
 has its even share; it stands out where few draws have no more than that.
+
+What acts alike at all times is in no stretch of time, though it may show most while a
+set-up that sees it was read: times are places of what varies with time or temperature
+alone. What acts alike both ways is in no direction: its energy is compared as if all
+readings had been driven one way, and the other, so that even shares are halves. A set-up
+is a place of what belongs to set-ups: errors of their readings, bars, mounts.
 """
 
 from __future__ import annotations
@@ -17,12 +23,12 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import linalg, special
+from scipy import special
 
 from oed.arrays import Array, Index
 from oed.gap.data.diagnosis import Block
-from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
+from oed.gap.place_draws import Draws, LikelyForms, draw_energies
 from oed.noise.law import NoiseLaw
 
 #: draws of the posterior
@@ -33,36 +39,11 @@ CELLS, SECTORS = 48, 12
 PLACES = 8
 #: runs that are reported; beyond the first only those that stand out
 RUNS, STANDS_OUT = 4, 0.05
+#: departure of a direction's share from a half that is none: which way a joint arrives at
+#: the ends of a run is not known of runs that were driven the other way
+NEARLY_EVEN = 0.05
 #: nats by which a stretch must confine the gap to be reported
 WORTH = 0.1
-
-
-@dataclasses.dataclass(frozen=True)
-class LikelyForms:
-    """Forms that what acts may have.
-
-    share      posterior probability of these forms
-    columns    (N, k) with coefficients N(0, 1), in units of the stated noise
-    labels     (k,) `leg 1`, `set-up bar` or "", what each column belongs to
-    """
-
-    share: float
-    columns: Array
-    labels: Sequence[str]
-
-
-@dataclasses.dataclass(frozen=True)
-class _Draws:
-    """Energy of what acts, in units of the stated noise, in D draws.
-
-    acting       (N, D) in each reading, before the parameters absorb
-    remaining    (N, D) as calibration leaves it
-    parts        {label: (D,)} of the columns of each label, as calibration leaves them
-    """
-
-    acting: Array
-    remaining: Array
-    parts: dict[str, Array]
 
 
 def locate(
@@ -79,7 +60,7 @@ def locate(
     probability that the place holds no more than its even share, `strength` its mean
     share.
     """
-    drawn = _draw(problem, law, models, rng, draws)
+    drawn = draw_energies(problem, law, models, rng, draws)
     places = [
         *_labelled(problem, drawn),
         *_runs(problem, drawn),
@@ -87,60 +68,8 @@ def locate(
         *_stretch_of_phase(problem, drawn),
         *_directions(problem, drawn),
     ]
-    return tuple(place.block for place in sorted(places, key=_rank))
-
-
-# -- the posterior ---------------------------------------------------------------------
-
-
-def _draw(
-    problem: GapProblem,
-    law: NoiseLaw,
-    models: Sequence[LikelyForms],
-    rng: np.random.Generator,
-    draws: int,
-) -> _Draws:
-    metric = Metric(problem, law)
-    shares = np.array([model.share for model in models])
-    counts = rng.multinomial(draws, shares / shares.sum())
-    drawn = [
-        _of_model(problem, metric, model, rng.standard_normal((len(model.labels), n)))
-        for model, n in zip(models, counts, strict=True)
-        if n
-    ]
-    labels = dict.fromkeys(label for part in drawn for label in part.parts)
-    return _Draws(
-        acting=np.hstack([part.acting for part in drawn]),
-        remaining=np.hstack([part.remaining for part in drawn]),
-        parts={
-            label: np.concatenate(
-                [
-                    part.parts.get(label, np.zeros(part.remaining.shape[1]))
-                    for part in drawn
-                ]
-            )
-            for label in labels
-        },
-    )
-
-
-def _of_model(
-    problem: GapProblem, metric: Metric, model: LikelyForms, normal: Array
-) -> _Draws:
-    """Draws of one model from standard normal values (k, D)."""
-    columns = model.columns
-    precision = metric.gram(columns, columns) + np.eye(columns.shape[1])
-    b = metric.gram(columns, problem.residual[:, None])
-    root = linalg.cholesky(precision, lower=True)
-    spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
-    beta = linalg.cho_solve((root, True), b) + spread
-    remaining = columns - problem.slopes @ metric.fit(columns)
-    labels = np.array(model.labels)
-    parts = {}
-    for label in dict.fromkeys(model.labels):
-        at = labels == label
-        parts[label] = np.sum((remaining[:, at] @ beta[at]) ** 2, axis=0)
-    return _Draws((columns @ beta) ** 2, (remaining @ beta) ** 2, parts)
+    blocks = [place.block for place in sorted(places, key=_rank)]
+    return tuple(_with_same_readings(problem, block) for block in blocks)
 
 
 # -- places ----------------------------------------------------------------------------
@@ -176,15 +105,28 @@ def _place(name: str, energy: Array, total: Array, even: float) -> _Place:
     return _Place(Block(name, float(p_value), float(share.mean())), even)
 
 
-def _labelled(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
-    """Legs and set-ups by their columns, of what has columns of legs or set-ups."""
-    setups = problem.rows["setup"].nunique()
-    for kind, count in (("leg", len(problem.states[0].limbs)), ("set-up", setups)):
-        labels = [label for label in drawn.parts if label.startswith(f"{kind} ")]
-        total = sum((drawn.parts[label] for label in labels), np.zeros(1))
-        if count > 1:
-            for label in labels:
-                yield _place(label, drawn.parts[label], total, 1.0 / count)
+def _labelled(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
+    """Legs and set-ups by their columns, of what has columns of legs or set-ups.
+
+    Even are as much in each leg, and as much in each reading.
+    """
+    legs = [f"leg {i + 1}" for i in problem.states[0].limbs]
+    by_leg = {leg: (leg, 1.0 / len(legs)) for leg in legs}
+    by_setup = {}
+    rows = problem.rows
+    shares = rows["setup"].value_counts(normalize=True)
+    for setup, channel in rows[["setup", "channel"]].drop_duplicates().to_numpy():
+        place = f"set-up {setup}", float(shares[setup])
+        by_setup[place[0]] = by_setup[f"channel {channel} in {setup}"] = place
+    for known in (by_leg, by_setup):
+        energies: dict[tuple[str, float], Array] = {}
+        for label in known.keys() & drawn.parts.keys():
+            energy = energies.get(known[label], np.zeros(1))
+            energies[known[label]] = energy + drawn.parts[label]
+        total = sum(energies.values(), np.zeros(1))
+        if len(set(known.values())) > 1:
+            for (name, even), energy in energies.items():
+                yield _place(name, energy, total, even)
 
 
 def _of_readings(name: str, rows: Index, energy: Array) -> _Place:
@@ -193,7 +135,7 @@ def _of_readings(name: str, rows: Index, energy: Array) -> _Place:
     return _place(name, energy[rows].sum(axis=0), total, len(rows) / len(energy))
 
 
-def _runs(problem: GapProblem, drawn: _Draws) -> list[_Place]:
+def _runs(problem: GapProblem, drawn: Draws) -> list[_Place]:
     if len(problem.members) < 2:
         return []
     names = zip(_run_names(problem), problem.members, strict=True)
@@ -211,7 +153,7 @@ def _run_names(problem: GapProblem) -> list[str]:
     return list("run " + setup + labels["run"])
 
 
-def _stretch_of_time(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
+def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     """The stretch of the session that is densest in what acts.
 
     It ends halfway between its readings and those beside it.
@@ -225,23 +167,59 @@ def _stretch_of_time(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
     if len(starts) < 2:
         return
     number = np.searchsorted(starts, times[known], side="right") - 1
-    inside = np.isin(number, _densest(number, drawn.acting[known], len(starts)))
+    if not drawn.timed.any():
+        return
+    inside = np.isin(number, _densest(number, drawn.timed[known], len(starts)))
     rows = known[inside]
-    first, last = times[rows].min(), times[rows].max()
+    name = f"time {_extent(times, times[rows])}"
+    stretch = _of_readings(name, rows, drawn.timed)
+    if stretch.confines > WORTH:
+        yield stretch
+
+
+def _with_same_readings(problem: GapProblem, block: Block) -> Block:
+    """The block with the place of another kind that has the same readings, if any.
+
+    A set-up that was read in one stretch of the session is that stretch as well.
+    """
+    for setup, extent in _stretches_of_setups(problem).items():
+        names = (f"set-up {setup}", f"time {extent}")
+        if block.block in names:
+            (other,) = set(names) - {block.block}
+            return dataclasses.replace(block, same_as=other)
+    return block
+
+
+def _stretches_of_setups(problem: GapProblem) -> dict[str, str]:
+    """Begin and end of each set-up in whose stretch of time no other was read."""
+    rows = problem.rows
+    if "time" not in rows.columns or rows["setup"].nunique() < 2:
+        return {}
+    times = rows["time"].to_numpy(dtype=float)
+    stretches = {}
+    for setup, members in rows.groupby("setup", sort=False).indices.items():
+        of_setup = times[members]
+        others = np.delete(times, members)
+        inside = (others >= of_setup.min()) & (others <= of_setup.max())
+        if np.isfinite(times).all() and not inside.any():
+            stretches[str(setup)] = _extent(times, of_setup)
+    return stretches
+
+
+def _extent(times: Array, inside: Array) -> str:
+    """`A-B` of some times (n,) among all (N,), to halfway to those before and after."""
+    first, last = inside.min(), inside.max()
     before, after = times[times < first], times[times > last]
     begin = 0.5 * (first + before.max()) if before.size else first
     end = 0.5 * (last + after.min()) if after.size else last
-    name = f"time {_number(begin)}-{_number(end)}"
-    stretch = _of_readings(name, rows, drawn.acting)
-    if stretch.confines > WORTH:
-        yield stretch
+    return f"{_number(begin)}-{_number(end)}"
 
 
 def _number(value: float) -> str:
     return f"{value:.1f}".removesuffix(".0")
 
 
-def _stretch_of_phase(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
+def _stretch_of_phase(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     """The part of all runs that is densest in what acts."""
     phase = problem.rows["phase"].to_numpy(dtype=float)
     long = [m for m in problem.members if len(np.unique(phase[m].round(9))) >= PLACES]
@@ -257,14 +235,23 @@ def _stretch_of_phase(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
         yield stretch
 
 
-def _directions(problem: GapProblem, drawn: _Draws) -> Iterator[_Place]:
-    if "direction" not in problem.rows.columns:
+def _directions(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
+    """Both directions, by what acts in all readings as if driven one way alone."""
+    if "direction" not in problem.rows.columns or drawn.other_way is None:
         return
     direction = np.sign(problem.rows["direction"].to_numpy(dtype=float))
-    if (direction > 0.0).any() and (direction < 0.0).any():
-        for sign in (1, -1):
-            rows = np.flatnonzero(direction == sign)
-            yield _of_readings(f"direction {sign:+d}", rows, drawn.remaining)
+    if not ((direction > 0.0).any() and (direction < 0.0).any()):
+        return
+    energy = {}
+    for sign in (1, -1):
+        along, against = direction == sign, direction == -sign
+        energy[sign] = drawn.acting[along].sum(axis=0)
+        energy[sign] += drawn.other_way[against].sum(axis=0)
+    total = energy[1] + energy[-1]
+    for sign, amount in energy.items():
+        even = np.abs(amount - 0.5 * total) <= NEARLY_EVEN * total
+        rounded = np.where(even, 0.5 * total, amount)
+        yield _place(f"direction {sign:+d}", rounded, total, 0.5)
 
 
 def _densest(number: Index, energy: Array, count: int, around: bool = False) -> Index:

@@ -5,6 +5,7 @@ that are in no library.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -23,13 +24,19 @@ LINES, LENGTH = 8, 31
 
 
 def readings(
-    seed: int, uneven: float = 0.0, late: float = 0.0, *, timed: bool = True
+    seed: int,
+    uneven: float = 0.0,
+    late: float = 0.0,
+    *,
+    timed: bool = True,
+    heights: Callable[[int, int], float] = lambda way, k: 0.4 * k,
 ) -> GapProblem:
     """Lines of a planar machine read by RM 5, each both ways, with times and feeds,
     noise alone.
 
     uneven, late   how far places (m) and times (s) of readings are off even ones,
                    either way;  timed: whether times are told
+    heights        z of the lines by direction and number of the pair
     """
     measurement = Measurement(planar_2dof.machine, [mount(relative.rm5, "lines")])
     off = np.random.default_rng(99)
@@ -37,7 +44,7 @@ def readings(
     ways = [1 if k % 2 == 0 else -1 for k in range(LINES)]
     command = np.vstack(
         [
-            np.column_stack([y[::w], np.full(LENGTH, 0.4 * (k // 2))])
+            np.column_stack([y[::w], np.full(LENGTH, heights(w, k // 2))])
             for k, w in enumerate(ways)
         ]
     )

@@ -129,12 +129,13 @@ def test_the_plain_fit_is_bent_and_the_corrected_one_is_not(
 
 def test_few_readings_far_off_do_not_make_an_effect_look_small() -> None:
     """Play of one to two expected sizes in all drives; twelve readings are 80 noise
-    deviations off. The prior size, chosen by the evidence, is that of the play.
+    deviations off. The play is estimated all the same, and its prior size fits it.
     """
     m = a3_plans.measurement()
     series, rows = planned(m)
     senses = np.column_stack([travel_sense(series, k) for k in range(3)])
-    q = series.q[series.index[:, 0]] - 0.5 * senses * np.array([15e-6, -12e-6, 20e-6])
+    play = np.array([15e-6, -12e-6, 20e-6])
+    q = series.q[series.index[:, 0]] - 0.5 * senses * play
     cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
     rng = np.random.default_rng(4)
     y = a3.ball_bar_reading(np.zeros(24), q, cup) + NOISE * rng.standard_normal(len(q))
@@ -143,8 +144,14 @@ def test_few_readings_far_off_do_not_make_an_effect_look_small() -> None:
         EffectReadings(m, (series,), y, rows), [backlash.effect], m.nominal
     )
     assert corrected is not None
-    (form,) = corrected.forms
-    assert form.size >= 1.0
+    start = corrected.parameters
+    values = corrected.estimate.theta[start:] * corrected.scales
+    sds = corrected.estimate.sd[start:] * corrected.scales
+    names = corrected.coefficient_names
+    at = [names.index(f"backlash: leg {k}") for k in (1, 2, 3)]
+    assert values[at] == pytest.approx(play, rel=0.05)
+    assert (sds[at] < 0.05 * np.abs(play)).all()
+    assert (corrected.measurement.tolerance[start:] >= 1.0).all()
 
 
 def test_coefficients_are_those_of_the_machine(

@@ -17,9 +17,8 @@ from oed.gap import diagnose as diagnosing
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import PRIOR
-from oed.gap.cause.search import Search
+from oed.gap.cause.search import SIZES, Search
 from oed.gap.data import evidence
-from oed.gap.data.evidence import SIZES
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library

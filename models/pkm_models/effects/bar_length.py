@@ -25,6 +25,7 @@ effect = Effect(
     about="a bar (or calliper) whose zero is wrong",
     columns=columns,
     remedy="calibrate the bar's length on a calibrator before use",
+    check="the certified length, and whether it is this bar's",
     nature=natures.SCALE,
     exposed_by=(
         "a second known tool length, a second bar calibrated apart, or a laser"

@@ -1,5 +1,5 @@
-"""Scale error of an encoder or a screw: each joint goes s_i q_i too far. 10 ppm of a
-glass scale, 50 ppm of a screw.
+"""Scale error of an encoder or a screw: each joint goes s_i (q_i - m_i) too far. 10 ppm
+of a glass scale, 50 ppm of a screw.
 """
 
 from __future__ import annotations
@@ -13,11 +13,15 @@ SCALE = 50e-6
 
 
 def columns(state: State) -> Iterable[Column]:
-    """s_i q_i, one coefficient a joint; where q is counted from is the joint's zero,
-    which is geometry.
+    """s_i (q_i - m_i), one coefficient a joint, with m_i the middle of its travel.
+
+    Where q is counted from is the joint's zero, which is geometry: its tolerance is that
+    of a zero within the travel, so that no scale error may move it from further away.
     """
+    middle = state.joint_range.mean(axis=0)
     for i in state.limbs:
-        yield Column(f"leg {i + 1}", SCALE, f"leg {i + 1}", {i: state.joints[:, i]})
+        travel = state.joints[:, i] - middle[i]
+        yield Column(f"leg {i + 1}", SCALE, f"leg {i + 1}", {i: travel})
 
 
 effect = Effect(
@@ -30,6 +34,7 @@ effect = Effect(
         "measure each joint's scale with a laser interferometer and correct it in the"
         " controller"
     ),
+    check="the joint's conversion factor: lead, gear ratio, counts a turn",
     nature=natures.SCALE,
     exposed_by="a laser interferometer along a joint, or a second known tool length",
     common_to_limbs=True,

@@ -9,6 +9,7 @@ no readings of this kind could.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 
 import numpy as np
@@ -16,15 +17,21 @@ import numpy as np
 from oed.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
-from oed.gap.data.evidence import SIZES, Grams
+from oed.gap.data.evidence import Grams
+from oed.size_prior import EFFECT_SIZES
 
 #: sqrt(lambda_{k|j}) below which a rival is indistinguishable from an effect
 DISTINCT = 5.0
 #: share of lambda_k that a rival leaves, below which no reading of this kind
 #: distinguishes them
 EXACT = 0.002
-#: largest size, against its physical prior scale, that a rival may have
-RIVAL = float(SIZES[-1])
+#: log evidence by which a rival that leaves so little may be behind: as much as the
+#: priors of sizes and forms can set two effects apart. One further behind leaves little
+#: only because its form can be any
+PLAINER = 12.0
+#: largest size, against its expected one, that a rival may have where the effect is not
+#: larger itself
+RIVAL = EFFECT_SIZES.usual[-1]
 
 
 def equivalent_effects(
@@ -45,11 +52,12 @@ def equivalent_effects(
         selected = np.concatenate([np.empty(0, dtype=np.intp), *parts])
         grams = search.grams.project_out(selected)
         members = [effect]
+        odds = _LogOdds(search, h, i)
         for rival in search.library.effects:
             if rival in h.effects:
                 continue
             distinct, whole = _distinct_energy(search, grams, h, i, rival)
-            exact = distinct < EXACT * whole
+            exact = distinct < EXACT * whole and odds.of(rival) > -PLAINER
             replaced = frozenset({rival, *(h.effects[j] for j in others)})
             score = scores.get((replaced, h.unknown), -np.inf)
             near = score > h.score - alive
@@ -57,6 +65,31 @@ def equivalent_effects(
                 members.append(rival)
         classes.append(tuple(members))
     return classes
+
+
+class _LogOdds:
+    """Log evidence of rivals in place of the i-th effect of h, over that effect's.
+
+    Both have all their forms and sizes, under the law of a search.
+    """
+
+    def __init__(self, search: Search, h: Hypothesis, i: int) -> None:
+        self._search, self._h, self._i = search, h, i
+
+    def of(self, rival: str) -> float:
+        """The odds of one rival; 0 beside an unknown remainder, which hides them."""
+        if self._h.unknown:
+            return 0.0
+        return self._further[rival] - self._further[self._h.effects[self._i]]
+
+    @functools.cached_property
+    def _further(self) -> dict[str, float]:
+        others = self._h.others(self._i)
+        grams = self._search.grams_with(
+            [self._h.atoms[j] for j in others], [self._h.sizes[j] for j in others]
+        )
+        screened = self._search.screen(grams, [self._h.effects[j] for j in others])
+        return {name: further.log_evidence for name, further in screened.items()}
 
 
 def _distinct_energy(
@@ -77,7 +110,7 @@ def _distinct_energy(
     for atom in search.library.atoms_of(rival):
         form = search.columns_of(atom)
         cross = grams.gram[np.ix_(form, columns)] @ beta
-        precision = np.eye(len(form)) / RIVAL**2
+        precision = np.eye(len(form)) / max(RIVAL, h.sizes[i]) ** 2
         inner = grams.gram[np.ix_(form, form)] + precision
         absorbed = float(cross @ np.linalg.solve(inner, cross))
         least = min(least, whole - absorbed)

@@ -59,6 +59,7 @@ def explain(
     by_effects = np.zeros(len(problem))
     coefficients: list[Coefficient] = []
     sizes, start = [], 0
+    stated = Metric(search.problem, stated_law(problem))
     forms = zip(h.effects, h.atoms, h.sizes, strict=True)
     for effect, atom, size in forms:
         rows = library.atoms[atom].columns
@@ -73,9 +74,10 @@ def explain(
         coefficients += _coefficients(library, effect, rows, mean[at] * unit, sd)
         energy = float(metric.gram(signal[:, None], signal[:, None])[0, 0])
         detectability = float(np.sqrt(max(energy, 0.0))) / level
-        sizes.append(Size(effect, _rms_by_channel(problem, signal), detectability))
+        rms = _rms_by_channel(problem, signal)
+        remaining = _rms_by_channel(problem, _after_fit(problem, stated, signal))
+        sizes.append(Size(effect, rms, remaining, detectability))
     outlying = problem.residual - residual
-    stated = Metric(search.problem, stated_law(problem))
     corrected = residual - by_effects
     return Explained(
         coefficients=tuple(coefficients),

@@ -98,6 +98,13 @@ class Hypothesis:
             parts.append(processes.scaled_columns(self.process, size))
         return np.hstack(parts)
 
+    def timed(self, library: Library, processes: Library) -> list[bool]:
+        """Which of its columns vary with the time or a temperature."""
+        atoms = [library.atoms[k] for k in self.atoms]
+        if self.process is not None:
+            atoms.append(processes.atoms[self.process])
+        return [atom.timed for atom in atoms for _ in atom.columns]
+
     def labels(self, library: Library, processes: Library) -> list[str]:
         """What each of its columns belongs to."""
         sources = [(library, atom) for atom in self.atoms]

@@ -12,11 +12,13 @@ from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams
 from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
+from oed.size_prior import UNKNOWN_SIZES
 
+#: columns of each selected effect, with the size of its coefficients
+Selected = Sequence[tuple[Index, float]]
+_NONE = np.empty(0, dtype=np.intp)
 #: how large an unknown may be, against the noise
-UNKNOWN_SIZES = np.array([0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0])
-#: expected lambda of a form below which its size is taken for none at all
-NEGLIGIBLE = 9.0
+SIZES = UNKNOWN_SIZES.values
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,9 +45,8 @@ class Remainders:
         self._groups = groups_of(processes)
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
         log_share = np.log(max(len(processes.effects), 1))
-        log_sizes = log_size_prior(
-            products.process_diagonal, self._columns, UNKNOWN_SIZES
-        )
+        energy = energies(products.process_diagonal, self._columns)
+        log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
         self._log_prior = log_weights[:, None] - log_share + log_sizes
 
     def __len__(self) -> int:
@@ -63,7 +64,8 @@ class Remainders:
             [[alone.gram, cross], [cross.T, self._products.blocks[group][row]]]
         )
         b = np.concatenate([alone.b, self._products.process_b[columns]])
-        return dataclasses.replace(alone, gram=gram, b=b)
+        whole = np.concatenate([alone.whole, self._products.process_whole[columns]])
+        return dataclasses.replace(alone, gram=gram, b=b, whole=whole)
 
     def _place_of(self, process: int) -> tuple[int, int]:
         """Group of a process, and its row in it."""
@@ -73,46 +75,67 @@ class Remainders:
                 return group, int(row[0])
         raise IndexError(process)
 
-    def log_evidences(self, alone: Grams, selected: Index) -> Array:
+    def log_evidences(self, alone: Grams, selected: Selected) -> Array:
         """Log evidence (processes, sizes) of each process, over no remainder.
 
         alone       grams of the selected columns, these in the model
-        selected    (k,) columns of the selected effects
+        selected    columns of each selected effect, with their size
         """
-        table = np.empty((len(self._columns), len(UNKNOWN_SIZES)))
+        table = np.empty((len(self._columns), len(SIZES)))
+        whole = self._products.process_whole
         for numbers, gram, b in self._orthogonal(selected):
-            gain, log_det = evidence.explained_energy(gram, b, UNKNOWN_SIZES)
+            of_group = np.array([whole[self._columns[k]].max() for k in numbers])
+            least = evidence.ROUNDING * of_group
+            gain, log_det = evidence.explained_energy(gram, b, SIZES, least)
             table[numbers] = alone.log_ratio(gain, log_det)
         return np.asarray(table + self._log_prior)
 
-    def best(self, alone: Grams, selected: Index) -> Remainder:
+    def best(self, alone: Grams, selected: Selected) -> Remainder:
         """The best process and size; arguments as of `log_evidences`."""
         table = self.log_evidences(alone, selected)
         row, column = np.unravel_index(int(np.argmax(table)), table.shape)
         return Remainder(
             process=int(row),
-            size=float(UNKNOWN_SIZES[column]),
+            size=float(SIZES[column]),
             log_evidence=float(np.logaddexp.reduce(table, axis=None)),
         )
 
-    def _orthogonal(self, selected: Index) -> list[tuple[Index, Array, Array]]:
+    def _orthogonal(self, selected: Selected) -> list[tuple[Index, Array, Array]]:
         """Processes without what the selected columns could explain.
 
         Those with as many columns together: their numbers (a,), Gram matrices (a, d, d)
         and projections (a, d).
         """
-        products = self._products
-        some = products.grams(selected)
-        root = evidence.visible_root(some.gram)
-        projected = root.T @ some.b
-        cross = root.T @ products.with_processes(selected)
+        taken, projected = self._taken(selected)
         groups = []
-        for (numbers, rows), alone in zip(self._groups, products.blocks, strict=True):
-            over = cross[:, rows]
+        parts = zip(self._groups, self._products.blocks, strict=True)
+        for (numbers, rows), alone in parts:
+            over = taken[:, rows]
             grams = alone - np.einsum("kad,kae->ade", over, over, optimize=True)
-            b = products.process_b[rows] - np.einsum("kad,k->ad", over, projected)
+            b = self._products.process_b[rows] - np.einsum("kad,k->ad", over, projected)
             groups.append((numbers, grams, b))
         return groups
+
+    def _taken(self, selected: Selected) -> tuple[Array, Array]:
+        """Directions that the selected effects could explain, one effect after the other.
+
+        Their products (k, P) with all processes' columns and (k,) with the residual.
+        """
+        columns = np.concatenate([_NONE, *(c for c, _ in selected)])
+        grams = self._products.grams(columns)
+        cross = self._products.with_processes(columns)
+        taken, projected = [np.zeros((0, cross.shape[1]))], [np.zeros(0)]
+        start = 0
+        for own, size in selected:
+            rows = np.arange(start, start + len(own))
+            start += len(own)
+            root = grams.visible_root(rows, size)
+            over, residual = root.T @ cross[rows], root.T @ grams.b[rows]
+            cross = cross - (grams.gram[:, rows] @ root) @ over
+            grams = grams.project_out(rows, size)
+            taken.append(over)
+            projected.append(residual)
+        return np.vstack(taken), np.concatenate(projected)
 
 
 def groups_of(processes: Library) -> list[tuple[Index, Index]]:
@@ -121,20 +144,6 @@ def groups_of(processes: Library) -> list[tuple[Index, Index]]:
     return evidence.group_by_count(columns) if columns else []
 
 
-def log_size_prior(
-    energy: Array,
-    choices: Sequence[Index],
-    sizes: Array,
-) -> Array:
-    """Log prior share (choices, sizes) of each size of a choice of columns.
-
-    `energy` (K,) is that of each column.
-    Sizes that could not be seen are no hypotheses, but for the largest.
-    """
-    if not choices:
-        return np.zeros((0, len(sizes)))
-    trace = np.array([energy[columns].sum() for columns in choices])
-    visible = trace[:, None] * sizes**2 > NEGLIGIBLE
-    visible[:, -1] = True
-    log_share = -np.log(visible.sum(axis=1, keepdims=True))
-    return np.asarray(np.where(visible, log_share, -np.inf))
+def energies(diagonal: Array, choices: Sequence[Index]) -> Array:
+    """Energy (a,) of each choice of columns, from that of each column (K,)."""
+    return np.array([diagonal[columns].sum() for columns in choices])

@@ -18,20 +18,21 @@ from scipy import special
 
 from oed.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
+from oed.gap.cause.remainder import SIZES as UNKNOWN_SIZES
 from oed.gap.cause.remainder import (
-    UNKNOWN_SIZES,
     Remainders,
+    energies,
     groups_of,
-    log_size_prior,
 )
 from oed.gap.data import evidence
-from oed.gap.data.evidence import SIZES, Grams
+from oed.gap.data.evidence import Grams
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Outliers
+from oed.size_prior import EFFECT_SIZES
 
 #: log evidence below the best at which sets are not taken further
 BEHIND = 14.0
@@ -39,6 +40,8 @@ BEHIND = 14.0
 SETS = 8
 #: rounds in which the effects of a set take turns at their best forms
 ROUNDS = 4
+#: sizes of effects, in expected sizes
+SIZES = EFFECT_SIZES.values
 _NONE = np.empty(0, dtype=np.intp)
 
 
@@ -63,14 +66,17 @@ class Search:
         log_prior: float,
         outliers: Outliers | None = None,
         candidates: Sequence[Hypothesis] = (),
+        given: GapProblem | None = None,
     ) -> None:
         """Compute the inner products of all columns.
 
         log_prior    of the noise law
         outliers     those that the problem's residuals are without, if any
         candidates   hypotheses to evaluate in place of a search
+        given        the problem with its outliers; the same by default
         """
         self.problem = problem
+        self.given = problem if given is None else given
         self.library = library
         self.processes = processes
         self.law = law
@@ -87,7 +93,8 @@ class Search:
         self._candidates = candidates
         self._products = self._multiply(self._needed(candidates))
         log_weights = np.array([atom.log_weight for atom in library.atoms])
-        log_sizes = log_size_prior(self._products.diagonal, self._atoms, SIZES)
+        energy = energies(self._products.diagonal, self._atoms)
+        log_sizes = EFFECT_SIZES.log_visible_shares(energy)
         #: (atoms, sizes) log prior of each form at each size
         self._log_prior = log_weights[:, None] + log_sizes
         self._remainders = Remainders(self._products, processes)
@@ -155,8 +162,9 @@ class Search:
         best size.
         """
         if part == len(h.effects):
-            selected = self._columns_of_set(h)
-            table = self._remainders.log_evidences(self._grams_alone(h), selected)
+            table = self._remainders.log_evidences(
+                self._grams_alone(h), self._selected(h)
+            )
             numbers, sizes = np.arange(len(table)), UNKNOWN_SIZES
         else:
             others = h.others(part)
@@ -192,7 +200,7 @@ class Search:
         others = np.flatnonzero(~np.isin(self._effect, list(without)))
         if not others.size:
             return {}
-        table = grams.log_evidences([self._atoms[k] for k in others])
+        table = grams.log_evidences([self._atoms[k] for k in others], SIZES)
         posterior = table + self._log_prior[others]
         best = {}
         for effect in dict.fromkeys(self._effect[others]):
@@ -249,8 +257,7 @@ class Search:
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        selected, alone = self._columns_of_set(h), self._grams_alone(h)
-        remainder = self._remainders.best(alone, selected)
+        remainder = self._remainders.best(self._grams_alone(h), self._selected(h))
         return dataclasses.replace(
             h,
             unknown=True,
@@ -278,7 +285,7 @@ class Search:
             grams = self._products.grams(np.concatenate([*selected, columns]))
             grams, start = _select_in_order(grams, selected, sizes)
             places = [start + np.searchsorted(columns, form) for form in forms]
-            self._tables[key] = grams.log_evidences(places)
+            self._tables[key] = grams.log_evidences(places, SIZES)
         return self._tables[key]
 
     def _log_posterior(
@@ -304,6 +311,11 @@ class Search:
     def _columns_of_set(self, h: Hypothesis) -> Index:
         """Columns of all forms of a set of effects, one after the other."""
         return np.concatenate([_NONE, *[self._atoms[k] for k in h.atoms]])
+
+    def _selected(self, h: Hypothesis) -> list[tuple[Index, float]]:
+        """Columns of each effect of a set in its form, with its size."""
+        forms = zip(h.atoms, h.sizes, strict=True)
+        return [(self._atoms[atom], size) for atom, size in forms]
 
     def _grams_alone(self, h: Hypothesis) -> Grams:
         """Grams of the columns of a set of effects alone, these in the model."""

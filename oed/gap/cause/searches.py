@@ -1,12 +1,14 @@
 """Searches under noise laws that stand for all laws, without readings far off.
 
 The laws are drawn with no gap, any gap, and the best gaps in the model
-(`oed.gap.data.laws`); every hypothesis that a search prefers is evaluated under each.
+(`oed.gap.data.laws`); every hypothesis that a search prefers is evaluated under each. A
+large gap hides in the noise of the first laws: where that is far beyond what is stated,
+the search goes on under the laws of its best gaps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -24,6 +26,10 @@ from oed.gap.forms.library import Library
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Outliers
 
+#: noise level, in units of the stated one, that is beyond its prior
+LOUD = 2.0
+#: a gap's atoms, and its process
+Forms = tuple[tuple[int, ...], int | None]
 #: hypotheses of each first search that are evaluated under all laws
 CANDIDATES = 14
 
@@ -41,13 +47,23 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     if outliers is not None:
         plain, wide = laws.posterior(clean, nothing), laws.posterior(clean, columns)
     unknown = waves.add(processes, clean, wide.mode)
-    first = [
-        Search(clean, library, unknown, p.mode, 0.0, outliers) for p in (plain, wide)
-    ]
-    candidates = _candidates(first)
-    every = [plain, wide, *_of_best_gaps(clean, first)]
+
+    def search_under(posteriors: Iterable[LawPosterior]) -> list[Search]:
+        return [
+            Search(clean, library, unknown, p.mode, 0.0, outliers) for p in posteriors
+        ]
+
+    first = search_under((plain, wide))
+    gaps: dict[Forms, LawPosterior] = {}
+    _add_best_gaps(gaps, clean, first)
+    further: list[Search] = []
+    if any(search.noise_level(_best_gap(search)) > LOUD for search in first):
+        further = search_under(list(gaps.values()))
+        _add_best_gaps(gaps, clean, further)
+    candidates = _candidates([*first, *further])
+    every = [plain, wide, *gaps.values()]
     return [
-        Search(clean, library, unknown, law, weight, outliers, candidates)
+        Search(clean, library, unknown, law, weight, outliers, candidates, problem)
         for law, weight in laws.mixture(clean, every)
     ]
 
@@ -65,7 +81,9 @@ def searches_under(
     for removed in (None, outliers) if outliers is not None else (None,):
         clean = noise.without_outliers(problem, removed)
         unknown = waves.add(processes, clean, law)
-        results.append(Search(clean, library, unknown, law, 0.0, removed))
+        results.append(
+            Search(clean, library, unknown, law, 0.0, removed, given=problem)
+        )
     return results
 
 
@@ -112,14 +130,15 @@ def _candidates(first: Sequence[Search]) -> list[Hypothesis]:
     return list(best.values())
 
 
-def _of_best_gaps(problem: GapProblem, first: Sequence[Search]) -> list[LawPosterior]:
-    """The law's posterior with the best gap of each search in the model."""
-    posteriors, tried = [], set()
-    for search in first:
+def _add_best_gaps(
+    posteriors: dict[Forms, LawPosterior],
+    problem: GapProblem,
+    searches: Sequence[Search],
+) -> None:
+    """Add the law's posterior with the best gap of each search in the model."""
+    for search in searches:
         gap = _best_gap(search)
         forms = (tuple(sorted(gap.atoms)), gap.process)
-        if forms not in tried:
-            tried.add(forms)
+        if forms not in posteriors:
             columns = gap.columns(search.library, search.processes)
-            posteriors.append(laws.posterior(problem, columns))
-    return posteriors
+            posteriors[forms] = laws.posterior(problem, columns)

@@ -54,11 +54,13 @@ class Size:
 
     effect           name of the effect
     rms              {channel: root mean square, SI}, before the geometry absorbs
+    remaining        {channel: root mean square, SI} of what calibration leaves of it
     detectability    sqrt(lambda), in units of the noise, after the geometry absorbs
     """
 
     effect: str
     rms: Mapping[str, float]
+    remaining: Mapping[str, float]
     detectability: float
 
 
@@ -67,14 +69,17 @@ class Block:
     """Where a gap lies.
 
     block       `leg K` from 1, `run ID`, `time A-B` in s, `phase A-B` in deg,
-                `direction +1`
+                `direction +1`, `set-up NAME`
     p_value     posterior probability that it holds no more than its even share
     strength    share of the gap's energy that it holds
+    same_as     a place of another kind with the same readings, from which these cannot
+                tell it; "" for none
     """
 
     block: str
     p_value: float
     strength: float = 0.0
+    same_as: str = ""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

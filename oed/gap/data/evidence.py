@@ -25,15 +25,16 @@ from scipy import linalg, special
 from oed.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.root import inverse_root
 from oed.noise.law import NoiseLaw
+from oed.size_prior import EFFECT_SIZES
 
-#: sizes of effects against their physical prior scales, equally likely: the scales are
-#: of a good machine tool, and a printer's errors are ten times as large
-SIZES = np.array([0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0])
-#: energy of a direction of columns, at their prior scales, that is far below the noise
-#: at the largest size too
-UNSEEN = 1e-4
+#: share of a column's energy, before anything absorbs of it, up to which what remains of
+#: it in some direction is rounding
+ROUNDING = 1e-9
+#: energy of a direction of columns, at their sizes, that is far below the noise
+UNSEEN = 0.09
+#: the largest usual size of an effect
+USUAL = EFFECT_SIZES.usual[-1]
 #: size of a direction of columns, in units of the noise, below which `compress` drops it
 FAINT = 0.03
 #: inverse gamma prior of the squared noise level: its stated value to within a factor
@@ -47,6 +48,7 @@ class Grams:
 
     gram     (K, K) Gram matrix of the columns
     b        (K,) projections of the residual on the columns
+    whole    (K,) energy of the columns before parameters and other columns absorb
     energy   r^T M r of the residual
     size     number of readings
     base     log evidence of no further column
@@ -54,6 +56,7 @@ class Grams:
 
     gram: Array
     b: Array
+    whole: Array
     energy: float
     size: int
     base: float
@@ -61,38 +64,56 @@ class Grams:
     def subset(self, columns: Index) -> Grams:
         """Grams of some columns alone."""
         gram = self.gram[np.ix_(columns, columns)]
-        return dataclasses.replace(self, gram=gram, b=self.b[columns])
+        b, whole = self.b[columns], self.whole[columns]
+        return dataclasses.replace(self, gram=gram, b=b, whole=whole)
 
     def select(self, columns: Index, size: float) -> Grams:
         """Grams with `columns` in the model, their coefficients N(0, size^2)."""
         if not len(columns):
             return self
-        precision = np.eye(len(columns)) / size**2
-        inner = self.gram[np.ix_(columns, columns)] + precision
-        factor = linalg.cholesky(inner, lower=True)
-        half = linalg.solve_triangular(factor, self.gram[columns], lower=True)
-        projected = linalg.solve_triangular(factor, self.b[columns], lower=True)
-        gain = float(projected @ projected)
-        log_sizes = 2.0 * len(columns) * np.log(size)
-        log_det = 2.0 * float(np.log(np.diag(factor)).sum()) + log_sizes
-        ratio = self.log_ratio(np.array(gain), np.array(log_det)).item()
-        return Grams(
-            gram=self.gram - half.T @ half,
-            b=self.b - half.T @ projected,
-            energy=self.energy - gain,
-            size=self.size,
-            base=self.base + ratio,
-        )
+        energy, axes = self._directions(columns)
+        inflation = 1.0 + size**2 * energy
+        selected = self._without(columns, axes * (size / np.sqrt(inflation)))
+        gain = np.array(self.energy - selected.energy)
+        log_det = np.array(np.log(inflation).sum())
+        ratio = self.log_ratio(gain, log_det).item()
+        return dataclasses.replace(selected, base=self.base + ratio)
 
-    def project_out(self, columns: Index) -> Grams:
-        """Grams without what `columns` can explain, their coefficients unbounded."""
+    def project_out(self, columns: Index, size: float = USUAL) -> Grams:
+        """Grams without what `columns` can explain, their coefficients unbounded.
+
+        Directions that coefficients of a size, or of a usual one, do not show stay.
+        """
         if not len(columns):
             return self
-        root = visible_root(self.gram[np.ix_(columns, columns)])
+        return self._without(columns, self.visible_root(columns, size))
+
+    def visible_root(self, columns: Index, size: float) -> Array:
+        """Combinations R (k, m) of some columns, of unit energy, that a size shows."""
+        energy, axes = self._directions(columns)
+        visible = energy > UNSEEN / max(size, USUAL) ** 2
+        return np.asarray(axes[:, visible] / np.sqrt(energy[visible]))
+
+    def _directions(self, columns: Index) -> tuple[Array, Array]:
+        """Energies (m,) and axes (k, m) of the directions of some columns.
+
+        Those that nothing but rounding has left are none.
+        """
+        own = self.gram[np.ix_(columns, columns)]
+        energy, axes = np.linalg.eigh(own)
+        clear = energy > ROUNDING * self.whole[columns].max()
+        return energy[clear], axes[:, clear]
+
+    def _without(self, columns: Index, root: Array) -> Grams:
+        """Grams less what combinations `root` (k, m) of some columns take."""
         half = root.T @ self.gram[columns]
         projected = root.T @ self.b[columns]
-        gram = self.gram - half.T @ half
-        return dataclasses.replace(self, gram=gram, b=self.b - half.T @ projected)
+        return dataclasses.replace(
+            self,
+            gram=self.gram - half.T @ half,
+            b=self.b - half.T @ projected,
+            energy=self.energy - float(projected @ projected),
+        )
 
     def log_ratio(self, gain: Array, log_det: Array) -> Array:
         """Log evidence of columns that explain `gain` of the energy, over no column."""
@@ -103,23 +124,16 @@ class Grams:
     def log_evidences(
         self,
         choices: Sequence[Index],
-        sizes: Array = SIZES,
+        sizes: Array,
     ) -> Array:
         """Log evidence (choices, sizes) of each choice of columns, over no column."""
         table = np.zeros((len(choices), len(sizes)))
         for numbers, rows in group_by_count(choices):
             grams = self.gram[rows[:, :, None], rows[:, None, :]]
-            gain, log_det = explained_energy(grams, self.b[rows], sizes)
+            least = ROUNDING * self.whole[rows].max(axis=1, initial=0.0)
+            gain, log_det = explained_energy(grams, self.b[rows], sizes, least)
             table[numbers] = self.log_ratio(gain, log_det)
         return table
-
-
-def visible_root(gram: Array) -> Array:
-    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k).
-
-    Directions that no size makes visible are left out.
-    """
-    return inverse_root(gram, lambda largest: max(1e-9 * largest, UNSEEN))
 
 
 def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
@@ -136,17 +150,17 @@ def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
 
 
 def explained_energy(
-    gram: Array,
-    b: Array,
-    sizes: Array,
+    gram: Array, b: Array, sizes: Array, least: Array
 ) -> tuple[Array, Array]:
     """Energy that columns explain at each prior size, and log determinants.
 
     For Gram matrices (a, d, d) and projections b (a, d), both results are (a, sizes).
+    Directions of less energy than `least` (a,) are none.
     """
     values, vectors = np.linalg.eigh(gram)
-    values = np.maximum(values, 0.0)
-    energy = np.einsum("akj,ak->aj", vectors, b) ** 2
+    clear = values > least[:, None]
+    energy = np.where(clear, np.einsum("akj,ak->aj", vectors, b) ** 2, 0.0)
+    values = np.where(clear, values, 0.0)
     variance = sizes[None, :, None] ** 2
     inflation = 1.0 + values[:, None, :] * variance
     gain = (energy[:, None, :] * variance / inflation).sum(axis=2)
@@ -157,36 +171,37 @@ class WhitenedColumns:
     """Columns (N, K) in a metric, of which some at a time are wanted as Grams."""
 
     def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
-        self._columns = metric.parts(columns)
-        residual = metric.parts(problem.residual[:, None])
+        white = metric.whiten(columns)
+        #: (K,) energy of each column before the parameters absorb
+        self.whole = np.asarray(np.einsum("nk,nk->k", white, white))
+        self._columns = metric.remaining(white)
+        residual = metric.scores(problem.residual[:, None])[:, 0]
         self.size = metric.size
-        white, absorbed = residual
-        self.energy = float((white**2).sum() - (absorbed**2).sum())
+        self.energy = float(residual @ residual)
         self.base = _log_student(metric.log_det, self.energy, metric.size)
         #: (K,) projections of the residual
-        self.b = _product(self._columns, residual)[:, 0]
+        self.b = self._columns.T @ residual
 
     @functools.cached_property
     def diagonal(self) -> Array:
         """Energy (K,) of each column."""
-        white, absorbed = self._columns
-        energy = np.einsum("nk,nk->k", white, white)
-        return np.asarray(energy - np.einsum("nk,nk->k", absorbed, absorbed))
+        return np.asarray(np.einsum("nk,nk->k", self._columns, self._columns))
 
     def of(self, columns: slice | Index) -> WhitenedColumns:
         """Some of the columns alone."""
         some = copy.copy(self)
-        some._columns = self._parts(columns)
-        some.b = self.b[columns]
+        some._columns = self._columns[:, columns]
+        some.b, some.whole = self.b[columns], self.whole[columns]
         some.__dict__.pop("diagonal", None)
         return some
 
     def grams(self, columns: slice | Index = slice(None)) -> Grams:
         """Grams of some columns; `base` is the log evidence of no gap."""
-        parts = self._parts(columns)
+        some = self._columns[:, columns]
         return Grams(
-            gram=_product(parts, parts),
+            gram=some.T @ some,
             b=self.b[columns],
+            whole=self.whole[columns],
             energy=self.energy,
             size=self.size,
             base=self.base,
@@ -194,21 +209,12 @@ class WhitenedColumns:
 
     def with_others(self, others: WhitenedColumns) -> Array:
         """Inner products (K, L) with other columns."""
-        return _product(self._columns, others._columns)
+        return np.asarray(self._columns.T @ others._columns)
 
     def blocks(self, choices: Index) -> Array:
         """Gram matrices (a, d, d) of choices (a, d) of columns."""
-        every = [self._parts(choice) for choice in choices]
-        return np.array([_product(parts, parts) for parts in every])
-
-    def _parts(self, columns: slice | Index) -> tuple[Array, Array]:
-        white, absorbed = self._columns
-        return white[:, columns], absorbed[:, columns]
-
-
-def _product(a: tuple[Array, Array], b: tuple[Array, Array]) -> Array:
-    """Inner products (k, l) of values (N, k) and (N, l), in their parts."""
-    return np.asarray(a[0].T @ b[0] - a[1].T @ b[1])
+        every = [self._columns[:, choice] for choice in choices]
+        return np.array([some.T @ some for some in every])
 
 
 def grams(problem: GapProblem, metric: Metric, columns: Array) -> Grams:

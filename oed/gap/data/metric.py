@@ -34,6 +34,10 @@ class Metric:
             self._root, white.T, lower=True, check_finite=False
         )
         #: log determinant of Sigma + H Lambda H^T
+        axes, triangle = linalg.qr(white, mode="economic", check_finite=False)
+        rotation, size, _ = linalg.svd(triangle, check_finite=False)
+        self._axes = axes @ rotation[:, : len(size)]
+        self._shrink = 1.0 - 1.0 / np.hypot(1.0, size)
         log_root = float(np.log(np.diag(self._root)).sum())
         self.log_det = self._factor.log_det + 2.0 * log_root
 
@@ -46,6 +50,19 @@ class Metric:
         white = self.whiten(values)
         return white, self._absorb @ white
 
+    def scores(self, values: Array) -> Array:
+        """Vectors s (N, k) of values u (N, k) with <u, v> = s_u^T s_v."""
+        return self.remaining(self.whiten(values))
+
+    def remaining(self, white: Array) -> Array:
+        """Whitened values (N, k) less what the parameters absorb of them.
+
+        What they absorb almost whole keeps its digits, which the difference of `parts`
+        loses.
+        """
+        along = self._axes.T @ white
+        return np.asarray(white - (self._axes * self._shrink) @ along)
+
     def fit(self, values: Array) -> Array:
         """Parameters (n,) or (n, k), in prior sd, that explain values (N,) or (N, k)."""
         _, absorbed = self.parts(values)
@@ -57,9 +74,7 @@ class Metric:
 
     def gram(self, u: Array, v: Array) -> Array:
         """Inner products (k, l) of (N, k) and (N, l)."""
-        u0, u1 = self.parts(u)
-        v0, v1 = self.parts(v)
-        return np.asarray(u0.T @ v0 - u1.T @ v1)
+        return np.asarray(self.scores(u).T @ self.scores(v))
 
 
 class Embedding:

@@ -35,6 +35,9 @@ class GapProblem(Runs):
 
     measurement    what was fitted
     series         the readings' series
+    covariates     one row a reading of the series, as in a Dataset
+    y              (N,) the readings, SI
+    gravity        its direction in the base frame
     theta          (n_all,) fitted parameters, SI
     states         the machine's state, one a series
     responses      slopes of the readings, one a series
@@ -49,6 +52,9 @@ class GapProblem(Runs):
 
     measurement: Measurement
     series: tuple[Series, ...]
+    covariates: pd.DataFrame
+    y: Array
+    gravity: tuple[float, float, float]
     theta: Array
     states: tuple[State, ...]
     responses: tuple[Response, ...]
@@ -143,6 +149,9 @@ def assemble(
     return GapProblem(
         measurement=measurement,
         series=series,
+        covariates=covariates,
+        y=y,
+        gravity=gravity,
         theta=theta,
         states=states,
         responses=tuple(measurement.response(s, theta) for s in series),

@@ -43,8 +43,10 @@ class ColumnProducts:
         self._place[needed] = np.arange(len(needed))
         del whitened  # before the processes' columns take their place
         of_processes = WhitenedColumns(problem, metric, processes)
-        #: energy (P,) of each processes' column, and projection (P,) of the residual
+        #: energy (P,) of each processes' column, also before the parameters absorb, and
+        #: projection (P,) of the residual
         self.process_diagonal = of_processes.diagonal
+        self.process_whole = of_processes.whole
         self.process_b = of_processes.b
         #: Gram matrices (a, d, d) of each group
         self.blocks = [of_processes.blocks(group) for group in groups]

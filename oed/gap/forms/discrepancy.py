@@ -32,8 +32,12 @@ WIDEST = 72
 #: readings that a run must have to be a term by itself
 LEAST = 8
 
-#: name of the kind that acts in one run alone
-IN_A_RUN = "in a run"
+#: names of kinds: what acts in one run alone, along all runs, with their direction
+IN_A_RUN, ALONG_RUNS, WITH_DIRECTION = (
+    "in a run",
+    "along the runs",
+    "with the direction",
+)
 
 #: values (N, J) or (N, J, d) of a coordinate or a factor at the poses readings see
 Values = Array
@@ -48,6 +52,7 @@ class Term:
     carrier    what it acts on
     forms      (N, J, c, k) for each of the carrier's columns
     reach      of its kernel
+    timed      whether it varies with the time or a temperature
     """
 
     name: str
@@ -55,6 +60,17 @@ class Term:
     carrier: Carrier
     forms: Array
     reach: float
+    timed: bool = False
+
+    @property
+    def reversal(self) -> Array:
+        """Factor (k,) on the columns of each of the carrier's, driven the other way."""
+        factor = np.ones(self.forms.shape[3])
+        if self.name == WITH_DIRECTION:
+            return -factor
+        if self.name == ALONG_RUNS:
+            factor[len(factor) // 2 :] = -1.0
+        return factor
 
 
 def build(problem: GapProblem) -> Library:
@@ -71,7 +87,11 @@ def build(problem: GapProblem) -> Library:
             for choice, share in _choices(term.carrier, owner):
                 log_weight = math.log(share) - math.log(len(visible))
                 place = start + choice
-                atoms.append(Atom(term.name, constants, place, log_weight, term.about))
+                factor = np.tile(term.reversal, len(term.carrier.labels))[choice]
+                atom = Atom(term.name, constants, place, log_weight, term.about)
+                atoms.append(
+                    dataclasses.replace(atom, timed=term.timed, reversal=factor)
+                )
             columns.append(block)
             labels += [term.carrier.labels[c] for c in owner]
     return assembled(columns, atoms, labels)
@@ -132,12 +152,12 @@ def _by_kind(problem: GapProblem) -> Iterator[list[Term]]:
     over_session = [_Places(c, session[:, :, None]) for c in every]
     over_workspace = [_Places(c, travel, by_column=c.name == JOINTS) for c in every]
     yield [
-        Term("over time", f"drift of {p.carrier.name}", p.carrier, forms, reach)
+        Term("over time", f"drift of {p.carrier.name}", p.carrier, forms, reach, True)
         for p in over_session
         for reach, forms in p.forms(REACHES["time"])
     ]
     workspace = [(p, p.forms(REACHES["place"])) for p in over_workspace]
-    for name, words, common, by_joint in _factors(problem):
+    for name, words, common, by_joint, timed in _factors(problem):
         yield [
             Term(
                 name,
@@ -145,6 +165,7 @@ def _by_kind(problem: GapProblem) -> Iterator[list[Term]]:
                 p.carrier,
                 _times(forms, by_joint if p.by_column else common),
                 reach,
+                timed,
             )
             for p, by_reach in workspace
             for reach, forms in by_reach
@@ -201,26 +222,27 @@ def _at_rows(rows: Mask, values: Array) -> Array:
     return every
 
 
-def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values]]:
-    """What an error over the workspace may come with: name, words, factors.
+def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values, bool]]:
+    """What an error over the workspace may come with: name, words, factors, and whether
+    these vary with the time.
 
     The factors are (N, J), common to all joints, and those of joints (N, J), or
     (N, J, nq) one of each.
     """
     direction = _known(_covariate(problem, "direction"))
     ones = np.ones_like(direction)
-    yield "over the workspace", "", ones, ones
+    yield "over the workspace", "", ones, ones, False
     sense = _covariate(problem, "motion_sign")
-    yield "with the direction", ", with the direction", direction, sense
+    yield WITH_DIRECTION, f", {WITH_DIRECTION}", direction, sense, False
     for name in ("payload", "feed"):
         factor = _centred(_covariate(problem, name))
         if factor.any():
-            yield f"with the {name}", f", with the {name}", factor, factor
+            yield f"with the {name}", f", with the {name}", factor, factor, False
     for body in sorted({b for s in problem.states for b in s.temperature}):
         rise = _centred(_temperature(problem, body))
         if rise.any():
             words = f", with the temperature of {body}"
-            yield words[2:], words, rise, rise
+            yield words[2:], words, rise, rise, True
 
 
 def _covariate(problem: GapProblem, name: str) -> Values:
@@ -280,7 +302,7 @@ def _along_runs(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]
         for reach, forms in _Places(carrier, circle).forms(REACHES["phase"]):
             both = np.concatenate([forms, _times(forms, sense)], axis=3)
             about = f"an error of {carrier.name} along the runs"
-            yield Term("along the runs", about, carrier, both, reach)
+            yield Term(ALONG_RUNS, about, carrier, both, reach)
 
 
 def _in_a_run(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
@@ -298,7 +320,7 @@ def _in_a_run(problem: GapProblem, readings: Carrier) -> Iterator[Term]:
         label = f"run {rows['setup']} {rows['run']}"
         carrier = Carrier(label, columns[:, touched], (label,) * int(touched.sum()))
         forms = _Places(carrier, circle).forms((reach,))[0][1]
-        yield Term(IN_A_RUN, "an error in one run", carrier, forms, 0.0)
+        yield Term(IN_A_RUN, "an error in one run", carrier, forms, 0.0, True)
 
 
 def modes(places: Array, reach: float, most: int) -> Array:

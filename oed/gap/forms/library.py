@@ -20,6 +20,7 @@ from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
+from oed.size_prior import EFFECT_SIZES
 
 #: prior share of an effect's forms in which one limb alone has it
 ALONE = 0.4
@@ -30,6 +31,8 @@ DIFFER = 0.3
 UNSEEN = 0.3
 #: limbs of a form beyond which it is not tried in all of them at once
 BLOCKS = 12
+#: names of what limbs built alike share, and of a limb's difference from it
+ALL_LEGS, APART = "all legs", " apart"
 #: number of constants' values beyond which only the best few forms stay, and how many
 MANY, BEST = 16, 8
 #: constants in a grid that is scanned in textbook forms
@@ -45,6 +48,9 @@ class Atom:
     columns       (k,) numbers of its columns in the library
     log_weight    log of its prior share among the effect's forms
     about         the form in words
+    timed         whether it is a function of the time or of a temperature
+    reversal      (k,) factor on each column where the runs are driven the other way; None
+                  where the effect's columns tell
     """
 
     effect: str
@@ -52,6 +58,8 @@ class Atom:
     columns: Index
     log_weight: float
     about: str = ""
+    timed: bool = False
+    reversal: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +94,20 @@ class Library:
         """Columns (N, k) of an atom times its size."""
         return np.asarray(size * self.columns[:, self.atoms[atom].columns])
 
+    def coefficients_of(self, atom: int) -> tuple[str, ...]:
+        """Names of the effect's own coefficients that an atom moves."""
+        columns = self.atoms[atom].columns
+        names = [self.names[k] for k in columns]
+        limbs = [self.labels[k] for k in columns if self.names[k].endswith(APART)]
+        own: dict[str, None] = {}
+        for name in names:
+            if name.startswith(ALL_LEGS):
+                kind = name.removeprefix(ALL_LEGS)
+                own |= dict.fromkeys(f"{limb}{kind}" for limb in dict.fromkeys(limbs))
+            else:
+                own[name.removesuffix(APART)] = None
+        return tuple(own)
+
 
 def build(
     problem: GapProblem,
@@ -118,7 +140,9 @@ def build(
             names += form.names
             labels += form.labels
             scales.append(form.scales)
-            atoms += _atoms(form, start, log_weight, halved, effect.about)
+            of_form = _atoms(form, start, log_weight, halved, effect.about)
+            timed = effect.varies_with_time
+            atoms += [dataclasses.replace(atom, timed=timed) for atom in of_form]
     columns = np.hstack(blocks) if blocks else np.zeros((len(problem), 0))
     return Library(
         columns=columns,
@@ -245,7 +269,10 @@ def _scores(
     for (form, log_weight), start, end in zip(forms, ends, ends[1:], strict=False):
         choices = [atom.columns for atom in _atoms(form, 0, 0.0)]
         grams = whitened.grams(slice(start, end))
-        scores.append(float(grams.log_evidences(choices).max()) + log_weight)
+        energy = np.array([grams.gram.diagonal()[c].sum() for c in choices])
+        table = grams.log_evidences(choices, EFFECT_SIZES.values)
+        table += EFFECT_SIZES.log_visible_shares(energy)
+        scores.append(float(table.max()) + log_weight)
     return scores
 
 
@@ -282,8 +309,8 @@ def _alike(form: Signature) -> Signature | None:
     first = [ks[0] for ks in kinds.values()]
     sums = [form.columns[:, ks].sum(axis=1) for ks in kinds.values()]
     differences = DIFFER * form.columns[:, textbook]
-    common = [f"all legs {kind}".strip() for kind in kinds]
-    apart = [f"{form.names[k]} apart" for k in textbook]
+    common = [f"{ALL_LEGS} {kind}".strip() for kind in kinds]
+    apart = [f"{form.names[k]}{APART}" for k in textbook]
     scales = [form.scales[k] for k in first]
     shape = [form.shape[k] for k in first]
     return dataclasses.replace(

@@ -107,7 +107,8 @@ def _joined(
         period = 1.0 / wave.frequency
         constants = {f"period_{wave.band.unit}": period}
         about = _in_words(wave.carrier.name, wave.band.unit, period)
-        atoms.append(Atom(kind, constants, place, log_weight, about))
+        even, timed = np.ones(len(place)), kind == IN_TIME
+        atoms.append(Atom(kind, constants, place, log_weight, about, timed, even))
         columns.append(block)
         labels += [label for label in wave.carrier.labels for _ in range(2)]
     return discrepancies.assembled(columns, atoms, labels)

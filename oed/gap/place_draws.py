@@ -1,0 +1,114 @@
+"""Energy of what acts in each reading, in draws of the posterior over likely forms."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg
+
+from oed.arrays import Array, Mask
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
+from oed.noise.law import NoiseLaw
+
+
+@dataclasses.dataclass(frozen=True)
+class LikelyForms:
+    """Forms that what acts may have.
+
+    share      posterior probability of these forms
+    columns    (N, k) with coefficients N(0, 1), in units of the stated noise
+    labels     (k,) `leg 1`, `set-up bar`, `channel dz in bar` or "", what each column
+               belongs to
+    timed      (k,) which columns vary with time or temperature; all by default
+    other_way  (N, k) the columns in runs that are driven the other way; None where that
+               is not known
+    """
+
+    share: float
+    columns: Array
+    labels: Sequence[str]
+    timed: Mask | None = None
+    other_way: Array | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Draws:
+    """Energy of what acts, in units of the stated noise, in D draws.
+
+    timed        (N, D) of what varies with time in each reading, before the parameters
+                 absorb
+    other_way    (N, D) of all that acts, and `acting` (N, D) with the runs as they were
+                 driven; None where the other way is not known
+    remaining    (N, D) as calibration leaves it
+    parts        {label: (D,)} of the columns of each label, as calibration leaves them
+    """
+
+    timed: Array
+    acting: Array
+    other_way: Array | None
+    remaining: Array
+    parts: dict[str, Array]
+
+
+def draw_energies(
+    problem: GapProblem,
+    law: NoiseLaw,
+    models: Sequence[LikelyForms],
+    rng: np.random.Generator,
+    draws: int,
+) -> Draws:
+    metric = Metric(problem, law)
+    shares = np.array([model.share for model in models])
+    counts = rng.multinomial(draws, shares / shares.sum())
+    drawn = [
+        _of_model(problem, metric, model, rng.standard_normal((len(model.labels), n)))
+        for model, n in zip(models, counts, strict=True)
+        if n
+    ]
+    labels = dict.fromkeys(label for part in drawn for label in part.parts)
+    other_ways = [part.other_way for part in drawn if part.other_way is not None]
+    return Draws(
+        timed=np.hstack([part.timed for part in drawn]),
+        acting=np.hstack([part.acting for part in drawn]),
+        other_way=np.hstack(other_ways) if len(other_ways) == len(drawn) else None,
+        remaining=np.hstack([part.remaining for part in drawn]),
+        parts={
+            label: np.concatenate(
+                [
+                    part.parts.get(label, np.zeros(part.remaining.shape[1]))
+                    for part in drawn
+                ]
+            )
+            for label in labels
+        },
+    )
+
+
+def _of_model(
+    problem: GapProblem, metric: Metric, model: LikelyForms, normal: Array
+) -> Draws:
+    """Draws of one model from standard normal values (k, D)."""
+    columns = model.columns
+    precision = metric.gram(columns, columns) + np.eye(columns.shape[1])
+    b = metric.gram(columns, problem.residual[:, None])
+    root = linalg.cholesky(precision, lower=True)
+    spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
+    beta = linalg.cho_solve((root, True), b) + spread
+    remaining = columns - problem.slopes @ metric.fit(columns)
+    labels = np.array(model.labels)
+    timed = np.ones(len(labels), dtype=bool) if model.timed is None else model.timed
+    other_way = None if model.other_way is None else (model.other_way @ beta) ** 2
+    parts = {}
+    for label in dict.fromkeys(model.labels):
+        at = labels == label
+        parts[label] = np.sum((remaining[:, at] @ beta[at]) ** 2, axis=0)
+    return Draws(
+        timed=(columns[:, timed] @ beta[timed]) ** 2,
+        acting=(columns @ beta) ** 2,
+        other_way=other_way,
+        remaining=(remaining @ beta) ** 2,
+        parts=parts,
+    )

@@ -1,0 +1,112 @@
+"""Places that a gap can be in at all: set-ups, times and directions of what acts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kernel import gap_lines, planar_session
+from oed.gap import diagnose as diagnosing
+from oed.gap.cause.compare import compare
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.reversal import ReversedForms
+from oed.gap.cause.search import Search
+from oed.gap.data.diagnosis import Block, Diagnosis
+from oed.gap.forms import discrepancy, library
+from oed.gap.place import STANDS_OUT
+from oed.noise.law import stated_law
+from pkm_models.effects import encoder_scale, leg_thermal, mount_drift, step
+
+EFFECTS = [module.effect for module in (encoder_scale, leg_thermal, mount_drift, step)]
+
+
+def _named(diagnosis: Diagnosis) -> dict[str, Block]:
+    """Places that stand out, by name, the first first."""
+    return {b.block: b for b in diagnosis.where if b.p_value < STANDS_OUT}
+
+
+@pytest.mark.parametrize("interleaved", [True, False])
+def test_a_bent_ruler_is_in_its_set_up_and_in_no_time(interleaved: bool) -> None:
+    """Where set-ups follow one another, set-up and time are one, and it is said."""
+    problem = planar_session.ruler_session(
+        ("rm5", "rm2"), 30e-6, 1, interleaved=interleaved
+    )
+    diagnosis = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(1))
+    assert diagnosis.verdict == "unknown"
+    named = _named(diagnosis)
+    first = next(iter(named))
+    assert first == "set-up rm5"
+    assert named[first].strength > 0.9
+    assert not any(name.startswith("time") for name in named)
+    rows = problem.rows
+    times = rows["time"].to_numpy()
+    own = times[(rows["setup"] == "rm5").to_numpy()]
+    begin = own.min()
+    end = 0.5 * (own.max() + times[times > own.max()].min(initial=np.inf))
+    same = "" if interleaved else f"time {begin:g}-{end:g}"
+    assert named[first].same_as == same
+
+
+def _search(problem, effects) -> tuple[Search, Hypothesis]:
+    forms = library.build(problem, effects)
+    processes = discrepancy.build(problem)
+    search = Search(problem, forms, processes, stated_law(problem), 0.0)
+    return search, compare([search])[0]
+
+
+def test_an_effect_alike_both_ways_is_in_no_direction() -> None:
+    """One way is read at other heights than the other, so that it shows more there."""
+    problem = gap_lines.planted(
+        gap_lines.readings(1, heights=lambda way, k: 0.4 * k if way > 0 else 0.0),
+        gap_lines.BOW,
+        {"leg 1": 4.0},
+        turns=3.0,
+    )
+    diagnosis = diagnosing.diagnose(
+        problem, gap_lines.EFFECTS, np.random.default_rng(1)
+    )
+    assert "bow" in diagnosis.answers[0].effects
+    for block in diagnosis.where:
+        if block.block.startswith("direction"):
+            assert block.strength == pytest.approx(0.5, abs=1e-6)
+            assert block.p_value > 0.5
+    assert not any(name.startswith("direction") for name in _named(diagnosis))
+
+
+def test_columns_driven_the_other_way_change_their_sign_where_the_effect_does() -> None:
+    """A bow of the joints stays as it is, slip of the drives turns about."""
+    problem = gap_lines.readings(1)
+    search, _ = _search(problem, gap_lines.EFFECTS)
+    other_way = ReversedForms(
+        problem, search.library, search.processes, gap_lines.EFFECTS
+    )
+    for effect, sign in (("bow", 1.0), ("slip", -1.0)):
+        atom = search.library.atoms_of(effect)[0]
+        h = search.fit((effect,), (atom,), (1.0,))
+        columns = h.columns(search.library, search.processes)
+        turned = other_way.columns(h, 1.0)
+        same = np.isclose(turned, sign * columns).all(axis=1)
+        assert (
+            same.mean() > 0.95
+        )  # at the ends of a line a joint arrives from either side
+
+
+def test_a_discrepancy_of_one_direction_is_not_there_the_other_way() -> None:
+    problem = gap_lines.readings(1)
+    search, _ = _search(problem, ())
+    other_way = ReversedForms(problem, search.library, search.processes, ())
+    empty = search.fit((), (), ())
+    for number, atom in enumerate(search.processes.atoms):
+        h = empty.with_form(0, number, 1.0)
+        columns, turned = (
+            h.columns(search.library, search.processes),
+            other_way.columns(h, 1.0),
+        )
+        if atom.effect == discrepancy.WITH_DIRECTION:
+            assert turned == pytest.approx(-columns)
+        elif atom.effect == discrepancy.ALONG_RUNS:
+            # with both halves: a bump in one direction alone has the other's sign
+            assert turned != pytest.approx(columns)
+            assert turned**2 == pytest.approx(columns**2)
+        else:
+            assert turned == pytest.approx(columns)
