@@ -156,7 +156,10 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
     mean, sd = _posterior(signatures, covariance, residual)
     explained = signatures @ mean
     unexplained = residual - explained
-    rms = float(np.sqrt(np.mean((explained * sigma) ** 2)))
+    rms, remaining = (
+        {"length": float(np.sqrt(np.mean((part * sigma) ** 2)))}
+        for part in (explained, explained - _absorbed(slopes, explained))
+    )
     scales = 2.0 * np.asarray(columns.scales)
     return Diagnosis(
         problem=problem,
@@ -172,7 +175,7 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         noise_words=("The noise is as stated.",),
         constants={},
         coefficients=_coefficients(columns.names, mean * scales, sd * scales),
-        sizes=(Size("backlash", {"length": rms}, 41.0),),
+        sizes=(Size("backlash", rms, remaining, 41.0),),
         explained=explained * sigma,
         unexplained=np.zeros(len(problem)),
         likeness={},

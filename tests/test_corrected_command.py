@@ -4,13 +4,12 @@ import csv
 import json
 from pathlib import Path
 
-import msgspec
 import pytest
 import sample
 
-from oed.result import StudyResult
+from oed.result import CoefficientRecord, StudyResult
 from pkm_studies import cli, outcome, result_folder
-from pkm_studies.stages.corrected.section import implausible_sizes
+from pkm_studies.stages.gap import implausible
 
 
 def run(*arguments: str | Path) -> int:
@@ -80,14 +79,25 @@ def test_a_coefficient_far_beyond_its_expected_size_is_implausible(
 ) -> None:
     """60 um where 10 were expected; of the usual 20 um, it is three times as much."""
     assert result.corrected is not None
-    assert not implausible_sizes(result.corrected)
-    effects = dict(result.corrected.effects)
-    name = "gravity: struts"
-    effects[name] = msgspec.structs.replace(effects[name], prior_sd=10.0)
-    section = msgspec.structs.replace(result.corrected, effects=effects)
-    (warning,) = implausible_sizes(section)
-    assert warning.startswith(f"{name} is {effects[name].value:.3g} um")
-    assert "(10 um)" in warning
+    assert not any("implausible" in warning for warning in result.warnings)
+    struts = result.corrected.effects["gravity: struts"]
+
+    def sentences(expected: float) -> list[str]:
+        coefficient = CoefficientRecord(
+            effect="gravity",
+            name="struts",
+            label="",
+            value=1e-6 * struts.value,
+            sd=1e-6 * struts.sd,
+            unit="m",
+            prior_sd=expected,
+        )
+        return implausible.sentences([coefficient], {})
+
+    assert sentences(20e-6) == []
+    (sentence,) = sentences(10e-6)
+    assert sentence.startswith(f"Gravity: struts is {struts.value:.3g} um")
+    assert "times the 10 um expected" in sentence
 
 
 def test_the_prediction_states_its_conditions(result: StudyResult) -> None:

@@ -9,6 +9,7 @@ import pytest
 from oed.result.gap import (
     AnswerRecord,
     ClosureRecord,
+    CoefficientRecord,
     EffectNote,
     GapSection,
     PlaceRecord,
@@ -46,7 +47,9 @@ def _gap(
         "about": about,
         "coefficients": [],
         "sizes": [
-            SizeRecord(n, {"length": 12.34}, 20.0) for n in effects if n != "unknown"
+            SizeRecord(n, {"length": 12.34}, 20.0, {"length": 1.07})
+            for n in effects
+            if n != "unknown"
         ],
         "noise": [],
         "units": {"length": "um"},
@@ -73,11 +76,15 @@ def test_no_gap_in_words() -> None:
 def test_an_effect_in_words() -> None:
     section = _gap("effect", ["gravity"], [["gravity"]])
     assert section.words == [
-        "The gap comes from gravity (probability 90 %): 12.3 um rms of length.",
+        "The gap comes from gravity (probability 90 %).",
+        (
+            "Gravity changes length by 12.3 um rms; calibration leaves 1.1 um (9 %) of"
+            " that."
+        ),
         "It shows most in the time from 10 min to 20 min.",
         (
-            "With gravity in the model, the gap shrinks by 80 % (60 to 90 %) on whole"
-            " held-out runs."
+            "With gravity in the model, the mean square of what calibration leaves"
+            " beyond the noise shrinks by 80 % (60 to 90 %) on whole held-out runs."
         ),
         (
             "Not tested, because the readings lack a column: servo lag (record"
@@ -162,7 +169,7 @@ def test_an_interval_of_a_share_stays_between_nothing_and_all(
         [["gravity"]],
         closure=[ClosureRecord("whole", 0.3, low, high, 0.1, 2.0, 1.2, 1.0, 9)],
     )
-    assert f"({interval}) on whole held-out runs" in section.words[2]
+    assert f"({interval}) on whole held-out runs" in section.words[3]
 
 
 def test_places_that_hold_much_of_the_gap_are_named() -> None:
@@ -171,29 +178,77 @@ def test_places_that_hold_much_of_the_gap_are_named() -> None:
         PlaceRecord("run 2", 0.01, 0.7),
         PlaceRecord("time 0-60", 0.01, 0.2),
     ]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], where=places).words[1]
+    sentence = _gap("effect", ["gravity"], [["gravity"]], where=places).words[2]
     assert sentence == "It shows most in leg 1 (80 % of it) and run 2 (70 % of it)."
     nowhere = _gap(
         "effect", ["gravity"], [["gravity"]], where=[PlaceRecord("leg 1", 0.2, 0.5)]
-    ).words[1]
-    assert nowhere.startswith("No leg, run, time")
+    ).words[2]
+    assert nowhere.startswith("No leg, set-up, run, time")
+
+
+def test_a_set_up_that_was_read_in_one_stretch_of_time_is_that_too() -> None:
+    places = [PlaceRecord("set-up ruler", 0.01, 0.98, "time 0-1800")]
+    sentence = _gap("effect", ["gravity"], [["gravity"]], where=places).words[2]
+    assert (
+        sentence == "It shows most in set-up ruler (98 % of it; in these readings the"
+        " same as the time from 0 min to 30 min)."
+    )
+
+
+def test_of_several_channels_each_has_its_amounts() -> None:
+    sizes = [SizeRecord("gravity", {"y": 3.0, "a": 0.5}, 9.0, {"y": 3.4, "a": 0.1})]
+    units = {"y": "um", "a": "arcsec"}
+    words = _gap("effect", ["gravity"], [["gravity"]], sizes=sizes, units=units).words
+    assert (
+        words[1] == "Gravity changes y by 3 um rms and a by 0.5 arcsec rms; after"
+        " calibration there remain 3.4 um of y and 0.1 arcsec of a."
+    )
+
+
+def _coefficient(value: float, **more: Any) -> CoefficientRecord:
+    return CoefficientRecord(
+        "encoder_scale", "leg 1", "leg 1", value, 7e-5, "1", 50e-6, **more
+    )
+
+
+def test_a_coefficient_far_beyond_its_expected_size_is_marked() -> None:
+    """With the figure and what to check; no other is, nor one of its form alone."""
+
+    def marked(*coefficients: CoefficientRecord) -> list[str]:
+        section = _gap(
+            "effect",
+            ["encoder_scale"],
+            [["encoder_scale"]],
+            coefficients=list(coefficients),
+            about={
+                "encoder_scale": EffectNote("scale", "r", "e", "s", check="the lead")
+            },
+        )
+        return [w for w in section.words if "implausible" in w]
+
+    assert marked(_coefficient(-0.0599), _coefficient(-0.001)) == [
+        "Encoder scale: leg 1 is -5.99 % (sd 70 ppm), 1200 times the 50 ppm expected."
+        " That is implausible: check the lead."
+    ]
+    assert marked(_coefficient(2e-4)) == []
+    assert marked(_coefficient(-0.0599, shape=True)) == []
 
 
 def test_a_gap_is_never_reported_as_closed_whole() -> None:
     near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[2]
+    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[3]
     assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in sentence
 
 
 def test_more_than_the_whole_is_all_that_exceeds_the_noise() -> None:
     more = [ClosureRecord("within", 1.19, 0.8, 2.4, 0.0, 3.0, 1.1, 1.2, 200)]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[2]
+    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=more).words[3]
     assert "shrinks by all that exceeds the noise (80 to 100 %) on held-out" in sentence
 
 
 def test_a_gap_that_grows_does_not_shrink() -> None:
     grown = [ClosureRecord("whole", -0.21, -0.5, 0.1, 0.8, 3.0, 3.3, 1.2, 200)]
-    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=grown).words[2]
+    sentence = _gap("effect", ["gravity"], [["gravity"]], closure=grown).words[3]
     assert "shrinks by nothing (0 to 10 %) on whole held-out runs" in sentence
 
 

@@ -32,6 +32,7 @@ class UnmodelledLine(Record, frozen=True):
     size          rms error that it adds through calibration to the workspace
     with_it       rms error of the compensated machine with it
     expected      its expected size, in words
+    far           rms error with it at 30 times that size, the largest usual one
     not_testable  why the readings cannot find it; null where they can
     """
 
@@ -42,6 +43,7 @@ class UnmodelledLine(Record, frozen=True):
     with_it: dict[str, float]
     remedy: str
     not_testable: str | None = None
+    far: dict[str, float] = {}
 
 
 class BudgetSection(Record, frozen=True):

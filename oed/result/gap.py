@@ -34,15 +34,17 @@ class AnswerRecord(Record, frozen=True):
 
 class PlaceRecord(Record, frozen=True):
     """A place of the gap: `leg 1`, `run ID`, `time A-B` (s), `phase A-B` (deg),
-    `direction +1`.
+    `direction +1`, `set-up NAME`.
 
     p_value: posterior probability that it holds no more than an even share of the gap;
-    strength: the share that it holds
+    strength: the share that it holds; same_as: a place of another kind that has the same
+    readings
     """
 
     block: str
     p_value: float
     strength: float | None = None
+    same_as: str = ""
 
 
 class ClosureRecord(Record, frozen=True):
@@ -63,7 +65,8 @@ class ClosureRecord(Record, frozen=True):
 
 class EffectNote(Record, frozen=True):
     """An effect in words; `missing`: why these readings cannot test it, `column`: what
-    would have to be recorded, `nature`: what it has in common with others.
+    would have to be recorded, `nature`: what it has in common with others, `check`: what
+    to check where it is far larger than expected.
     """
 
     about: str
@@ -73,11 +76,14 @@ class EffectNote(Record, frozen=True):
     missing: str = ""
     column: str = ""
     nature: str = ""
+    check: str = ""
 
 
 class CoefficientRecord(Record, frozen=True):
     """A coefficient of a selected effect, in its SI unit `unit`; `prior_sd` is the size
-    that was expected of it.
+    that was expected of it; `shape`: it only lets the form depart from the textbook's.
+
+    Those of `corrected` are from the same estimate.
     """
 
     effect: str
@@ -87,16 +93,18 @@ class CoefficientRecord(Record, frozen=True):
     sd: float
     unit: str
     prior_sd: float | None
+    shape: bool = False
 
 
 class SizeRecord(Record, frozen=True):
-    """Size of a selected effect in the readings, rms by channel in its fine unit;
-    detectability sqrt(lambda).
+    """Size of a selected effect in the readings, rms by channel in its fine unit: `rms`
+    as it acts, `remaining` what calibration leaves of that; detectability sqrt(lambda).
     """
 
     effect: str
     rms: dict[str, float]
     detectability: float | None
+    remaining: dict[str, float] = {}
 
 
 class Trace(Record, frozen=True):

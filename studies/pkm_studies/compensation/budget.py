@@ -160,7 +160,10 @@ def with_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSectio
     lines += [_added(line, total) for line in added]
     unmodelled = [
         msgspec.structs.replace(
-            line, size={n: line.size[n] for n in names}, with_it=grown(line.with_it)
+            line,
+            size={n: line.size[n] for n in names},
+            with_it=grown(line.with_it),
+            far=grown(line.far) if line.far else {},
         )
         for line in budget.unmodelled
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ from pkm_studies.compensation.build import regular_commands, workspace_axes
 from pkm_studies.resolve.effect_sizes import sized
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.run_state import RunState, Stream
-from pkm_studies.stages.corrected import alarm
+from pkm_studies.stages.corrected import alarm, coefficients
 from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.noise import with_noise
 from pkm_studies.stages.fit.posterior import sampling_warnings
@@ -87,7 +88,18 @@ def _effects(
     if gap is None or gap.verdict == "none":
         return []
     by_name = {effect.name: effect for effect in request.effects}
-    return [by_name[name] for name in gap.selected if name in by_name]
+    return [
+        _as_diagnosed(by_name[name], gap) for name in gap.selected if name in by_name
+    ]
+
+
+def _as_diagnosed(effect: Effect, gap: GapSection) -> Effect:
+    """The effect with the constants of the form that the diagnosis selected."""
+    if effect.name not in gap.constants:
+        return effect
+    constants = gap.constants[effect.name]
+    selected = {name: (value,) for name, value in constants.items()}
+    return dataclasses.replace(effect, constants=selected)
 
 
 def _readings_with_covariates(state: RunState, request: GapRequest) -> EffectReadings:
@@ -161,7 +173,10 @@ def _with_section(
     if turned is not None:
         return _with_turned_runs(state, section, turned)
     state = state.with_sections(corrected=section)
-    state = state.with_warnings(*sections.implausible_sizes(section))
+    if gap is not None and not state.with_effects:
+        joint = coefficients.with_joint_coefficients(gap, corrected)
+        return _with_true_alarms(state.with_sections(gap=joint), section)
+    state = state.with_warnings(*coefficients.implausible_sizes(corrected))
     return _with_true_alarms(state, section)
 
 

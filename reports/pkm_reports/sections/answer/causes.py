@@ -72,26 +72,31 @@ def _table(
     columns = [
         TableColumn("Rank", number=True),
         TableColumn("Cause"),
-        *number_columns("In the readings, rms"),
+        *number_columns("In the readings, rms", "After calibration, rms"),
         wide_column("Size of its own"),
         *number_columns("Probability"),
     ]
     sizes = {size.effect: size for size in gap.sizes}
     rows = []
     for k, name in enumerate(ranked, 1):
-        rms = explanations.size_in_readings(gap, sizes[name]) if name in sizes else ""
+        rms = remaining = ""
+        if name in sizes:
+            rms = explanations.size_in_readings(gap, sizes[name].rms)
+            remaining = explanations.size_in_readings(gap, sizes[name].remaining)
         chance = missing.entry(gap.marginal, name)
         rows.append(
             [
                 str(k),
                 "an effect of unknown form" if name == "unknown" else spoken(name),
                 rms or text.MISSING,
+                remaining or text.MISSING,
                 own_size(name, corrected) or text.MISSING,
                 _probability(chance),
             ]
         )
     caption = (
-        "Causes by their size in the readings after calibration. Size of its own: the"
+        "Causes by their size in the readings, and what calibration leaves of it. Size of"
+        " its own: the"
         f" clearest coefficients (beyond {CLEAR:.0f} standard deviations), with their"
         " standard deviations."
     )

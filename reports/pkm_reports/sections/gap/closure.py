@@ -40,7 +40,8 @@ def blocks(gap: GapSection) -> list[Block]:
         for closure in gap.closure
     ]
     caption = (
-        "How far the gap shrinks on readings that were held out of the fit. Before,"
+        "How far what calibration leaves shrinks, beyond the noise and in its mean"
+        " square, on readings that were held out of the fit. Before,"
         " after and noise alone are mean squared residuals in units of their expected"
         " value; the gap closed is (before − after) / (before − noise alone). Whole"
         " held-out runs also show what the geometry cannot learn from the other runs."

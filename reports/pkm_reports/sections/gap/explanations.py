@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from oed.gap.cause import answers
-from oed.result import AnswerRecord, GapSection, SizeRecord
+from oed.result import AnswerRecord, GapSection
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -135,20 +135,21 @@ def _sizes(gap: GapSection) -> Table:
     columns = [
         TableColumn("Effect"),
         wide_column("What it is"),
-        *number_columns("Size, rms", "Detectability"),
+        *number_columns("Size, rms", "After calibration, rms", "Detectability"),
     ]
     rows = [
         [
             spoken(size.effect),
             _about(gap, size.effect),
-            size_in_readings(gap, size),
+            size_in_readings(gap, size.rms),
+            size_in_readings(gap, size.remaining) or text.MISSING,
             text.number(size.detectability),
         ]
         for size in gap.sizes
     ]
     caption = (
-        "Effects found, with their size in the readings. Detectability: what"
-        " calibration leaves of the effect, as a multiple of the noise over all"
+        "Effects found: how large each is in the readings, and what calibration without"
+        " it leaves of that. Detectability: the same as a multiple of the noise over all"
         " readings together; below about 5 an effect is hard to detect."
     )
     if any(_constants(gap, size.effect) for size in gap.sizes):
@@ -173,11 +174,11 @@ def _constants(gap: GapSection, effect: str) -> Mapping[str, float]:
     return gap.constants.get(effect, {})
 
 
-def size_in_readings(gap: GapSection, size: SizeRecord) -> str:
+def size_in_readings(gap: GapSection, sizes: Mapping[str, float]) -> str:
     """Rms by channel; one channel alone needs no name."""
     named = len(gap.units) != 1
     entries = []
-    for channel, rms in size.rms.items():
+    for channel, rms in sizes.items():
         if rms > VISIBLE:
             entry = text.in_unit_of(channel, rms, gap.units)
             entries.append(f"{channel} {entry}" if named else entry)

@@ -1,4 +1,4 @@
-"""Where the gap lies: legs, runs, times, directions."""
+"""Where the gap lies: legs, set-ups, runs, times, directions."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ def blocks(gap: GapSection) -> list[Block]:
         *number_columns("Share of the gap", "Chance of no more than an even share"),
     ]
     rows = [
-        [_name(p.block), text.percent(p.strength), text.number(p.p_value, 2)]
-        for p in places
+        [_place(p), text.percent(p.strength), text.number(p.p_value, 2)] for p in places
     ]
     caption = (
         "Where the gap lies, first the place that confines it best. The share is the"
         " posterior mean of the part of the gap's energy, as calibration leaves it, that"
-        " lies there; of a stretch of time, as it acts. The last column is the posterior"
-        " probability that the place holds no more than it would if the gap were spread"
-        " evenly over all legs, or all readings. One gap lies in several places at once."
+        " lies there; of a stretch of time, or a direction, as it acts. A time is a place"
+        " only of what varies with time, a set-up of what belongs to set-ups; directions"
+        " are compared at the same poses. The last column is the posterior probability"
+        " that the place holds no more than it would if the gap were spread evenly over"
+        " all legs, or all readings. One gap lies in several places at once."
     )
     marks = ["chosen" if is_significant(place) else "" for place in places]
     return [Table(columns, rows, caption, marks)]
@@ -40,6 +41,12 @@ def blocks(gap: GapSection) -> list[Block]:
 def is_significant(place: PlaceRecord) -> bool:
     """Whether a place stands out."""
     return place.p_value < SIGNIFICANT
+
+
+def _place(place: PlaceRecord) -> str:
+    """A place, and the one of another kind that has the same readings."""
+    name = _name(place.block)
+    return f"{name} (the same as {_name(place.same_as)})" if place.same_as else name
 
 
 def _name(block: str) -> str:

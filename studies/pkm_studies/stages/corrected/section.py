@@ -15,7 +15,6 @@ from oed.correction import (
     CorrectedAccuracy,
     CorrectedEstimate,
 )
-from oed.expected_size import IMPLAUSIBLE
 from oed.measurement import Measurement
 from oed.posterior import Posterior
 from oed.result import (
@@ -26,6 +25,7 @@ from oed.result import (
     PredictionSection,
     SpreadRecord,
 )
+from pkm_studies.stages.corrected.coefficients import coefficient_records
 from pkm_studies.stages.corrected.conditions import conditions
 from pkm_studies.stages.corrected.tables import effect_tables
 from pkm_studies.stages.fit.estimate import estimate_section
@@ -111,46 +111,25 @@ def _warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
     return [f"{misfit} even with the effects in the model"]
 
 
-def implausible_sizes(section: CorrectedSection) -> list[str]:
-    """One sentence for each effect with a coefficient far beyond its expected size."""
-    worst: dict[str, tuple[float, str, EffectEstimate]] = {}
-    for name, estimate in section.effects.items():
-        ratio = abs(estimate.value) / estimate.prior_sd
-        known = worst.get(estimate.effect)
-        if not estimate.shape and ratio > (known[0] if known else IMPLAUSIBLE):
-            worst[estimate.effect] = (ratio, name, estimate)
-    return [
-        f"{name} is {e.value:.3g} {e.unit} (sd {e.sd:.2g}), {ratio:.3g} times what is"
-        f" expected of it ({e.prior_sd:.3g} {e.unit}): implausible, so another cause"
-        f" may look like it. Check {effect} at the machine, or state its expected size"
-        " in [effects]"
-        for effect, (ratio, name, e) in worst.items()
-    ]
-
-
 def _coefficients(
     corrected: CorrectedEstimate,
 ) -> Iterator[tuple[str, EffectEstimate]]:
     """Each coefficient in a unit that a person reads."""
-    estimate, at = corrected.estimate, corrected.parameters
-    k = 0
-    for form in corrected.forms:
-        signature = form.signature
-        for name, shape in zip(signature.names, signature.shape, strict=True):
-            unit, factor = units.coefficient_unit(form.effect.unit(name))
-            scale = corrected.scales[k] / factor
-            yield (
-                corrected.coefficient_names[k],
-                EffectEstimate(
-                    value=float(estimate.theta[at + k] * scale),
-                    sd=float(estimate.sd[at + k] * scale),
-                    unit=unit,
-                    effect=form.effect.name,
-                    prior_sd=float(scale),
-                    shape=bool(shape),
-                ),
-            )
-            k += 1
+    records = coefficient_records(corrected)
+    for name, c in zip(corrected.coefficient_names, records, strict=True):
+        unit, factor = units.coefficient_unit(c.unit)
+        assert c.prior_sd is not None
+        yield (
+            name,
+            EffectEstimate(
+                value=c.value / factor,
+                sd=c.sd / factor,
+                unit=unit,
+                effect=c.effect,
+                prior_sd=c.prior_sd / factor,
+                shape=c.shape,
+            ),
+        )
 
 
 def _marginals(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oed.result.gap_before import ChosenRuns, DetectabilityTable, GapBeforeSection
-from pkm_studies.stages.gap.sentences import join_words, plain_name
+from pkm_studies.stages.gap.sentences import capitalised, join_words, plain_name
 
 #: most effects and pairs in one sentence
 MOST = 6
@@ -51,7 +51,7 @@ def _findings(readings: str, table: DetectabilityTable) -> list[str]:
         rivals = [
             plain_name(rival) for effect, rival in table.absorbed if effect == name
         ]
-        subject = _capitalised(plain_name(name))
+        subject = capitalised(plain_name(name))
         sentences.append(
             f"{subject} could also be explained by {join_words(rivals, 'or')}."
         )
@@ -66,7 +66,3 @@ def _findings(readings: str, table: DetectabilityTable) -> list[str]:
     if untestable:
         sentences.append(f"They cannot test {join_words(untestable)}.")
     return sentences
-
-
-def _capitalised(text: str) -> str:
-    return text[:1].upper() + text[1:]

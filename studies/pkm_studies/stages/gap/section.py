@@ -55,7 +55,7 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
     spots, spots_unit = traces.spots(diagnosis)
     likeliest_first = sorted(diagnosis.marginal.items(), key=lambda item: -item[1])
     places = [
-        PlaceRecord(b.block, float(b.p_value), finite_or_none(b.strength))
+        PlaceRecord(b.block, float(b.p_value), finite_or_none(b.strength), b.same_as)
         for b in diagnosis.where
     ]
     section = GapSection(
@@ -133,6 +133,7 @@ def _note(effect: Effect, diagnosis: Diagnosis) -> EffectNote:
         missing=missing,
         column=column,
         nature=effect.nature,
+        check=effect.check,
     )
 
 
@@ -153,8 +154,11 @@ def _rms_by_channel(values: Array, channels: np.ndarray) -> dict[str, float]:
 
 
 def _size(size: Size, channel_units: dict[str, str]) -> SizeRecord:
-    rms = {n: units.number(v, channel_units[n]) for n, v in size.rms.items()}
-    return SizeRecord(size.effect, rms, finite_or_none(size.detectability))
+    rms, remaining = (
+        {n: units.number(v, channel_units[n]) for n, v in values.items()}
+        for values in (size.rms, size.remaining)
+    )
+    return SizeRecord(size.effect, rms, finite_or_none(size.detectability), remaining)
 
 
 def _coefficients(
@@ -163,24 +167,28 @@ def _coefficients(
     """Coefficients, SI, with the prior standard deviation of each."""
     selected = _selected(diagnosis)
     by_name = {effect.name: effect for effect in effects}
-    prior_sds = {
-        (effect.name, column.name): column.scale
+    known = {
+        (effect.name, column.name): column
         for effect in effects
         if effect.name in selected
         for column in _columns(effect, diagnosis)
     }
-    return [
-        CoefficientRecord(
+    records = []
+    for c in diagnosis.coefficients:
+        column = known.get((c.effect, c.name))
+        effect = by_name.get(c.effect)
+        record = CoefficientRecord(
             effect=c.effect,
             name=c.name,
             label=c.label,
             value=float(c.mean),
             sd=float(c.sd),
-            unit=by_name[c.effect].unit(c.name) if c.effect in by_name else "SI",
-            prior_sd=prior_sds.get((c.effect, c.name)),
+            unit="SI" if effect is None else effect.unit(c.name),
+            prior_sd=None if column is None else column.scale,
+            shape=False if column is None else column.shape,
         )
-        for c in diagnosis.coefficients
-    ]
+        records.append(record)
+    return records
 
 
 def _columns(effect: Effect, diagnosis: Diagnosis) -> list[Column]:

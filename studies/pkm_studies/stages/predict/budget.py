@@ -14,11 +14,14 @@ from oed.correction import ExpectedEffect
 from oed.machine import Machine
 from oed.prediction import Prediction
 from oed.result import BudgetLine, BudgetSection, UnmodelledLine
+from oed.size_prior import EFFECT_SIZES
 
 #: share of the error below which an improvement is not worth a sentence
 WORTH = 0.02
 #: sentences on what to improve
 MOST_ADVICE = 2
+#: largest usual size of an effect that the model lacks, in expected sizes
+FAR = EFFECT_SIZES.usual[-1]
 #: improvements in words, by kind of line
 IMPROVEMENTS = {
     "prior": "half the tolerances of the machine's parameters",
@@ -67,10 +70,12 @@ def unmodelled_sentence(
     worst = section.unmodelled[0]
     geometry = quantities(after, driven)
     whole = quantities(worst.with_it, driven)
+    far = quantities(worst.far, driven)
     return (
         f"This is geometry alone ({geometry}). {worst.effect} of its expected size"
         f" ({worst.expected}) would bring {whole}, as calibration takes a part of it for"
-        f" geometry: {worst.remedy}."
+        f" geometry; sizes vary by decades, and {FAR:.0f} times that size would bring"
+        f" {far}: {worst.remedy}."
     )
 
 
@@ -114,6 +119,7 @@ def _unmodelled(
         with_it=dict(_in_units(names, np.sqrt(after**2 + variance), fine)),
         remedy=effect.remedy,
         not_testable=expected.not_testable,
+        far=dict(_in_units(names, np.sqrt(after**2 + FAR**2 * variance), fine)),
     )
 
 
