@@ -72,7 +72,7 @@ def readings(
         noise[members] += np.linalg.cholesky(
             stated_law(problem).block(problem, k)
         ) @ rng.standard_normal(len(members))
-    return problem.with_residual(noise)
+    return problem.with_readings(noise)
 
 
 def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> GapProblem:
@@ -98,7 +98,7 @@ def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> GapProblem:
         }
     )
     problem = problems.assemble(measurement, (series,), covariates)
-    return problem.with_residual(
+    return problem.with_readings(
         np.random.default_rng(seed).standard_normal(len(problem))
     )
 
@@ -167,4 +167,4 @@ def planted(
         for k, n in enumerate(effect_library.names)
         if n in factors
     )
-    return problem.with_residual(problem.residual + np.asarray(change))
+    return problem.with_readings(problem.residual + np.asarray(change))

@@ -13,11 +13,10 @@ from numpy.testing import assert_allclose
 
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
-from oed.gap import place
 from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem, assemble
-from oed.gap.place import locate
-from oed.gap.place_draws import LikelyForms
+from oed.gap.place import STANDS_OUT, locate
+from oed.gap.place_draws import LikelyForms, draw_energies
 from oed.noise.law import stated_law
 
 KINDS = ("leg", "run", "time", "phase", "direction")
@@ -81,7 +80,7 @@ def test_shares_are_those_of_the_posterior_in_closed_form(machines: Machines) ->
     read = problem.with_residual(
         machines.root @ rng.standard_normal(len(problem)) + G @ [1.0, 0.3, -0.2]
     )
-    drawn = place._draw(read, case.law(read), [model], rng, 40_000)
+    drawn = draw_energies(read, case.law(read), [model], rng, 40_000)
     V = np.linalg.inv(G.T @ M @ G + np.eye(3))
     m = V @ G.T @ M @ read.residual
     second = V + np.outer(m, m)
@@ -241,7 +240,7 @@ def test_a_fault_in_one_direction_is_found_where_calibration_leaves_it(
     shares = {2: 0.5, 6: 1.0}
     found = blocks["direction -1"]
     assert found.strength == pytest.approx(shares[waves], abs=0.1)
-    assert (found.p_value < place.STANDS_OUT) == (waves == 6)
+    assert (found.p_value < STANDS_OUT) == (waves == 6)
 
 
 def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:
@@ -249,7 +248,7 @@ def test_same_seed_same_places_sorted_and_told_once(machines: Machines) -> None:
     nothing = np.zeros(len(machines.problem))
     a, b = (list(machines.located(nothing, model, 3).values()) for _ in range(2))
     assert a == b
-    clear = [x.p_value < place.STANDS_OUT for x in a]
+    clear = [x.p_value < STANDS_OUT for x in a]
     assert clear == sorted(clear, reverse=True)
     assert all(0.0 <= x.strength <= 1.0 and 0.0 < x.p_value <= 1.0 for x in a)
     kinds = {x.block.split(" ")[0] for x in a}

@@ -96,6 +96,11 @@ class GapProblem(Runs):
         """The same readings with other residuals (N,), in units of the stated noise."""
         return dataclasses.replace(self, residual=residual)
 
+    def with_readings(self, residual: Array) -> GapProblem:
+        """Readings that have these residuals (N,), in units of the stated noise."""
+        y = self.y + self.sigma * (residual - self.residual)
+        return dataclasses.replace(self, y=y, residual=residual)
+
 
 def prepare(
     measurement: Measurement,
