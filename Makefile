@@ -47,8 +47,8 @@ blind: setup-dev
 	$(BLIND_DO) generate --set blind --kinds pair --cases $(BLIND_CASES) --out $(BLIND)/pairs
 	$(BLIND_DO) list --cases $(BLIND)/set --kinds single --least 6 --withhold --out $(BLIND)/withheld.jsonl
 	$(BLIND_DO) list --cases $(BLIND)/pairs --least 6 --apart 6 --or-none --out $(BLIND)/separated.jsonl
-	$(BIN)/oed campaign benchmarks/blind.campaign.toml --seeds $(BLIND_CASES)
-	$(BIN)/oed campaign benchmarks/blind_known_noise.campaign.toml --seeds $(BLIND_CASES)
+	PYTHONPATH=. $(BIN)/oed campaign --allow-code benchmarks/blind.campaign.toml --seeds $(BLIND_CASES)
+	PYTHONPATH=. $(BIN)/oed campaign --allow-code benchmarks/blind_known_noise.campaign.toml --seeds $(BLIND_CASES)
 	$(BLIND_DO) score --folder $(BLIND)
 
 # Warnings are errors; -n: every reference must resolve.

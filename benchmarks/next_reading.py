@@ -1,6 +1,6 @@
 """`oed next` against the fixed plan, over virtual machines.
 
-    oed campaign benchmarks/next_reading.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/next_reading.campaign.toml
     python -m benchmarks.next_reading --page docs/howto/next.md
 
 Each machine is drawn from the tolerances and read with noise, one reading after another,

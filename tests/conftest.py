@@ -1,6 +1,7 @@
 """What the tests share."""
 
 import importlib
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,6 +10,18 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def trusted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Studies that tests write may name Python files; the user's own settings stay."""
+    base = tmp_path_factory.getbasetemp().resolve()
+    folders = [base, ROOT / "docs"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("OED_TRUSTED_FOLDERS", os.pathsep.join(map(str, folders)))
+        patch.setenv("XDG_CONFIG_HOME", str(base / "config"))
+        patch.setenv("XDG_STATE_HOME", str(base / "state"))
+        yield
 
 
 @pytest.fixture

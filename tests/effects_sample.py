@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +13,7 @@ from oed.gap.data.state import states
 from oed.measurement import Measurement
 from pkm_studies import catalogue
 from pkm_studies.errors import Place
+from pkm_studies.user_code import Origin
 
 NAMES = (
     "leg_thermal",
@@ -51,7 +51,7 @@ COVARIATES = ("time", "direction", "feed", "payload")
 
 @functools.cache
 def effect_of(name: str) -> Effect:
-    found = catalogue.effect(name, Path(), HERE)
+    found = catalogue.effect(name, Origin(), HERE)
     assert isinstance(found, Effect)
     return found
 

@@ -146,7 +146,9 @@ def test_the_campaign_runs_without_labels_and_takes_up_where_it_stopped(
     )
     text = (ROOT / "benchmarks" / "blind.campaign.toml").read_text("utf-8")
     file, out = tmp_path / "blind.campaign.toml", tmp_path / "out"
-    file.write_text(text.replace('"out/blind"', json.dumps(str(sets))), "utf-8")
+    (tmp_path / "case.py").write_text("from benchmarks.blind.case import *\n", "utf-8")
+    text = text.replace('"out/blind"', json.dumps(str(sets)))
+    file.write_text(text.replace("blind/case.py:", "case.py:"), "utf-8")
     arguments = ["campaign", str(file), "--out", str(out), "--workers", "1"]
     assert cli.main([*arguments, "--seeds", "1"]) == 0
     assert len(calls) == 1

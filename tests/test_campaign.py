@@ -265,7 +265,7 @@ def test_a_summary_of_a_user_s_own(own: Path, tmp_path: Path) -> None:
     [
         ("own.py:figures", "own.py:figure", "did you mean figures"),
         ("own.py:figures", "other.py:figures", "no such file"),
-        ("own.py:figures", "no_such_module:figures", "was not found"),
+        ("own.py:figures", "no_such_module:figures", "belongs to no installed"),
         ("own.py:figures", "own.py", "names no function"),
         ("seeds = 6", 'study = "a3_ball_bar"\nseeds = 6', "one of them"),
         ('case = "own.py:figures"\n', "", "one of them"),

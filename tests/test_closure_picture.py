@@ -18,6 +18,7 @@ from pkm_reports import style
 from pkm_reports.figures import closure as figures
 from pkm_studies import catalogue, cli
 from pkm_studies.errors import Place
+from pkm_studies.user_code import Origin
 
 MY_MACHINE = Path(__file__).parents[1] / "docs" / "tutorial" / "my_machine.py"
 DRAWING = "BASE, PLATE, CRANK, ROD = 0.350, 0.100, 0.200, "
@@ -33,7 +34,9 @@ def _file(folder: Path, rod: str) -> Path:
 
 
 def _machine(path: Path) -> Machine:
-    machine = catalogue.machine("my.py", path.parent, Place("x"), assembled=False)
+    machine = catalogue.machine(
+        "my.py", Origin(path.parent), Place("x"), assembled=False
+    )
     assert isinstance(machine, Machine)
     return machine
 

@@ -16,9 +16,10 @@ from oracles import delta_trilateration as delta
 
 from oed.compensate import compensated_joints
 from oed.kinematics import Kinematics
-from oed.result import GoodnessSection, NoiseRecord
+from oed.result import GoodnessSection, NoiseRecord, StudyResult
 from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
 from pkm_studies import cli
+from pkm_studies.stages import describe
 
 Run = Callable[..., tuple[int, str, str]]
 #: an identified delta: radius, arms, angles, endstops
@@ -212,21 +213,45 @@ def test_a_format_of_the_users_own(
     assert (delta_folder / "compensation.txt").read_text() == f"{DELTA[0]:.4f}"
 
 
-def test_a_machine_in_a_file_of_the_user_is_found_by_the_study_nearby(
+def nominal_delta() -> StudyResult:
+    """The nominal machine as identified, with its table."""
+    machine = linear_delta.machine
+    content = sample.result(machine, machine.nominal)
+    return msgspec.structs.replace(content, machine=describe.machine_info(machine))
+
+
+def test_a_machine_in_a_file_of_the_user_needs_its_study(
     oed: Run, tmp_path: Path
 ) -> None:
-    """Paths in a study start at its folder; the result lies below it."""
-    (tmp_path / "my.py").write_text(
-        "from pkm_models.machines.linear_delta import machine\n", "utf-8"
-    )
-    text = sample.study_text("linear_delta").replace("linear_delta", "../my.py")
-    values = linear_delta.machine.nominal
-    content = msgspec.structs.replace(
-        sample.result(linear_delta.machine, values), study_text=text
-    )
-    folder = sample.save(tmp_path / "session" / "report", content)
-    code, _, error = oed("compensate", folder, "--to", "csv")
+    """A result runs no code, also where study and machine lie beside it."""
+    source = "from pkm_models.machines.linear_delta import machine\n"
+    (tmp_path / "my.py").write_text(source, "utf-8")
+    text = sample.study_text("linear_delta").replace("linear_delta", "my.py")
+    study = tmp_path / "sample.study.toml"
+    study.write_text(text, "utf-8")
+    content = msgspec.structs.replace(nominal_delta(), study_text=text)
+    folder = sample.save(tmp_path / "report", content)
+    for command in ("compensate", folder, "--to", "csv"), ("verify", folder):
+        code, _, error = oed(*command)
+        assert code == 2
+        assert "my.py, and a result runs no code; give the study: --study" in error
+    assert oed("compensate", folder, "--to", "csv", "--study", study)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("model", "nominal", "words"),
+    [
+        ("linear_delta", "[machine.nominal]\nradius_mm = 99.0\n", "radius = 99 for"),
+        ("planar_2dof", "", "planar_2dof for linear_delta"),
+    ],
+)
+def test_the_study_that_is_given_is_that_of_the_result(
+    oed: Run, tmp_path: Path, model: str, nominal: str, words: str
+) -> None:
+    folder = sample.save(tmp_path / "d", nominal_delta())
+    old, new = 'model = "linear_delta"\n', f'model = "{model}"\n{nominal}'
+    study = tmp_path / "other.study.toml"
+    study.write_text(sample.study_text("linear_delta").replace(old, new), "utf-8")
+    code, _, error = oed("compensate", folder, "--to", "csv", "--study", study)
     assert code == 2
-    assert "../my.py, named from its study's folder; give the study: --study" in error
-    (tmp_path / "session" / "sample.study.toml").write_text(text, "utf-8")
-    assert oed("compensate", folder, "--to", "csv")[0] == 0
+    assert words in error

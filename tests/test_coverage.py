@@ -134,7 +134,9 @@ def run_campaign(name: str, tmp_path: Path, changes: dict[str, str]) -> Path:
         text, count = re.subn(line, f"{field} = {values}", text, flags=re.MULTILINE)
         assert count == 1
     path = tmp_path / f"{name}.campaign.toml"
-    path.write_text(text, encoding="utf-8")
+    functions = "from benchmarks.coverage.case import *\n"
+    (tmp_path / "case.py").write_text(functions, encoding="utf-8")
+    path.write_text(text.replace("coverage/case.py:", "case.py:"), encoding="utf-8")
     options = ["--out", str(tmp_path / name), "--workers", "1", "--quiet"]
     assert cli.main(["campaign", str(path), *options]) == 0
     return tmp_path / name

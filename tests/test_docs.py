@@ -159,7 +159,12 @@ def test_the_tutorial_quotes_its_files() -> None:
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="commands are for bash")
 @pytest.mark.parametrize("page", EXECUTED)
-def test_the_tutorial_runs_as_written(page: str, tmp_path: Path) -> None:
+def test_the_tutorial_runs_as_written(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a user who allowed no Python file so far, and trusts no folder."""
+    monkeypatch.delenv("OED_TRUSTED_FOLDERS")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     ran = 0
     for block in blocks(DOCS / f"{page}.md"):
         if block.file:
@@ -199,7 +204,9 @@ def test_every_example_is_in_the_gallery_with_its_picture() -> None:
         assert (DOCS / "img" / "gallery" / f"{path.stem}.png").stat().st_size < LARGEST
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+@pytest.mark.parametrize(
+    "name", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md"]
+)
 def test_links_of_pages_outside_the_site_lead_somewhere(name: str) -> None:
     page = DOCS.parent / name
     prose = BLOCK.sub("", page.read_text(encoding="utf-8"))

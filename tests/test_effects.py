@@ -25,6 +25,7 @@ from pkm_studies import catalogue
 from pkm_studies import study as studies
 from pkm_studies.errors import InputError
 from pkm_studies.resolve import machine as resolve_machine
+from pkm_studies.user_code import Origin
 
 
 def fits(machine: str, name: str) -> bool:
@@ -261,12 +262,13 @@ effect = Effect(
 
 def test_an_effect_of_ones_own(tmp_path: Path) -> None:
     (tmp_path / "wind.py").write_text(OWN, encoding="utf-8")
-    assert catalogue.effect("wind.py", tmp_path, HERE).name == "wind"
+    assert catalogue.effect("wind.py", Origin(tmp_path), HERE).name == "wind"
     assert (
-        catalogue.effect("wind.py:effect", tmp_path, HERE).about == "wind on the head"
+        catalogue.effect("wind.py:effect", Origin(tmp_path), HERE).about
+        == "wind on the head"
     )
     assert catalogue.effect(
-        "pkm_models.effects.backlash:effect", tmp_path, HERE
+        "pkm_models.effects.backlash:effect", Origin(tmp_path), HERE
     ) is effect_of("backlash")
 
 
@@ -282,6 +284,6 @@ def test_an_effect_of_ones_own(tmp_path: Path) -> None:
 def test_a_wrong_name_is_told(reference: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "wind.py").write_text(OWN, encoding="utf-8")
     with pytest.raises(InputError) as caught:
-        catalogue.effect(reference, tmp_path, HERE)
+        catalogue.effect(reference, Origin(tmp_path), HERE)
     assert words in str(caught.value)
     assert "gap.effects" in str(caught.value)

@@ -14,6 +14,7 @@ from pkm_studies import catalogue, schemas, study, template
 from pkm_studies.cli import main
 from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve.resolved import resolve
+from pkm_studies.user_code import Origin
 
 
 def test_a_machine_from_a_file(tmp_path: Path) -> None:
@@ -94,7 +95,7 @@ def _pairs() -> list[Any]:
     place = Place("catalogue")
     pairs = []
     for entry in catalogue.listing("machines"):
-        family = catalogue.machine(entry.name, Path(), place).family
+        family = catalogue.machine(entry.name, Origin(), place).family
         for tool in catalogue.listing("instruments"):
             if family is None or tool.name == "camera_known_frame":
                 pairs.append((entry.name, tool.name))
@@ -115,10 +116,10 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     turns = machine in TURNING or instrument not in OF_ORIENTATION
     if not (spare and in_plane and turns):
         with pytest.raises(InputError, match=f"it cannot read {machine}"):
-            template.write("fresh", machine, instrument, tmp_path)
+            template.write("fresh", machine, instrument, Origin(tmp_path))
         assert not list(tmp_path.iterdir())
         return
-    path = template.write("fresh", machine, instrument, tmp_path)
+    path = template.write("fresh", machine, instrument, Origin(tmp_path))
     resolved = resolve(study.load(path))
     assert 20 <= len(resolved.candidates[0]) <= 1000
     assert resolved.prediction_commands is not None
@@ -126,7 +127,7 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     text = path.read_text(encoding="utf-8")
     sample.resolved(uncommented(text), tmp_path)
     with pytest.raises(InputError, match="of this name"):
-        template.write("fresh", machine, instrument, tmp_path)
+        template.write("fresh", machine, instrument, Origin(tmp_path))
 
 
 @pytest.mark.parametrize("family", ["delta", "hexapod_pus", "cables_spatial"])
@@ -134,7 +135,7 @@ def test_a_drafted_geometry_describes_the_machine_of_the_model(
     family: str, tmp_path: Path
 ) -> None:
     """With the comment signs removed, the table is complete and changes nothing."""
-    path = template.write("fresh", family, "pose_tracker_position", tmp_path)
+    path = template.write("fresh", family, "pose_tracker_position", Origin(tmp_path))
     entry = re.compile(r"^# (\[machine\.geometry\]|\w+ = .*  # .*)", re.M)
     text = path.read_text()
     start, end = text.index("# [machine.geometry]"), text.index("# [machine.nominal]")
@@ -142,7 +143,7 @@ def test_a_drafted_geometry_describes_the_machine_of_the_model(
     drafted = text[:start] + table + text[end:]
     assert "\n[machine.geometry]" in drafted
     machine = sample.resolved(drafted, tmp_path).machine
-    model = catalogue.machine(family, Path(), Place("test"))
+    model = catalogue.machine(family, Origin(), Place("test"))
     for given, wanted in zip(machine.parameters, model.parameters, strict=True):
         assert given.nominal == pytest.approx(wanted.nominal, abs=1e-9)
     for dimension in model.family.dimensions:

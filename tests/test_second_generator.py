@@ -94,7 +94,9 @@ def test_the_campaign_diagnoses_each_case_under_both_laws(
     text = text.replace('"out/second/set"', json.dumps(str(tmp_path / "set")))
     text = text.replace('["a3", "planar", "delta", "hexapod"]', '["a3"]')
     file, out = tmp_path / "second.campaign.toml", tmp_path / "out"
-    file.write_text(text, "utf-8")
+    functions = "from benchmarks.second.run import diagnosis, verdicts\n"
+    (tmp_path / "run.py").write_text(functions, "utf-8")
+    file.write_text(text.replace("second/run.py:", "run.py:"), "utf-8")
     assert command.main(["table", "--campaign", str(out)]) == 2
     assert "second.campaign.toml` first" in capsys.readouterr().err
     arguments = ["campaign", str(file), "--out", str(out), "--workers", "1"]

@@ -17,6 +17,7 @@ import sample
 
 from pkm_studies import catalogue, cli, console, files
 from pkm_studies.errors import InputError, Place
+from pkm_studies.user_code import Origin
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("oed", "models", "studies", "reports", "benchmarks")
@@ -167,5 +168,5 @@ def test_studies_and_readings_may_have_carriage_returns(
 
 def test_a_machine_is_found_on_a_drive(tmp_path: Path) -> None:
     """The colon of C: does not end the name of a module."""
-    with pytest.raises(InputError, match="there is no such file"):
-        catalogue.machine("C:\\machines\\mine.py", tmp_path, Place("study"))
+    with pytest.raises(InputError, match="does not lie in the folder of the study"):
+        catalogue.machine("C:\\machines\\mine.py", Origin(tmp_path), Place("study"))

@@ -1,6 +1,6 @@
 """Cases of the campaign `blind`: the diagnosis of one case of a set, without its labels.
 
-    oed campaign benchmarks/blind.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/blind.campaign.toml
 
 A setting names the folder of the sets and a part of the benchmark; the seed is the
 case's number in its set. A part may be a list of some of the cases: `list` writes it.

@@ -1,6 +1,6 @@
 """The same diagnosis by an observer who knows the noise: the cost of estimating it.
 
-    oed campaign benchmarks/blind_known_noise.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/blind_known_noise.campaign.toml
 
 The true covariance of the readings (up to its level) takes the place of an estimated
 noise law. Outliers are detected as in the diagnosis. Opens the truth, as the oracle

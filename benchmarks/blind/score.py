@@ -11,8 +11,8 @@ From nothing to that page, as `make blind` does it:
         --withhold --out out/blind/withheld.jsonl
     python -m benchmarks.blind list --cases out/blind/pairs --least 6 --apart 6 \\
         --or-none --out out/blind/separated.jsonl
-    oed campaign benchmarks/blind.campaign.toml
-    oed campaign benchmarks/blind_known_noise.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/blind.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/blind_known_noise.campaign.toml
     python -m benchmarks.blind score --folder out/blind
 
 Few pairs of effects, one in ten, can be separated from every rival: more of them, for

@@ -1,8 +1,8 @@
 """Tables of the campaigns on virtual machines that the toolkit did not simulate.
 
-    oed campaign benchmarks/coverage.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/coverage.campaign.toml
     python -m benchmarks.coverage intervals --page docs/benchmarks/coverage.md
-    oed campaign benchmarks/ranks.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/ranks.campaign.toml
     python -m benchmarks.coverage ranks --page docs/benchmarks/coverage.md
 
 Each prints the table of a campaign's cases, or writes it into a page.

@@ -1,6 +1,6 @@
 """Simulation-based calibration: ranks of the truth among posterior draws.
 
-    oed campaign benchmarks/ranks.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/ranks.campaign.toml
     python -m benchmarks.coverage ranks --page docs/benchmarks/coverage.md
 
 Parameters are drawn from the tolerances and a noise law from its prior; the oracle

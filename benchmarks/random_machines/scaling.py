@@ -92,7 +92,9 @@ def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = cases.write(case, Path(folder))
-        study = build_study(_with_sizes(case.study, Path(folder), factor), folder)
+        study = build_study(
+            _with_sizes(case.study, Path(folder), factor), folder, allow_code=True
+        )
         state = identify(read_readings(study, path)).state
         request = gap_request(study, state.resolved.machine, always=True)
     readings, estimate = state.readings, state.estimate
@@ -133,7 +135,7 @@ def _with_sizes(
     text = DRIVES.format(lead=LEAD * factor, period=PERIOD * factor)
     drives.write_text(text, encoding="utf-8")
     effects = {f"{name}_um": factor * size for name, size in SIZES.items()}
-    gap = {"effects": ["all", f"{drives}:lead", f"{drives}:period"]}
+    gap = {"effects": ["all", "drives.py:lead", "drives.py:period"]}
     return {**study, "effects": effects, "gap": gap}
 
 

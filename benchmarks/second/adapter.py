@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,8 @@ MACHINES = ("a3", "planar", "delta", "hexapod")
 MODELS = {
     "a3": "a3_head",
     "planar": "planar_2dof",
-    "delta": f"{HERE / 'machines.py'}:delta",
-    "hexapod": f"{HERE / 'machines.py'}:hexapod",
+    "delta": "machines.py:delta",
+    "hexapod": "machines.py:hexapod",
 }
 #: channels that a relative measurement reads
 RELATIVE_CHANNELS = {"RM1": "y", "RM2": "z", "RM3": "z", "RM4": "y", "RM5": "yz"}
@@ -41,7 +42,7 @@ period = dataclasses.replace(
 
 
 def write_case(stem: Path, out: Path) -> tuple[Path, Path]:
-    """Write study, effects and readings of the case at `stem` into `out`.
+    """Write study, machines, effects and readings of the case at `stem` into `out`.
 
     Returns the paths of study and readings. Raises OSError, ValueError.
     """
@@ -49,7 +50,8 @@ def write_case(stem: Path, out: Path) -> tuple[Path, Path]:
     out.mkdir(parents=True, exist_ok=True)
     study, readings = out / "case.study.toml", out / "case.readings.csv"
     (out / "drives.py").write_text(_drives(case), encoding="utf-8")
-    study.write_text(_study(case, out), encoding="utf-8")
+    shutil.copyfile(HERE / "machines.py", out / "machines.py")
+    study.write_text(_study(case), encoding="utf-8")
     _copy_readings(stem.with_suffix(".readings.csv"), readings, case["machine"])
     return study, readings
 
@@ -59,11 +61,10 @@ def _drives(case: Mapping[str, Any]) -> str:
     return DRIVES.format(lead=lead, half_lead=0.5 * lead, period=period)
 
 
-def _study(case: Mapping[str, Any], out: Path) -> str:
+def _study(case: Mapping[str, Any]) -> str:
     """The study file's text."""
     setups = case["setups"]
-    effects = ["all", f"{out.resolve()}/drives.py:lead"]
-    effects.append(f"{out.resolve()}/drives.py:period")
+    effects = ["all", "drives.py:lead", "drives.py:period"]
     gravity = [float(v) for v in case["down"]]
     parts = [
         'schema = 1\nname = "second_generator"\nseed = 1\n',

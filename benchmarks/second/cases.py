@@ -85,7 +85,7 @@ def prepare(case: Case) -> tuple[GapProblem, tuple[Effect, ...]]:
     """
     out = case.folder / "studies" / case.machine / case.name
     path, readings = adapter.write_case(case.stem, out)
-    study = studies.load(path)
+    study = studies.load(path, studies.Consent.GIVEN)
     resolved = resolve.resolve(study, readings=[])
     request = resolve_gap.gap_request(study, resolved.machine, always=True)
     assert request is not None  # `always` makes one

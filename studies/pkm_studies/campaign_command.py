@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from pkm_studies.options import AllowCode
+from pkm_studies.user_code import consent
+
 
 def campaign(
     file: Annotated[
@@ -32,6 +35,7 @@ def campaign(
     ] = None,
     *,
     quiet: Annotated[bool, typer.Option("--quiet", help="Print results only.")] = False,
+    allow_code: AllowCode = False,
 ) -> int:
     """Run settings x seeds over cases; again: go on where it was."""
     import os
@@ -39,7 +43,7 @@ def campaign(
     from pkm_studies import display
     from pkm_studies.campaign import report, results, runner, tables
 
-    loaded = tables.load_campaign(file)
+    loaded = tables.load_campaign(file, consent(allow_code=allow_code))
     loaded = loaded if seeds is None else loaded.first(seeds)
     folder = Path("out") / loaded.name if out is None else out
     with display.progress(quiet=quiet) as progress:

@@ -1,31 +1,30 @@
 """What there is to choose from, and how a name in a study becomes an object.
 
 A model is named by its short name (`a3_head`), by `package.module:attribute`, or by
-`path/to/file.py:attribute` relative to the study; in the last two the attribute may be
+`path/to/file.py:attribute` in the study's folder; in the last two the attribute may be
 left out where it is `machine`, `instrument` or `effect`. An installed package adds its
 own under the entry points `pkm_oed.machines`, `pkm_oed.instruments`, `pkm_oed.effects`,
-`pkm_oed.formats`. A controller's format is found likewise; its attribute is
-`controller`.
+`pkm_oed.formats`; only modules of these entry points and of this project have a long
+name. A file runs once the user allowed it: see `user_code`. A controller's format is
+found likewise; its attribute is `controller`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import importlib
-import importlib.util
 import inspect
 import pkgutil
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from pkm_studies.errors import InputError, Place, shorten, suggest
+from pkm_studies import user_code
+from pkm_studies.errors import Place, shorten, suggest
+from pkm_studies.user_code import Origin
 
 #: characters of an error that are shown
 LONGEST_REASON = 120
@@ -35,6 +34,8 @@ KINDS = ("machines", "instruments", "effects", "criteria", "formats")
 #: these are not `pkm_models.KIND` and the kind's singular
 PACKAGES = {"formats": "pkm_studies.compensation.formats"}
 ATTRIBUTES = {"formats": "controller"}
+#: how the groups of entry points begin whose modules have a long name
+GROUPS = "pkm_oed."
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -81,7 +82,7 @@ def _entry(kind: str, name: str, where: str, item: Any) -> CatalogueEntry:
 
 
 def machine(
-    reference: str, folder: Path, place: Place, *, assembled: bool = True
+    reference: str, origin: Origin, place: Place, *, assembled: bool = True
 ) -> Any:
     """The `oed.machine.Machine` that `reference` names. Raises InputError.
 
@@ -90,46 +91,46 @@ def machine(
     from oed.machine import Machine
     from pkm_studies import machine_check as soundness
 
-    machine = _lookup(reference, "machines", Machine, folder, place)
-    if ":" in reference or reference.endswith(".py"):
+    machine = _lookup(reference, "machines", Machine, origin, place)
+    if ":" in reference or user_code.is_file(reference):
         soundness.check_machine(machine, place, assembled=assembled)
     return machine
 
 
-def instrument(reference: str, folder: Path, place: Place) -> Any:
+def instrument(reference: str, origin: Origin, place: Place) -> Any:
     """The `oed.instrument.Instrument` that `reference` names. Raises InputError."""
     from oed.instrument import Instrument
 
-    return _lookup(reference, "instruments", Instrument, folder, place)
+    return _lookup(reference, "instruments", Instrument, origin, place)
 
 
-def effect(reference: str, folder: Path, place: Place) -> Any:
+def effect(reference: str, origin: Origin, place: Place) -> Any:
     """The `oed.effect.Effect` that `reference` names. Raises InputError."""
     from oed.effect import Effect
 
-    return _lookup(reference, "effects", Effect, folder, place)
+    return _lookup(reference, "effects", Effect, origin, place)
 
 
-def controller_format(reference: str, folder: Path) -> Any:
-    """The `ControllerFormat` that `reference` names; a file is relative to `folder`.
+def controller_format(reference: str, origin: Origin) -> Any:
+    """The `ControllerFormat` that `reference` names.
 
     Raises InputError.
     """
     from pkm_studies.compensation.content import ControllerFormat
 
-    return _lookup(reference, "formats", ControllerFormat, folder, Place("--to"))
+    return _lookup(reference, "formats", ControllerFormat, origin, Place("--to"))
 
 
-def function(reference: str, folder: Path, place: Place) -> Callable[..., Any]:
-    """The function that `package.module:name` or `path/to/file.py:name` names.
+def function(reference: str, origin: Origin, place: Place) -> Callable[..., Any]:
+    """The function that `path/to/file.py:name` or `package.module:name` names.
 
     Raises InputError.
     """
     module_name, _, name = reference.rpartition(":")
     if not module_name or name.endswith(".py"):
-        remedy = "write package.module:function or path/to/file.py:function"
+        remedy = "write path/to/file.py:function"
         raise place.error("this names no function", remedy, reference)
-    module = _module(module_name, folder, place)
+    module = _module(module_name, origin, place)
     item: Callable[..., Any] | None = getattr(module, name, None)
     if callable(item):
         return item
@@ -201,14 +202,15 @@ def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
         yield point, item
 
 
-def _lookup(reference: str, kind: str, wanted: type, folder: Path, place: Place) -> Any:
-    module_name, _, attribute = reference.rpartition(":")
-    if reference.endswith(".py"):  # a drive on Windows has a colon as well
-        module_name, attribute = reference, ""
+def _lookup(
+    reference: str, kind: str, wanted: type, origin: Origin, place: Place
+) -> Any:
+    module_name = user_code.file_name(reference)
     if not module_name:
         return _by_short_name(reference, kind, place)
-    module = _module(module_name, folder, place)
-    attribute = attribute or ATTRIBUTES.get(kind, kind.removesuffix("s"))
+    module = _module(module_name, origin, place)
+    usual = ATTRIBUTES.get(kind, kind.removesuffix("s"))
+    attribute = reference[len(module_name) + 1 :] or usual
     item = getattr(module, attribute, None)
     if isinstance(item, wanted):
         return item
@@ -232,50 +234,35 @@ def _by_short_name(name: str, kind: str, place: Place) -> Any:
     return items[name][1]
 
 
-def _module(name: str, folder: Path, place: Place) -> ModuleType:
-    """A module by its dotted name or its file; whatever it raises is told as bad input."""
+def _module(name: str, origin: Origin, place: Place) -> ModuleType:
+    """A file's module, or one of an entry point; none else is imported."""
+    if name.endswith(user_code.SUFFIX):
+        return user_code.run_file(name, origin, place)
+    if name not in _named_modules():
+        raise place.error(
+            "this module belongs to no installed machine, instrument, effect or format",
+            "name a file in the study's folder, path/to/file.py:attribute, or a module"
+            " of an entry point pkm_oed.* of an installed package",
+            name,
+        )
     try:
-        return (
-            _from_file(folder / name, place)
-            if name.endswith(".py")
-            else importlib.import_module(name)
-        )
-    except InputError:
-        raise
-    except ModuleNotFoundError as error:
-        problem = f"the module {error.name} was not found"
+        return importlib.import_module(name)
+    except Exception as error:  # a package's module may raise anything
         raise place.error(
-            problem, "check the name, or name a file: path/to/file.py:attribute", name
-        ) from None
-    except (Exception, SystemExit) as error:
-        problem = (
             f"importing it failed with {type(error).__name__}:"
-            f" {shorten(str(error), 120)}"
-        )
-        raise place.error(
-            problem, "mend the file, or run it alone with Python to see where", name
+            f" {shorten(str(error), LONGEST_REASON)}",
+            "mend or uninstall the package that provides it",
+            name,
         ) from error
 
 
-def _from_file(path: Path, place: Place) -> ModuleType:
-    if not path.is_file():
-        raise place.error(
-            "there is no such file", "paths are relative to the study file", str(path)
-        )
-    # a name of its own, so that two files called machine.py do not meet
-    name = f"pkm_user_{path.stem}_{hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}"
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise place.error(
-            "this is no Python file", "name a file that ends in .py", str(path)
-        )
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
+def _named_modules() -> set[str]:
+    """Modules that a long name may begin with, without importing them."""
+    points = entry_points()
+    groups = [group for group in points.groups if group.startswith(GROUPS)]
+    names = {point.module for group in groups for point in points.select(group=group)}
+    for kind in ("machines", "instruments", "effects", "formats"):
+        package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
+        listed = pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+        names |= {info.name for info in listed}
+    return names

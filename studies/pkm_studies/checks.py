@@ -20,6 +20,7 @@ from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
 from pkm_studies.run_state import Stream
 from pkm_studies.stages.fit.goodness import check_dataset
 from pkm_studies.study import Study, load
+from pkm_studies.user_code import Consent, Origin
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,17 +37,22 @@ class Verdict:
     remarks: Sequence[str] = ()
 
 
-def check(paths: Sequence[Path]) -> Iterator[tuple[Path, Verdict | InputError]]:
+def check(
+    paths: Sequence[Path], consent: Consent = Consent.RECORDED
+) -> Iterator[tuple[Path, Verdict | InputError]]:
     """For each file what it holds, or what is wrong.
+
+    consent  to run Python files, and those that the studies name
 
     Readings are checked against the studies among the files.
     """
     resolved: list[ResolvedStudy] = []
     alone = all(p.suffix != ".csv" for p in paths)
     for path in [p for p in paths if p.suffix == ".py"]:
-        yield path, _verdict(partial(_check_machine, path))
+        yield path, _verdict(partial(_check_machine, path, consent))
     for path in [p for p in paths if p.suffix not in (".csv", ".py")]:
-        yield path, _verdict(partial(_check_study, path, resolved, alone=alone))
+        check_study = partial(_check_study, path, consent, resolved, alone=alone)
+        yield path, _verdict(check_study)
     for path in [p for p in paths if p.suffix == ".csv"]:
         yield path, _verdict(partial(_check_readings, path, resolved))
 
@@ -58,21 +64,23 @@ def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
         return error
 
 
-def _check_machine(path: Path) -> Verdict:
+def _check_machine(path: Path, consent: Consent) -> Verdict:
     """A machine's file: its functions fit one another, and its home pose assembles."""
-    machine = catalogue.machine(path.name, path.parent, Place(str(path)))
+    machine = catalogue.machine(str(path), Origin.command(consent), Place(str(path)))
     return Verdict(
         f"sound: {machine.name} has {len(machine.joints)} joints and"
         f" {len(machine.parameters)} parameters, and closes at its home pose"
     )
 
 
-def _check_study(path: Path, resolved: list[ResolvedStudy], *, alone: bool) -> Verdict:
+def _check_study(
+    path: Path, consent: Consent, resolved: list[ResolvedStudy], *, alone: bool
+) -> Verdict:
     """What a study holds; it joins the studies that are `resolved`.
 
     Where it stands `alone`, the mistakes that its readings cannot reveal are stated.
     """
-    study = load(shipped.study_path(path))
+    study = load(shipped.study_path(path), consent)
     try:
         # without readings first: others can be checked even where these are absent
         without_readings = resolve(study, readings=())

@@ -13,11 +13,12 @@ from pkm_studies import catalogue, files, shipped
 from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.study import load
+from pkm_studies.user_code import Consent, Origin
 
 KINDS = (".png", ".svg", ".pdf")
 
 
-def draw(path: Path, picture: Path) -> str:
+def draw(path: Path, picture: Path, consent: Consent = Consent.RECORDED) -> str:
     """Write the picture of a study's machine, or of a machine's file; what it shows.
 
     Raises InputError where the machine's functions do not fit one another.
@@ -30,22 +31,22 @@ def draw(path: Path, picture: Path) -> str:
             value=picture.name,
         )
     files.check_new(picture)
-    machine = _machine(path)
+    machine = _machine(path, consent)
     closure = closest_closure(machine, machine.home_command)
     words = _verdict(machine, closure)
     _save(machine, closure, words, picture)
     return f"{picture}: {words}"
 
 
-def _machine(path: Path) -> Machine:
+def _machine(path: Path, consent: Consent) -> Machine:
     """The machine as stated, whether or not it assembles."""
     if path.suffix == ".py":
         place = Place(str(path))
         machine: Machine = catalogue.machine(
-            path.name, path.parent, place, assembled=False
+            str(path), Origin.command(consent), place, assembled=False
         )
         return machine
-    return study_machine(load(shipped.study_path(path)), assembled=False)
+    return study_machine(load(shipped.study_path(path), consent), assembled=False)
 
 
 def _save(machine: Machine, closure: ClosestClosure, words: str, picture: Path) -> None:

@@ -19,6 +19,7 @@ from pkm_studies import (
     verify_command,
 )
 from pkm_studies.errors import InputError
+from pkm_studies.options import AllowCode
 from pkm_studies.outcome import BAD_INPUT, DONE, FAILED, report_outcome
 
 if TYPE_CHECKING:
@@ -87,11 +88,12 @@ def run(
     ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
+    allow_code: AllowCode = False,
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
     from pkm_studies import display, files
 
-    loaded = _load(study)
+    loaded = _load(study, allow_code)
     folder = out or Path("out") / loaded.name
     files.check_writable(folder)
     from pkm_studies import pipeline  # only now: errors of input come at once
@@ -118,14 +120,17 @@ def check(
             help="Draw the machine of the first file at its home pose: png, svg or pdf.",
         ),
     ] = None,
+    allow_code: AllowCode = False,
 ) -> int:
     """Check studies, and readings against what they predict; run nothing."""
     from pkm_studies import checks, closure_picture
+    from pkm_studies.user_code import consent
 
+    given = consent(allow_code=allow_code)
     code = DONE
     if picture is not None:
-        print(f"Picture: {closure_picture.draw(paths[0], picture)}")
-    for path, verdict in checks.check(paths):
+        print(f"Picture: {closure_picture.draw(paths[0], picture, given)}")
+    for path, verdict in checks.check(paths, given):
         if isinstance(verdict, InputError):
             console.print_error(str(verdict))
             code = BAD_INPUT
@@ -147,12 +152,13 @@ def simulate(
             metavar="READINGS.csv", help="File for the readings.", show_default=False
         ),
     ],
+    allow_code: AllowCode = False,
 ) -> int:
     """Write readings of a virtual machine, and its truth in a second file."""
     from pkm_studies import files
 
     files.check_new(out)
-    loaded = _load(study)
+    loaded = _load(study, allow_code)
     files.check_writable(out.parent)
     from pkm_studies import pipeline
 
@@ -178,11 +184,12 @@ def identify(
     ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
+    allow_code: AllowCode = False,
 ) -> int:
     """Identify the machine from readings."""
     from pkm_studies import display, files
 
-    loaded = _load(study)
+    loaded = _load(study, allow_code)
     files.check_writable(out)
     from pkm_studies import pipeline
 
@@ -210,11 +217,12 @@ def diagnose(
     ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
+    allow_code: AllowCode = False,
 ) -> int:
     """Find what causes the gap between model and machine: which effect, and where."""
     from pkm_studies import display, files
 
-    loaded = _load(study)
+    loaded = _load(study, allow_code)
     files.check_writable(out)
     from pkm_studies import pipeline
 
@@ -240,11 +248,12 @@ def plan(
     ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
+    allow_code: AllowCode = False,
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
     from pkm_studies import display, files
 
-    loaded = _load(study)
+    loaded = _load(study, allow_code)
     folder = out or Path("out") / f"{loaded.name}-plan"
     files.check_writable(folder)
     from pkm_studies import pipeline
@@ -383,8 +392,9 @@ app.command(name="next")(next_command.next_reading)
 # -- studies in, results out -----------------------------------------------------------
 
 
-def _load(path: Path) -> Study:
+def _load(path: Path, allow_code: bool) -> Study:
     """The study of a file or of a shipped study's name."""
     from pkm_studies import shipped, study
+    from pkm_studies.user_code import consent
 
-    return study.load(shipped.study_path(path))
+    return study.load(shipped.study_path(path), consent(allow_code=allow_code))

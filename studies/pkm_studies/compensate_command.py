@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from pkm_studies import console
+from pkm_studies.options import AllowCode
+from pkm_studies.user_code import consent
 
 DONE, FAILED = 0, 1
 
@@ -57,6 +59,7 @@ def compensate(
     commands: Commands = None,
     firmware: FirmwareVersion = None,
     force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,
+    allow_code: AllowCode = False,
 ) -> int:
     """Write what the controller reads: parameters, tables, measuring poses."""
     from pkm_studies.compensation import export, table_grid
@@ -70,6 +73,7 @@ def compensate(
             force=force,
             commands=table_grid.COMMANDS if commands is None else commands,
             firmware=firmware,
+            consent=consent(allow_code=allow_code),
         )
     except export.BadFitError as error:
         console.print_error(str(error))

@@ -18,11 +18,11 @@ from oed.session_drift import SessionDrift
 from pkm_studies import comparison, result_folder
 from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.comparison import SessionReport
-from pkm_studies.compensation.export import result_study
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.run_state import Stream
-from pkm_studies.study import load
+from pkm_studies.stored_study import result_study
+from pkm_studies.user_code import Consent
 
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 #: probability of a false alarm, and combinations that are printed
@@ -46,7 +46,10 @@ class Sessions:
 
 
 def history(
-    folders: Sequence[Path], limits: str = "", study_file: Path | None = None
+    folders: Sequence[Path],
+    limits: str = "",
+    study_file: Path | None = None,
+    consent: Consent = Consent.RECORDED,
 ) -> SessionReport:
     """Sentences on the drift over the sessions in folders of results.
 
@@ -54,6 +57,7 @@ def history(
     limits      `z_um=30,theta_arcsec=20`: rms errors at which to calibrate again; twice
                 those right after a calibration by default
     study_file  study, where it names a machine in a file of its own
+    consent     to run that file
 
     Raises InputError for fewer than two sessions, for one that is named twice, and for
     results of different machines.
@@ -69,7 +73,7 @@ def history(
     )
     shown = {name: p.unit for name, p in table.items()}
     doubts = comparison.warnings(sessions.results, sessions.folders)
-    errors = _errors(sessions, names, shown, limits, study_file)
+    errors = _errors(sessions, names, shown, limits, study_file, consent)
     outlook = _provable(sessions, errors, table, posteriors)
     if drifted.p_value < ALARM:
         outlook = _due(sessions, errors, drifted)
@@ -209,13 +213,14 @@ def _errors(
     shown: dict[str, str],
     limits: str,
     study_file: Path | None,
+    consent: Consent,
 ) -> list[_Error]:
     """The error of each component that the controller corrects.
 
     Its maps are over the parameters in the units of their estimates.
     """
     latest, folder = sessions.results[-1], sessions.folders[-1]
-    study = result_study(latest, folder) if study_file is None else load(study_file)
+    study = result_study(latest, folder, study_file, consent)
     accuracy = promised_accuracy(latest, study, str(folder / "result.json"), {}, {})
     given = component_values(limits, "--limit", accuracy.machine)
     columns = [accuracy.machine.index(name) for name in names]

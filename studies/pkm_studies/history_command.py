@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from pkm_studies.options import AllowCode
 from pkm_studies.outcome import DONE, FAILED
+from pkm_studies.user_code import consent
 
 
 def history(
@@ -32,11 +34,13 @@ def history(
             metavar="STUDY", help="The study, where its machine is a file of yours."
         ),
     ] = None,
+    allow_code: AllowCode = False,
 ) -> int:
     """Show how a machine drifts over its sessions, and when to calibrate again."""
     from pkm_studies import history as histories
 
-    report = histories.history(folders, limit, study)
+    given = consent(allow_code=allow_code)
+    report = histories.history(folders, limit, study, given)
     for sentence in report.sentences:
         print(sentence)
     return DONE if report.is_trusted else FAILED

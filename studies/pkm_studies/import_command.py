@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+from pkm_studies.options import AllowCode
+from pkm_studies.user_code import consent
+
 
 def import_files(
     kind: Annotated[
@@ -45,12 +48,19 @@ def import_files(
             help="Which column is what; kept for next time.",
         ),
     ] = None,
+    allow_code: AllowCode = False,
 ) -> int:
     """Make a study with readings from files of another program."""
     from pkm_studies.importers import session
 
     path, imported = session.import_files(
-        kind, paths, out, name=name, machine=machine, column_map=column_map
+        kind,
+        paths,
+        out,
+        name=name,
+        machine=machine,
+        column_map=column_map,
+        consent=consent(allow_code=allow_code),
     )
     for statement in imported.statements:
         print(statement)

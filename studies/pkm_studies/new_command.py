@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from pkm_studies.errors import InputError
+from pkm_studies.options import AllowCode
+from pkm_studies.user_code import Origin, consent
 
 
 def new(
@@ -37,15 +39,22 @@ def new(
             show_default=False,
         ),
     ] = None,
+    allow_code: AllowCode = False,
 ) -> int:
     """Write a study to start from: a commented one, or a copy of a shipped one."""
-    path = _new_study(name, machine, instrument, source)
+    # The study will name the files: they lie where a study's files may lie.
+    origin = Origin(Path(), consent(allow_code=allow_code))
+    path = _new_study(name, machine, instrument, source, origin)
     print(f"Study: {path}; edit it, then: oed run {path}")
     return 0
 
 
 def _new_study(
-    name: str | None, machine: str | None, instrument: str | None, source: str | None
+    name: str | None,
+    machine: str | None,
+    instrument: str | None,
+    source: str | None,
+    origin: Origin,
 ) -> Path:
     if source is not None:
         if machine is not None or instrument is not None:
@@ -66,6 +75,6 @@ def _new_study(
     from pkm_studies import template
 
     if instrument is None:
-        instrument, others = template.default_instrument(machine, Path())
+        instrument, others = template.default_instrument(machine, origin)
         print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
-    return template.write(name, machine, instrument, Path())
+    return template.write(name, machine, instrument, origin)

@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from pkm_studies.options import AllowCode
 from pkm_studies.outcome import DONE, FAILED
+from pkm_studies.user_code import consent
 
 
 def next_reading(
@@ -33,6 +35,7 @@ def next_reading(
     follow: Annotated[
         bool, typer.Option("--follow", help="Stay open, and follow the file.")
     ] = False,
+    allow_code: AllowCode = False,
 ) -> int:
     """Advise at the machine: what is known now, the best next reading, when to stop."""
     from pkm_studies import next_reading as advice
@@ -40,7 +43,8 @@ def next_reading(
     from pkm_studies.next_sentences import sentences
     from pkm_studies.study import load
 
-    adviser = advice.Adviser(load(shipped.study_path(study)), wanted)
+    loaded = load(shipped.study_path(study), consent(allow_code=allow_code))
+    adviser = advice.Adviser(loaded, wanted)
     if not follow:
         after = adviser.advise(readings)
         print("\n".join(sentences(adviser, after)))

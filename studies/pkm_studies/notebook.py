@@ -22,6 +22,7 @@ from pkm_studies.steps import gap as gap_steps
 from pkm_studies.steps import prediction as prediction_steps
 from pkm_studies.steps import readings as readings_steps
 from pkm_studies.study import Study, load, loader
+from pkm_studies.user_code import Origin, consent
 from pkm_studies.views import (
     AccuracyView,
     DesignView,
@@ -34,17 +35,24 @@ from pkm_studies.views import (
 )
 
 
-def load_study(study: str | Path) -> Study:
-    """A study file, or a shipped study by its name. Raises InputError."""
-    return load(shipped.study_path(Path(study)))
+def load_study(study: str | Path, *, allow_code: bool = False) -> Study:
+    """A study file, or a shipped study by its name. Raises InputError.
+
+    `allow_code` lets Python files that it names run, now and while they are unchanged.
+    """
+    given = consent(allow_code=allow_code)
+    return load(shipped.study_path(Path(study)), given)
 
 
-def build_study(tables: Mapping[str, Any], folder: str | Path = ".") -> Study:
+def build_study(
+    tables: Mapping[str, Any], folder: str | Path = ".", *, allow_code: bool = False
+) -> Study:
     """A study from tables as in a study file; paths are relative to `folder`.
 
+    `allow_code` lets Python files that it names run, now and while they are unchanged.
     Raises InputError that names table, field, value and remedy.
     """
-    return loader.from_tables(tables, Path(folder))
+    return loader.from_tables(tables, Path(folder), consent(allow_code=allow_code))
 
 
 def choose_design(study: Study, *, seed: int | None = None) -> DesignView:
@@ -168,7 +176,8 @@ def write_compensation(
     from pkm_studies.compensation.export import export
     from pkm_studies.compensation.table_grid import COMMANDS
 
-    controller = catalogue.controller_format(to, Path())
+    given = view.state.study.consent
+    controller = catalogue.controller_format(to, Origin.command(given))
     result, study, folder = _result(view.state), view.state.study, Path(out)
     largest = COMMANDS if commands is None else commands
     return export(

@@ -19,6 +19,7 @@ from pkm_studies.errors import Place
 from pkm_studies.resolve.quantities import column, display_unit
 from pkm_studies.study import SUFFIX
 from pkm_studies.study.tables.fit import PredictionReference
+from pkm_studies.user_code import Origin
 
 #: most poses of the grid; its values a coordinate, and with too many poses
 POSES, VALUES, FEWER_VALUES = 1000, 5, 3
@@ -54,16 +55,16 @@ GAP = """\
 """
 
 
-def default_instrument(machine: str, folder: Path) -> tuple[str, list[str]]:
+def default_instrument(machine: str, origin: Origin) -> tuple[str, list[str]]:
     """An instrument that can read a machine as it stands, and the others that can.
 
     It is the first of DEFAULTS, or of the catalogue, whose settings all have defaults.
     Raises InputError for a machine that is none.
     """
     place = Place("oed new")
-    model = catalogue.machine(machine, folder, place.key("--machine"))
+    model = catalogue.machine(machine, origin, place.key("--machine"))
     names = [entry.name for entry in catalogue.listing("instruments")]
-    tools = {name: catalogue.instrument(name, folder, place) for name in names}
+    tools = {name: catalogue.instrument(name, origin, place) for name in names}
     able = [name for name in names if tools[name].unfit(model) is None]
     ready = [n for n in able if all(s.default is not None for s in tools[n].settings)]
     chosen = next((name for name in DEFAULTS if name in ready), None)
@@ -76,16 +77,18 @@ def default_instrument(machine: str, folder: Path) -> tuple[str, list[str]]:
     return chosen, [name for name in able if name != chosen]
 
 
-def write(name: str | None, machine: str, instrument: str, folder: Path) -> Path:
+def write(name: str | None, machine: str, instrument: str, origin: Origin) -> Path:
     """Write NAME.study.toml into a folder; its path. Without a name, the machine's.
+
+    origin  the folder, and whether the models' files may run
 
     Raises InputError for a bad name, an existing file, and an instrument that cannot
     read the machine.
     """
     place = Place("oed new")
-    model = catalogue.machine(machine, folder, place.key("--machine"))
-    path = shipped.new_path(model.name if name is None else name, folder)
-    listed = catalogue.instrument(instrument, folder, place.key("--instrument"))
+    model = catalogue.machine(machine, origin, place.key("--machine"))
+    path = shipped.new_path(model.name if name is None else name, origin.folder)
+    listed = catalogue.instrument(instrument, origin, place.key("--instrument"))
     tool = listed.for_machine(model)
     reason = tool.unfit(model)
     if reason is not None:

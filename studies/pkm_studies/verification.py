@@ -14,12 +14,13 @@ from pkm_studies.acceptance import plan
 from pkm_studies.acceptance.judge import judge_file
 from pkm_studies.acceptance.plan import AXES
 from pkm_studies.acceptance.promise import promised_accuracy
-from pkm_studies.compensation.export import BadFitError, result_study
+from pkm_studies.compensation.export import BadFitError
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.run_state import Stream
-from pkm_studies.study import load
+from pkm_studies.stored_study import result_study
+from pkm_studies.user_code import Consent
 
 FILE = "acceptance.csv"
 
@@ -32,6 +33,7 @@ def plan_folder(
     power: float = 0.9,
     most: int = 12,
     study_file: Path | None = None,
+    consent: Consent = Consent.RECORDED,
 ) -> tuple[AcceptanceSection, Path]:
     """Plan the acceptance test of a result; the section, and the file to fill in.
 
@@ -40,12 +42,13 @@ def plan_folder(
     power                  asked for
     most                   poses at most
     study_file             study, where it names a machine in a file of its own
+    consent                to run that file
 
     Raises InputError, and BadFitError where the fit promises nothing.
     """
     result = result_folder.load_result(folder)
     _refuse_bad_fit(result)
-    study = result_study(result, folder) if study_file is None else load(study_file)
+    study = result_study(result, folder, study_file, consent)
     machine = study_machine(study)
     accuracy = promised_accuracy(
         result,

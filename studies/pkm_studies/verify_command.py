@@ -8,6 +8,8 @@ from typing import Annotated
 import typer
 
 from pkm_studies import console
+from pkm_studies.options import AllowCode
+from pkm_studies.user_code import Consent, consent
 
 DONE, FAILED = 0, 1
 
@@ -48,14 +50,16 @@ def verify(
             metavar="STUDY", help="The study, where its machine is a file of yours."
         ),
     ] = None,
+    allow_code: AllowCode = False,
 ) -> int:
     """Plan the acceptance test of a compensated machine, or judge its readings."""
     from pkm_studies.compensation.export import BadFitError
 
+    given = consent(allow_code=allow_code)
     try:
         if readings is not None:
             return _judge(folder, readings)
-        return _plan(folder, promise, uncertainty, power, poses, study)
+        return _plan(folder, promise, uncertainty, power, poses, study, given)
     except BadFitError as error:
         console.print_error(str(error))
         return FAILED
@@ -77,6 +81,7 @@ def _plan(
     power: float,
     poses: int,
     study: Path | None,
+    given: Consent,
 ) -> int:
     from pkm_studies import verification
 
@@ -87,6 +92,7 @@ def _plan(
         power=power,
         most=poses,
         study_file=study,
+        consent=given,
     )
     for sentence in verification.plan_sentences(section):
         print(sentence)

@@ -1,8 +1,7 @@
 """Functions of a user that compute the figures of a case, or summarise cases.
 
-A function is named by `package.module:function` or by `path/to/file.py:function`, as
-machines are. Files are relative to the campaign; modules are looked for in the working
-folder too. Every process looks its function up by itself.
+A function is named by `path/to/file.py:function`, relative to the campaign, as machines
+are. Every process looks its function up by itself.
 """
 
 from __future__ import annotations
@@ -10,9 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-import sys
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +19,7 @@ from oed.kinematics import AssemblyError
 from pkm_studies import catalogue
 from pkm_studies.campaign.case import COLUMNS
 from pkm_studies.errors import Place, shorten
+from pkm_studies.user_code import Origin
 
 #: failures of a case that are no fault of its function
 EXPECTED = (IdentificationError, AssemblyError, np.linalg.LinAlgError)
@@ -38,14 +36,12 @@ class UserFunction:
     """A function by name.
 
     reference  its name, see the module
-    folder     of the campaign
-    root       working folder of the command
+    origin     of the campaign
     file       of the campaign, for errors
     """
 
     reference: str
-    folder: str
-    root: str
+    origin: Origin
     file: str
 
     def load(self, field: str) -> Callable[..., Any]:
@@ -55,10 +51,8 @@ class UserFunction:
 
 @functools.cache
 def _loaded(function: UserFunction, field: str) -> Callable[..., Any]:
-    if function.root not in sys.path:
-        sys.path.append(function.root)
     place = Place(function.file, field)
-    return catalogue.function(function.reference, Path(function.folder), place)
+    return catalogue.function(function.reference, function.origin, place)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from pkm_studies.campaign.virtual_machine import VirtualMachine
 from pkm_studies.errors import InputError, Place, shorten
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import Study, decode, load, vary
+from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
 SUFFIX = ".campaign.toml"
@@ -40,7 +41,7 @@ class CampaignFile(
     study       a study file, relative to this one, or the name of a shipped study; its
                 virtual machines are the cases
     case        in place of a study: a function (setting, seed) -> figures of a case, as
-                "package.module:function" or "path/to/file.py:function"
+                "path/to/file.py:function", relative to this file
     summary     a function (cases of a combination, setting) -> its figures; means of a
                 case function's figures by default
     seeds       cases of each combination
@@ -70,6 +71,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     path: Path
     text: str
     varied: Study | None
+    consent: Consent = Consent.RECORDED
 
     @property
     def place(self) -> Place:
@@ -105,12 +107,13 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         if self.varied is None:
             return CaseFunction(self.user_function(self.case))
         study = self.study_with(setting)
-        return VirtualMachine(study.text, str(self.varied.path), self.diagnose)
+        path = str(self.varied.path)
+        return VirtualMachine(study.text, path, self.diagnose, self.consent)
 
     def user_function(self, reference: str) -> UserFunction:
         """A function that the file names."""
-        folder, root = str(self.path.parent.resolve()), str(Path.cwd())
-        return UserFunction(reference, folder, root, str(self.path))
+        origin = Origin(self.path.parent.resolve(), self.consent)
+        return UserFunction(reference, origin, str(self.path))
 
     def study_with(self, setting: Mapping[str, Any]) -> Study:
         """The study with other values of some fields. Raises InputError."""
@@ -118,8 +121,10 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return vary.with_setting(self.varied, setting, self.place.key("vary"))
 
 
-def load_campaign(path: Path) -> Campaign:
+def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
     """Read and check a campaign file, its study and every combination of its fields.
+
+    consent  to run Python files that it names, or its study
 
     A name without a suffix may be that of a shipped campaign.
 
@@ -138,9 +143,11 @@ def load_campaign(path: Path) -> Campaign:
     if tables.schema != SCHEMA:
         remedy = "this program reads schema = 1"
         raise place.key("schema").error("unknown version", remedy, tables.schema)
-    study = _study(tables, path, place) if _is_of_study(tables, place) else None
+    study = None
+    if _is_of_study(tables, place):
+        study = _study(tables, path, place, consent)
     fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
-    campaign = Campaign(**fields, path=path, text=text, varied=study)
+    campaign = Campaign(**fields, path=path, text=text, varied=study, consent=consent)
     _check_settings(campaign)
     return campaign
 
@@ -170,12 +177,12 @@ def _is_of_study(tables: CampaignFile, place: Place) -> bool:
     return bool(tables.study)
 
 
-def _study(tables: CampaignFile, path: Path, place: Place) -> Study:
+def _study(tables: CampaignFile, path: Path, place: Place, consent: Consent) -> Study:
     """The varied study, beside the campaign or shipped. Raises InputError."""
     neighbour = path.parent / tables.study
-    study = load(
-        neighbour if neighbour.is_file() else shipped.study_path(Path(tables.study))
-    )
+    is_neighbour = neighbour.is_file()
+    file = neighbour if is_neighbour else shipped.study_path(Path(tables.study))
+    study = load(file, consent)
     if study.prediction is None:
         raise place.key("study").error(
             "the study does not say where accuracy counts",

@@ -27,6 +27,7 @@ from pkm_studies.steps import fit as fit_steps
 from pkm_studies.steps import gap as gap_steps
 from pkm_studies.steps import readings as readings_steps
 from pkm_studies.study import Study, loader
+from pkm_studies.user_code import Consent
 
 #: prepared combinations that a process remembers
 REMEMBERED = 4
@@ -38,18 +39,20 @@ class VirtualMachine:
 
     study, path    text of the varied study, and the file that its paths start from
     diagnose       whether its readings are diagnosed
+    consent        to run Python files that the study names
     """
 
     study: str
     path: str
     diagnose: bool
+    consent: Consent
 
     def __call__(self, setting: Mapping[str, Any], seed: int) -> dict[str, Any]:
         """The figures of the machine of this seed.
 
         Raises IdentificationError, AssemblyError, numpy.linalg.LinAlgError.
         """
-        prepared, series = _prepared(self.study, self.path)
+        prepared, series = _prepared(self.study, self.path, self.consent)
         state = prepared.replace(seed=seed)
         simulated = readings_steps.simulate_readings(state, series)
         state = state.replace(readings=simulated.readings)
@@ -61,9 +64,11 @@ class VirtualMachine:
 
 
 @functools.lru_cache(maxsize=REMEMBERED)
-def _prepared(text: str, path: str) -> tuple[RunState, tuple[Series, ...]]:
+def _prepared(
+    text: str, path: str, consent: Consent
+) -> tuple[RunState, tuple[Series, ...]]:
     """The state with its plan, made once for all machines of a combination."""
-    study: Study = loader.parse(text, Path(path))
+    study: Study = loader.parse(text, Path(path), consent)
     state = design_steps.select_design(start(study, None, Silent(), []))
     state = design_steps.plan_stages(state)
     series = readings_steps.planned_series(state)

@@ -17,10 +17,11 @@ from pkm_studies.compensation import build
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.table_grid import COMMANDS
-from pkm_studies.errors import InputError, Place
-from pkm_studies.study import SUFFIX, Study, load
-from pkm_studies.study.loader import parse
+from pkm_studies.errors import InputError
+from pkm_studies.stored_study import result_study
+from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
+from pkm_studies.user_code import Consent, Origin
 
 #: the end of a file's name that is no part of the name itself
 ENDING = re.compile(r"\.[A-Za-z]\w*")
@@ -47,6 +48,7 @@ def export_folder(
     force: bool = False,
     commands: int = COMMANDS,
     firmware: str | None = None,
+    consent: Consent = Consent.RECORDED,
 ) -> Export:
     """Write the result of a folder in a format.
 
@@ -56,12 +58,13 @@ def export_folder(
     force       whether to write a bad fit
     commands    largest number of commands of a table
     firmware    version of the controller's firmware
+    consent     to run Python files that `reference` and `study_file` name
 
     Raises InputError, and BadFitError where the fit is bad.
     """
-    controller = catalogue.controller_format(reference, Path())
+    controller = catalogue.controller_format(reference, Origin.command(consent))
     result = result_folder.load_result(folder)
-    study = result_study(result, folder) if study_file is None else load(study_file)
+    study = result_study(result, folder, study_file, consent)
     if firmware is not None:
         study = _with_version(study, controller, firmware)
     return export(
@@ -152,39 +155,6 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
         f" over {len(command)} poses"
     )
     return (sentence, *remaining)
-
-
-def result_study(result: StudyResult, folder: Path) -> Study:
-    """The study of a result, at its file where that is near.
-
-    Raises InputError where the result does not hold it, and where its machine is a file
-    of the user's that is not found without it.
-    """
-    place = Place(str(folder / "result.json"))
-    if not result.study_text:
-        raise place.error("this result holds no study", "give it: --study STUDY")
-    study = parse(result.study_text, _study_path(result, folder))
-    model = study.machine.model.rpartition(":")[0] or study.machine.model
-    if model.endswith(".py") and not (study.folder / model).is_file():
-        raise place.error(
-            f"the machine is the file {model}, named from its study's folder",
-            "give the study: --study STUDY",
-        )
-    return study
-
-
-def _study_path(result: StudyResult, folder: Path) -> Path:
-    """The study's file, if it is in the result's folder, up to two above, or here."""
-    name = f"{result.study}{SUFFIX}"
-    for place in (folder, *folder.resolve().parents[:2], Path()):
-        path = place / name
-        if path.is_file() and _text(path) == result.study_text:
-            return path
-    return folder / name
-
-
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8", errors="replace")
 
 
 def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:

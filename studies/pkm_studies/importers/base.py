@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from oed.dataset.dialect import COMMENT
+from pkm_studies.user_code import Consent
 
 #: cells of a row of the readings file, by column
 Row = Mapping[str, str]
@@ -24,6 +25,8 @@ class ImportRequest:
     machine  the model that the user names, if any
     map      the user's column map, a TOML file, if any
     folder   where the study goes: paths in the study are relative to it
+    consent  to run Python files that the user, or his map, names
+    copies   Python files that the study names, to copy into the folder, by name there
     """
 
     files: tuple[Path, ...]
@@ -31,6 +34,8 @@ class ImportRequest:
     machine: str | None = None
     map: Path | None = None
     folder: Path = Path()
+    consent: Consent = Consent.RECORDED
+    copies: dict[str, Path] = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,6 @@ read_x_mm = "X"
 
 from __future__ import annotations
 
-import os
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ import tomli_w
 
 from oed.instrument import Instrument
 from oed.machine import Machine
-from pkm_studies import catalogue, files, template
+from pkm_studies import catalogue, files, template, user_code
 from pkm_studies.errors import Place, shorten
 from pkm_studies.importers.base import ImportRequest, readings_name
 from pkm_studies.resolve.machine import described_machine, study_machine
@@ -29,6 +28,7 @@ from pkm_studies.study import decode, loader
 from pkm_studies.study.tables.column_map import ColumnMap
 from pkm_studies.study.tables.fit import PredictionReference
 from pkm_studies.study.tables.machine import MachineTable
+from pkm_studies.user_code import Origin
 
 LIMIT = 200_000
 
@@ -67,22 +67,22 @@ def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
     --machine is a model, a file of the user's, or a study whose machine is meant.
     """
     if request.machine is not None and request.machine.endswith(".toml"):
-        study = loader.load(request.machine)
+        study = loader.load(request.machine, request.consent)
         machine = study_machine(study)
-        return _model(machine, study.machine, study.folder, request.folder)
+        return _model(machine, study.machine, study.folder, request)
     described: str | MachineTable | None = request.machine
-    folder, at = Path(), Place("--machine")
+    origin, at = Origin.command(request.consent), Place("--machine")
     if described is None:
         described, at = column_map.machine, place.key("machine")
-        folder = request.map.parent if request.map is not None else folder
+        origin = _map_origin(request)
     if described is None:
         raise at.error("missing", "give --machine, or machine in the map")
     if isinstance(described, str):
-        machine = catalogue.machine(described, folder, at)
+        machine = catalogue.machine(described, origin, at)
         described = MachineTable(model=described)
     else:
-        machine = described_machine(described, folder, at)
-    return _model(machine, described, folder, request.folder)
+        machine = described_machine(described, origin, at)
+    return _model(machine, described, origin.folder, request)
 
 
 def instrument(
@@ -100,13 +100,13 @@ def instrument(
     at = place.key("instrument")
     if reference is None:
         raise at.error("missing", "name one of `oed list instruments` in a --map file")
-    folder = request.map.parent if request.map is not None else Path()
-    loaded = catalogue.instrument(reference, folder, at)
+    origin = _map_origin(request)
+    loaded = catalogue.instrument(reference, origin, at)
     reason = loaded.for_machine(machine).unfit(machine)
     if reason is not None:
         problem = f"it cannot read {machine.name}: {reason}"
         raise at.error(problem, "take another of `oed list instruments`", reference)
-    return loaded.for_machine(machine), _from_folder(reference, folder, request.folder)
+    return loaded.for_machine(machine), _from_folder(reference, origin.folder, request)
 
 
 def text(column_map: ColumnMap) -> str:
@@ -156,9 +156,17 @@ def imported_study(
     return f"{head}\n\n{tomli_w.dumps(tables)}\n{prediction}"
 
 
-def _model(machine: Machine, table: MachineTable, folder: Path, out: Path) -> Model:
+def _map_origin(request: ImportRequest) -> Origin:
+    """Where the models that a map names are looked for."""
+    folder = request.map.parent if request.map is not None else Path()
+    return Origin(folder, request.consent)
+
+
+def _model(
+    machine: Machine, table: MachineTable, folder: Path, request: ImportRequest
+) -> Model:
     """The model whose table names its file as the out folder sees it."""
-    reference = _from_folder(table.model, folder, out)
+    reference = _from_folder(table.model, folder, request)
     return Model(machine, msgspec.structs.replace(table, model=reference))
 
 
@@ -169,12 +177,17 @@ def _stated(table: MachineTable) -> dict[str, Any]:
     return {key: value for key, value in plain.items() if value != defaults[key]}
 
 
-def _from_folder(reference: str, folder: Path, out: Path) -> str:
-    """A reference as the out folder sees it: paths of files change."""
-    path, colon, attribute = reference.rpartition(":")
-    if reference.endswith(".py"):
-        path, colon, attribute = reference, "", ""
-    if not path.endswith(".py"):
+def _from_folder(reference: str, folder: Path, request: ImportRequest) -> str:
+    """A reference as the out folder sees it.
+
+    A file from outside is to be copied: a study names files of its own folder alone.
+    """
+    if not user_code.is_file(reference):
         return reference
-    relative = os.path.relpath((folder / path).resolve(), out.resolve())
-    return Path(relative).as_posix() + colon + attribute
+    name = user_code.file_name(reference)
+    attribute = reference[len(name) :]
+    path, out = (folder / name).resolve(), request.folder.resolve()
+    if path.is_relative_to(out):
+        return path.relative_to(out).as_posix() + attribute
+    request.copies[path.name] = path
+    return path.name + attribute

@@ -12,6 +12,7 @@ from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest
 from pkm_studies.study import SUFFIX
 from pkm_studies.study.loader import parse
+from pkm_studies.user_code import Consent
 
 
 def import_files(
@@ -22,6 +23,7 @@ def import_files(
     name: str | None = None,
     machine: str | None = None,
     column_map: Path | None = None,
+    consent: Consent = Consent.RECORDED,
 ) -> tuple[Path, ImportedSession]:
     """Write study and readings into the folder `out`; the study's path and the session.
 
@@ -31,27 +33,41 @@ def import_files(
     files.check_writable(out)
     title = study_name(name or paths[0].name.split(".")[0])
     request = ImportRequest(
-        files=tuple(paths), name=title, machine=machine, map=column_map, folder=out
+        files=tuple(paths),
+        name=title,
+        machine=machine,
+        map=column_map,
+        folder=out,
+        consent=consent,
     )
     targets = [out / f"{title}{SUFFIX}", out / base.readings_name(title)]
     for path in targets:
         _check_new(path)
     session = importer.read(request)
-    contents = [session.study, _readings(session, targets[0])]
+    contents: list[str | bytes] = [
+        session.study,
+        _readings(session, targets[0], consent),
+    ]
     map_path = out / f"{title}.map.toml"
     if session.column_map is not None and not map_path.exists():
         targets.append(map_path)
         contents.append(session.column_map)
+    for name, source in request.copies.items():
+        code = source.read_bytes()
+        if _is_missing(out / name, code):
+            targets.append(out / name)
+            contents.append(code)
     # the study last: whoever finds it finds what it names
     for path, content in reversed(list(zip(targets, contents, strict=True))):
         files.write_whole(path, content)
     return targets[0], session
 
 
-def _readings(session: ImportedSession, path: Path) -> str:
+def _readings(session: ImportedSession, path: Path, consent: Consent) -> str:
     """The readings file, with what its columns mean where the study resolves."""
     try:
-        comments = conventions.comments_of_study(parse(session.study, path))
+        study = parse(session.study, path, consent)
+        comments = conventions.comments_of_study(study)
     except InputError:
         return base.readings_text(session.rows)
     return base.readings_text(session.rows, comments)
@@ -61,6 +77,14 @@ def study_name(text: str) -> str:
     """A name for a study from a file's name, such as `printer` from `printer.cfg`."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", text).strip("_-")
     return name or "imported"
+
+
+def _is_missing(path: Path, content: bytes) -> bool:
+    """Whether a file is to be written. Raises InputError where another is there."""
+    if path.is_file() and path.read_bytes() == content:
+        return False
+    _check_new(path)
+    return True
 
 
 def _check_new(path: Path) -> None:

@@ -24,7 +24,7 @@ def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
     place = study.place.key("effects")
     for entry in catalogue.listing("effects"):
         if entry.name not in known:
-            known[entry.name] = catalogue.effect(entry.name, study.folder, place)
+            known[entry.name] = catalogue.effect(entry.name, study.origin, place)
     for field in study.effects:
         name = _effect_of(field, known)
         at = place.key(field)

@@ -92,7 +92,7 @@ def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect,
         if entry == ALL:
             names = [e.name for e in catalogue.listing("effects")]
         for name in names:
-            effect = catalogue.effect(name, study.folder, at)
+            effect = catalogue.effect(name, study.origin, at)
             effects[effect.name] = effect
     for i, name in enumerate(table.without):
         if name not in effects:
@@ -112,7 +112,7 @@ def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect,
 def _acting_effect(
     study: Study, table: ActingTable, machine: Machine, place: Place
 ) -> ActingEffect:
-    effect: Effect = catalogue.effect(table.effect, study.folder, place.key("effect"))
+    effect: Effect = catalogue.effect(table.effect, study.origin, place.key("effect"))
     reason = effect.unfit(machine)
     if reason is not None:
         raise place.key("effect").error(

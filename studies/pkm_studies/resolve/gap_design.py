@@ -133,7 +133,7 @@ def _effects(
     machine = measurement.machine
     effects: list[Effect] = []
     for i, name in enumerate(names):
-        effect: Effect = catalogue.effect(name, study.folder, place.item(i))
+        effect: Effect = catalogue.effect(name, study.origin, place.item(i))
         reason = effect.unfit(machine)
         if reason is not None:
             raise place.item(i).error(

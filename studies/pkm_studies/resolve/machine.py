@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
 from pkm_studies.study import Study
 from pkm_studies.study.tables import MachineTable
+from pkm_studies.user_code import Origin
 
 #: values of each coordinate at which the workspace is tried
 TRIED = 3
@@ -35,20 +35,20 @@ def study_machine(study: Study, *, assembled: bool = True) -> Machine:
     assembled  whether it must assemble at home
     """
     place = study.place.key("machine")
-    return described_machine(study.machine, study.folder, place, assembled=assembled)
+    return described_machine(study.machine, study.origin, place, assembled=assembled)
 
 
 def described_machine(
-    table: MachineTable, folder: Path, place: Place, *, assembled: bool = True
+    table: MachineTable, origin: Origin, place: Place, *, assembled: bool = True
 ) -> Machine:
     """The machine of a table [machine]. Raises InputError.
 
-    folder     that a model's file is relative to
+    origin     of the table: where a model's file lies, and whether it may run
     place      of the table, for errors
     assembled  whether it must assemble at home
     """
     at = place.key("model")
-    model: Machine = catalogue.machine(table.model, folder, at, assembled=assembled)
+    model: Machine = catalogue.machine(table.model, origin, at, assembled=assembled)
     machine = _of_family(table, model, place)
     machine = _with_nominal(table, machine, place)
     machine = _with_ranges(table, machine, place)

@@ -54,7 +54,7 @@ def _instrument(
 ) -> Instrument:
     """The instrument with the channels it has here. Raises InputError."""
     at = place.key("instrument")
-    listed: Instrument = catalogue.instrument(table.instrument, study.folder, at)
+    listed: Instrument = catalogue.instrument(table.instrument, study.origin, at)
     instrument = listed.for_machine(machine)
     reason = instrument.unfit(machine)
     if reason is not None:

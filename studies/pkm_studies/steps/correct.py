@@ -80,10 +80,10 @@ def _effects(
     """The effects of the command, or those that the diagnosis selected."""
     if state.with_effects:
         place = state.study.place.key("--with")
-        folder = state.study.folder
+        origin = state.study.origin
         names = dict.fromkeys(state.with_effects)
         return [
-            sized(catalogue.effect(name, folder, place), state.study) for name in names
+            sized(catalogue.effect(name, origin, place), state.study) for name in names
         ]
     if gap is None or gap.verdict == "none":
         return []

@@ -13,6 +13,7 @@ from pkm_studies import files
 from pkm_studies.errors import Place, shorten
 from pkm_studies.study import decode
 from pkm_studies.study.tables import ReadingsTable, StudyFile
+from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
 #: bytes of the largest study file
@@ -21,10 +22,11 @@ SUFFIX = ".study.toml"
 
 
 class Study(StudyFile, frozen=True, kw_only=True):
-    """A study as loaded: its tables, its file and its text."""
+    """A study as loaded: its tables, its file, its text, and consent to its code."""
 
     path: Path
     text: str
+    consent: Consent = Consent.RECORDED
 
     @property
     def place(self) -> Place:
@@ -36,18 +38,25 @@ class Study(StudyFile, frozen=True, kw_only=True):
         """Folder that paths in the study are relative to."""
         return self.path.parent
 
+    @property
+    def origin(self) -> Origin:
+        """Where the models that it names are looked for, and whether they may run."""
+        return Origin(self.folder, self.consent)
 
-def load(path: Path | str) -> Study:
+
+def load(path: Path | str, consent: Consent = Consent.RECORDED) -> Study:
     """Read and check a study file.
+
+    consent  to run Python files that it names, once they are needed
 
     Raises InputError that names file, field, value and remedy.
     """
     path = Path(path)
     text = files.read_text(path, limit=LIMIT, what="study file")
-    return parse(text, path)
+    return parse(text, path, consent)
 
 
-def parse(text: str, path: Path) -> Study:
+def parse(text: str, path: Path, consent: Consent = Consent.RECORDED) -> Study:
     """As `load`, from text; errors name `path`, and the study's paths start there."""
     place = Place(str(path))
     try:
@@ -61,10 +70,12 @@ def parse(text: str, path: Path) -> Study:
     tables = decode.decode(StudyFile, table, place)
     _check_tables(tables, place)
     fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
-    return Study(**fields, path=path, text=text)
+    return Study(**fields, path=path, text=text, consent=consent)
 
 
-def from_tables(tables: Mapping[str, Any], folder: Path) -> Study:
+def from_tables(
+    tables: Mapping[str, Any], folder: Path, consent: Consent = Consent.RECORDED
+) -> Study:
     """A study from nested tables as in a study file. Raises InputError.
 
     `schema` may be left out. Paths in the study are relative to `folder`.
@@ -78,7 +89,7 @@ def from_tables(tables: Mapping[str, Any], folder: Path) -> Study:
         raise Place(str(path)).error(
             f"a value has no TOML form: {error}", "use numbers, texts, lists and tables"
         ) from error
-    return parse(text, path)
+    return parse(text, path, consent)
 
 
 def _toml(text: str, place: Place) -> dict[str, Any]:

@@ -31,7 +31,7 @@ def with_setting(study: Study, setting: Mapping[str, Any], place: Place) -> Stud
     for field, value in setting.items():
         _assign(tables, field, value, place.key(field))
     text = msgspec.toml.encode(tables).decode()
-    return loader.parse(text, study.path)
+    return loader.parse(text, study.path, study.consent)
 
 
 def _assign(tables: Any, field: str, value: Any, place: Place) -> None:

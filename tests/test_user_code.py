@@ -1,0 +1,305 @@
+"""Python files run once their user allowed them, and no other way leads to them."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib import _bootstrap_external
+from pathlib import Path
+
+import compensation_sample
+import msgspec
+import pytest
+import sample
+
+import oed
+from pkm_models.machines import linear_delta
+from pkm_studies import cli, permissions, study
+from pkm_studies.errors import InputError
+from pkm_studies.resolve.resolved import resolve
+
+Run = Callable[..., tuple[int, str, str]]
+#: a machine whose file leaves a trace where it runs
+MACHINE = """\
+from pathlib import Path
+from pkm_models.machines.a3_head import machine
+trace = Path(__file__).with_suffix(".ran")
+trace.write_text(trace.read_text() + "+" if trace.exists() else "+")
+"""
+STUDY = sample.changed(sample.STUDY, ('"a3_head"', '"mine.py:machine"'))
+READINGS = sample.READINGS
+
+
+@pytest.fixture(autouse=True)
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user who allowed nothing yet, and trusts no folder."""
+    monkeypatch.delenv("OED_TRUSTED_FOLDERS")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A study of somebody else, with its machine."""
+    folder = tmp_path / "theirs"
+    folder.mkdir()
+    (folder / "mine.py").write_text(MACHINE, "utf-8")
+    (folder / "s.study.toml").write_text(STUDY, "utf-8")
+    (folder / "r.csv").write_text(READINGS, "utf-8")
+    return folder
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Run:
+    def call(*arguments: object) -> tuple[int, str, str]:
+        code = cli.main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return call
+
+
+def runs(folder: Path) -> int:
+    """How often the machine's file ran."""
+    trace = folder / "mine.ran"
+    return len(trace.read_text()) if trace.exists() else 0
+
+
+def test_no_command_runs_the_file_of_a_study_by_itself(folder: Path, call: Run) -> None:
+    path, readings, out = folder / "s.study.toml", folder / "r.csv", folder / "out"
+    digest = hashlib.sha256(MACHINE.encode()).hexdigest()
+    for command in (
+        ("check", path),
+        ("check", folder / "mine.py"),
+        ("check", path, "--picture", folder / "home.png"),
+        ("run", path, "--out", out),
+        ("plan", path, "--out", out),
+        ("simulate", path, "--out", folder / "x.csv"),
+        ("identify", path, "--readings", readings, "--out", out),
+        ("diagnose", path, "--readings", readings, "--out", out),
+        ("next", path, "--readings", readings),
+    ):
+        code, _, error = call(*command)
+        assert code == 2, command
+        assert digest in error
+        assert "mine.py" in error
+        assert "--allow-code" in error
+        assert str(permissions.settings_file()) in error
+        assert error.count("\n") == 1
+    assert runs(folder) == 0
+    assert not (out / "result.json").exists()
+
+
+def test_consent_holds_while_the_file_is_unchanged(folder: Path, call: Run) -> None:
+    path = folder / "s.study.toml"
+    assert call("check", path, "--allow-code")[0] == 0
+    assert runs(folder) == 1
+    resolve(oed.load_study(path))  # remembered, also for the module in memory
+    (folder / "mine.py").write_text(MACHINE + "# changed\n", "utf-8")
+    assert call("check", path)[0] == 2
+    assert runs(folder) == 1
+    resolve(oed.load_study(path, allow_code=True))
+    assert call("check", path)[0] == 0
+    assert runs(folder) == 2
+
+
+def test_consent_is_remembered_by_other_processes(folder: Path) -> None:
+    command = [sys.executable, "-m", "pkm_studies.cli", "check", "s.study.toml"]
+    codes = [
+        subprocess.run([*command, *more], cwd=folder, check=False).returncode
+        for more in ([], ["--allow-code"], [])
+    ]
+    assert codes == [2, 0, 0]
+    assert runs(folder) == 2
+
+
+def test_a_trusted_folder_needs_no_consent(
+    folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = folder / "s.study.toml"
+    monkeypatch.setenv(
+        "OED_TRUSTED_FOLDERS", os.pathsep.join(["/elsewhere", str(folder)])
+    )
+    assert call("check", path)[0] == 0
+    monkeypatch.delenv("OED_TRUSTED_FOLDERS")
+    assert call("check", path)[0] == 2
+    settings = permissions.settings_file()
+    settings.parent.mkdir(parents=True)
+    settings.write_text(f"trusted_folders = [{str(folder.parent)!r}]\n", "utf-8")
+    assert call("check", path)[0] == 0
+    for text, words in (
+        ('trusted_folders = ["."]', "this folder is relative"),
+        ("trusted_folders = 3", "a list of folders is wanted"),
+        ("trusted_folders", "this is no TOML"),
+    ):
+        settings.write_text(text, "utf-8")
+        code, _, error = call("check", path)
+        assert code == 2
+        assert words in error
+        assert str(settings) in error
+
+
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ("../mine.py", "does not lie in the folder"),
+        ("{parent}/mine.py", "does not lie in the folder"),
+        ("C:/mine.py", "does not lie in the folder"),
+        ("link.py", "does not lie in the folder"),
+        ("mine:machine", "belongs to no installed machine"),
+        ("os:machine", "belongs to no installed machine"),
+        ("pkm_studies.cli:machine", "belongs to no installed machine"),
+    ],
+)
+def test_a_study_names_files_of_its_folder_alone(
+    reference: str,
+    words: str,
+    folder: Path,
+    call: Run,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Consent covers the folder of the study, not every file that its text reaches."""
+    parent = folder.parent
+    (parent / "mine.py").write_text(MACHINE, "utf-8")
+    (folder / "link.py").symlink_to(parent / "mine.py")
+    monkeypatch.syspath_prepend(str(parent))
+    path = folder / "s.study.toml"
+    named = reference.replace("{parent}", parent.as_posix())
+    path.write_text(STUDY.replace("mine.py:machine", named), "utf-8")
+    code, _, error = call("check", path, "--allow-code")
+    assert code == 2
+    assert words in error
+    assert runs(parent) == runs(folder) == 0
+
+
+def test_folders_that_share_a_machine_are_both_trusted(
+    folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder.parent / "mine.py").write_text(MACHINE, "utf-8")
+    path = folder / "s.study.toml"
+    path.write_text(STUDY.replace("mine.py", "../mine.py"), "utf-8")
+    monkeypatch.setenv("OED_TRUSTED_FOLDERS", str(folder))
+    assert call("check", path)[0] == 2
+    monkeypatch.setenv("OED_TRUSTED_FOLDERS", str(folder.parent))
+    assert call("check", path)[0] == 0
+
+
+def test_the_text_of_the_digest_runs_and_no_cached_code(
+    folder: Path, call: Run
+) -> None:
+    """Python itself would run compiled code that lies beside an innocent file."""
+    evil = compile(MACHINE.replace('"+"', '"++"'), "mine.py", "exec")
+    cache = Path(importlib.util.cache_from_source(str(folder / "mine.py")))
+    cache.parent.mkdir()
+    unchecked = _bootstrap_external._code_to_hash_pyc(evil, b"\0" * 8, checked=False)
+    cache.write_bytes(unchecked)
+    assert call("check", folder / "s.study.toml", "--allow-code")[0] == 0
+    assert runs(folder) == 1
+
+
+def test_a_result_runs_no_code(
+    tmp_path: Path, call: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where the file was allowed, or lies in a trusted folder."""
+    monkeypatch.setenv("OED_TRUSTED_FOLDERS", str(tmp_path))
+    content = compensation_sample.result(
+        linear_delta.machine, linear_delta.machine.nominal
+    )
+    text = content.study_text.replace('"linear_delta"', '"mine.py:machine"')
+    results = [tmp_path / name for name in "ab"]
+    for place in results:
+        changed = msgspec.structs.replace(content, study_text=text)
+        compensation_sample.save(place, changed)
+        (place / "mine.py").write_text(MACHINE, "utf-8")
+    monkeypatch.chdir(results[0])
+    for command in (
+        ("compensate", ".", "--to", "csv"),
+        ("verify", "."),
+        ("history", *results),
+        ("compare", *results),
+        ("report", "."),
+    ):
+        for options in ([], ["--allow-code"]):
+            if options and command[0] in ("compare", "report"):
+                continue
+            assert call(*command, *options)[0] in (0, 1, 2)
+    assert call("compensate", ".", "--to", "csv", "--allow-code")[0] == 2
+    assert runs(results[0]) == runs(results[1]) == 0
+
+
+def test_drafts_and_formats_need_consent(
+    folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    new = ("new", "mine", "--machine", "mine.py:machine", "--instrument", "ball_bar")
+    assert call(*new)[0] == 2
+    assert call(*new, "--allow-code")[0] == 0
+    (folder / "form.py").write_text(
+        "from pkm_studies.compensation.content import ControllerFormat\n"
+        "controller = ControllerFormat(name='mine', about='', source='',\n"
+        "    write=lambda c: {'.txt': 'written'})\n",
+        "utf-8",
+    )
+    content = compensation_sample.result(
+        linear_delta.machine, linear_delta.machine.nominal
+    )
+    compensation_sample.save(folder / "d", content)
+    command = ("compensate", "d", "--to", folder / "form.py")
+    assert call(*command)[0] == 2
+    assert not (folder / "d" / "compensation.txt").exists()
+    assert call(*command, "--allow-code")[0] == 0
+    assert (folder / "d" / "compensation.txt").read_text() == "written"
+
+
+def test_an_import_takes_the_machine_along(folder: Path, call: Run) -> None:
+    """A study names files of its folder: the machine's is copied there."""
+    (folder / "points.csv").write_text(
+        "z_mm,psi_deg,theta_deg,read_x_mm,read_y_mm,read_z_mm\n"
+        "1146,0,0,0,0,1146\n1146,90,10,0.1,0,1146\n1166,0,10,0,0.1,1166\n",
+        "utf-8",
+    )
+    (folder / "map.toml").write_text('instrument = "camera_known_frame"\n', "utf-8")
+    out = folder.parent / "session"
+    command = ["import", "columns", folder / "points.csv", "--out", out]
+    command += ["--machine", folder / "mine.py", "--map", folder / "map.toml"]
+    assert call(*command)[0] == 2
+    assert not out.exists()
+    assert call(*command, "--allow-code")[0] == 0
+    assert (out / "mine.py").read_text() == MACHINE
+    assert call("check", out / "points.study.toml")[0] != 2  # the same digest
+    (out / "mine.py").write_text("# another", "utf-8")
+    code, _, error = call(*command, "--allow-code", "--name", "b")
+    assert code == 2
+    assert "importing overwrites nothing" in error
+
+
+def test_campaigns_need_consent_in_each_process(folder: Path, call: Run) -> None:
+    (folder / "mine.py").write_text(
+        MACHINE + "def figures(setting, seed):\n    return {'value': seed}\n", "utf-8"
+    )
+    path = folder / "own.campaign.toml"
+    text = 'schema = 1\nname = "own"\ncase = "mine.py:figures"\nseeds = 4\n'
+    path.write_text(text, "utf-8")
+    command = ("campaign", path, "--out", folder / "out", "--workers", 2)
+    assert call(*command)[0] == 2
+    assert runs(folder) == 0
+    assert call(*command, "--allow-code")[0] == 0
+    rows = [json.loads(p.read_text()) for p in (folder / "out" / "cases").iterdir()]
+    assert sorted(row["value"] for row in rows) == [1, 2, 3, 4]
+
+
+def test_without_a_list_consent_ends_with_the_process(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As in a container whose home cannot be written."""
+    (tmp_path / "file").write_text("", "utf-8")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    path = folder / "s.study.toml"
+    resolve(study.load(path, study.Consent.GIVEN))
+    with pytest.raises(InputError, match="SHA-256"):
+        resolve(study.load(path))
