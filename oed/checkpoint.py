@@ -8,9 +8,10 @@ the same random numbers.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
-import shutil
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -22,13 +23,17 @@ from oed.whole_file import whole_file
 
 #: attribute of a block that states to which chain it belongs
 FINGERPRINT = "fingerprint"
+#: names of blocks: their first step
+BLOCK = re.compile(r"\d{8}\.h5")
+#: names of folders of single chains
+CHAIN = re.compile(r"\d+")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """Where the blocks of one chain are.
+    """Where the blocks of one chain are, or the folders of several chains.
 
-    folder  of the blocks; nothing else is in it
+    folder  of the blocks; other files in it stay
     key     text about what is sampled: a chain of another key is not resumed
     """
 
@@ -36,8 +41,22 @@ class Checkpoint:
     key: str
 
     def clear(self) -> None:
-        """Remove the blocks, once the result holds what they were for."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        """Remove the blocks of all chains, once the result holds what they were for.
+
+        A folder goes with them where nothing else is in it.
+        """
+        with contextlib.suppress(OSError):
+            for path in self.blocks():
+                path.unlink()
+            for path in self.folder.iterdir():
+                if path.is_dir() and CHAIN.fullmatch(path.name):
+                    Checkpoint(path, self.key).clear()
+            self.folder.rmdir()
+
+    def blocks(self) -> list[Path]:
+        """Files of the blocks, in their order."""
+        paths = sorted(self.folder.glob("*.h5"))
+        return [path for path in paths if BLOCK.fullmatch(path.name)]
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -77,7 +96,7 @@ def open_chain(
     if checkpoint is None:
         return Chain(backend, None, "")
     fingerprint = _fingerprint(checkpoint.key, determining)
-    for path in sorted(checkpoint.folder.glob("*.h5")):
+    for path in checkpoint.blocks():
         if _first_step(path, fingerprint) == backend.iteration:
             _append(backend, emcee.backends.HDFBackend(str(path), read_only=True))
         else:

@@ -25,7 +25,7 @@ from oed.ensembles import Ensembles, ensemble_sizes
 from oed.estimate import Estimate
 from oed.log_density import LogDensity, OutOfBoundsError
 from oed.measurement import Measurement, Series
-from oed.whole_file import whole_file
+from oed.own_files import save_own
 
 #: steps after which chains are saved, and between checks of convergence at least
 CHECK_STEPS = 50
@@ -288,8 +288,11 @@ def _diagnostics(
     return ess, rhat
 
 
-def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:
-    """Write the draws, SI, as NetCDF for xarray and ArviZ, whole or not at all."""
+def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> Path:
+    """Write the draws, SI, as NetCDF for xarray and ArviZ, whole or not at all.
+
+    Returns the path: one with a number where the user changed the file.
+    """
     import arviz_base
 
     groups = {
@@ -315,5 +318,4 @@ def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> None:
         },
     )
     tree.attrs.update(attributes)
-    with whole_file(path) as part:
-        tree.to_netcdf(part, engine="h5netcdf")
+    return save_own(path, lambda part: tree.to_netcdf(part, engine="h5netcdf"))

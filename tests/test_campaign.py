@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
@@ -285,6 +286,66 @@ def test_bad_case_functions_are_refused(
 ) -> None:
     own.write_text(sample.changed(OWN, (old, new)), encoding="utf-8")
     assert_refused(own, tmp_path / "out", words, capsys)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b'{"case": "plain", "str',
+        b"[1]",
+        b"\xff\xfe",
+        b"{}",
+        b'{"seed": 3}',
+        "other",
+    ],
+)
+def test_a_broken_case_is_set_aside_and_computed_again(
+    own: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    content: bytes | str,
+) -> None:
+    out = tmp_path / "out"
+    assert run(own, out) == 0
+    whole = (out / "cases.csv").read_bytes()
+    path = out / "cases" / "0001-000003.json"
+    other = path.with_name("0001-000004.json").read_bytes()
+    broken = other if isinstance(content, str) else content
+    path.write_bytes(broken)
+    capsys.readouterr()
+    assert run(own, out) == 0
+    printed = capsys.readouterr().out
+    assert f"Warning: {path} is no whole case: it is now 0001-000003-broken.json" in (
+        printed
+    )
+    assert (out / "cases" / "0001-000003-broken.json").read_bytes() == broken
+    assert (out / "cases.csv").read_bytes() == whole
+    assert run(own, out) == 0
+    assert "no whole case" not in capsys.readouterr().out
+
+
+def test_no_text_of_a_case_is_a_formula(own: Path, tmp_path: Path) -> None:
+    """A spreadsheet would evaluate it; Parquet keeps it as it is."""
+    changes = (
+        ('["plain", "singular"]', '["=cmd()"]'),
+        ("stream = [4]", '"@field" = ["+x"]'),
+    )
+    own.write_text(sample.changed(OWN, *changes), encoding="utf-8")
+    function = "def figures(setting, seed):\n    return {'=f()': '-text', 'n': -1.5}\n"
+    (own.parent / "own.py").write_text(function, encoding="utf-8")
+    out = tmp_path / "out"
+    assert run(own, out) == 0
+    for name in ("cases.csv", "summary.csv"):
+        header, row, *_ = csv.reader(
+            (out / name).read_text(encoding="utf-8").splitlines()
+        )
+        for cell in (*header, *row):
+            assert not cell.startswith(("=", "@", "+")), cell
+    assert "-1.5" in row or "-1.5" in (out / "cases.csv").read_text()
+    table = pd.read_parquet(out / "cases.parquet")
+    assert table["case"].to_list() == ["=cmd()"] * 6
+    assert "'-text" in (out / "cases.csv").read_text()
 
 
 def test_a_failure_in_another_process_is_the_user_s_too(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import plan_sample
 import pytest
 import sample
 
+from oed import own_files
 from pkm_studies import cli
 
 #: readings of a few poses, nothing to choose
@@ -66,7 +68,99 @@ def test_filled_in_readings_stay(study: Path, tmp_path: Path) -> None:
     again = sample.table_lines((out / "poses-2.csv").read_text(encoding="utf-8"))
     assert len(again) == 20
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
-    assert any("poses.csv was changed" in warning for warning in result["warnings"])
+    stays = "poses.csv is not as this version wrote it, and stays as it is"
+    assert any(stays in warning for warning in result["warnings"])
+
+
+#: a study with a posterior and every file that a run writes
+WHOLE = (
+    sample.DELTA
+    + "[readings]\nfiles = ['r.csv']\n[posterior]\nsteps = 100\n"
+    + "[report]\npdf = false\n"
+)
+
+
+def again(study: Path, out: Path) -> None:
+    """Run the study, whose few readings are no good fit."""
+    assert run("run", study, "--out", out) == 1
+
+
+@pytest.fixture(scope="module")
+def first_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the study and its first result."""
+    folder = tmp_path_factory.mktemp("first")
+    (folder / "s.study.toml").write_text(WHOLE, encoding="utf-8")
+    (folder / "r.csv").write_text(sample.DELTA_READINGS, encoding="utf-8")
+    again(folder / "s.study.toml", folder / "out")
+    return folder
+
+
+@pytest.fixture
+def whole(first_run: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """The study with a posterior, and the folder of its result."""
+    folder = shutil.copytree(first_run, tmp_path / "copy")
+    return folder / "s.study.toml", folder / "out"
+
+
+@pytest.mark.parametrize("name", ["report.html", "posterior.nc"])
+def test_a_file_that_the_user_edited_stays(
+    whole: tuple[Path, Path], name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The new one gets a number, and the terminal names it."""
+    study, out = whole
+    path = out / name
+    edited = path.read_bytes() + b"<!-- my remark -->"
+    path.write_bytes(edited)
+    capsys.readouterr()
+    assert cli.main(["run", str(study), "--out", str(out)]) == 1
+    printed = capsys.readouterr().out
+    assert f"Warning: The file {name} is not as this version wrote it" in printed
+    assert f"the new one is {path.stem}-2{path.suffix}" in printed
+    assert path.read_bytes() == edited
+    assert {p.name for p in out.glob(f"{path.stem}*")} == {
+        name,
+        f"{path.stem}-2{path.suffix}",
+    }
+    if name == "report.html":
+        assert f"Report: {out / 'report-2.html'}" in printed
+        assert cli.main(["report", str(out)]) == 0
+        assert path.read_bytes() == edited
+
+
+@pytest.mark.parametrize("older", [False, True])
+def test_a_result_that_the_user_edited_is_set_aside(
+    whole: tuple[Path, Path], older: bool
+) -> None:
+    """The same for folders of versions that kept no list of their files."""
+    study, out = whole
+    study.write_text(
+        WHOLE.replace("[posterior]", "[posterior]\nenabled = false"), "utf-8"
+    )
+    path = out / "result.json"
+    edited = json.loads(path.read_bytes()) | {"title": "mine"}
+    path.write_text(json.dumps(edited), encoding="utf-8")
+    if older:
+        (out / own_files.LIST).unlink()
+    again(study, out)
+    assert json.loads((out / "result-earlier.json").read_bytes()) == edited
+    assert json.loads(path.read_bytes())["title"] != "mine"
+    again(study, out)
+    assert not (out / "result-earlier-2.json").exists()
+
+
+def test_what_the_program_did_not_write_stays_in_its_folders(
+    whole: tuple[Path, Path],
+) -> None:
+    study, out = whole
+    unfinished = out / "posterior.unfinished"
+    assert not unfinished.exists()
+    (unfinished / "0").mkdir(parents=True)
+    notes = [unfinished / "notes.txt", unfinished / "0" / "mine.h5"]
+    for path in notes:
+        path.write_text("mine", encoding="utf-8")
+    again(study, out)
+    assert [path.read_text(encoding="utf-8") for path in notes] == ["mine"] * 2
+    assert not list(unfinished.rglob("0*.h5"))
 
 
 def test_another_programs_result_stays(

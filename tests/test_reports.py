@@ -19,6 +19,7 @@ import pytest
 import report_fixture
 from report_fixture import result_of, shown_text, text_of
 
+from oed import own_files
 from oed.result import StudyResult
 from pkm_reports import document, sections, write_report
 from pkm_reports import html as html_writer
@@ -94,7 +95,7 @@ def test_both_files_are_whole(full: tuple[Path, Path]) -> None:
     assert book.read_bytes().startswith(b"%PDF")
     assert b"%%EOF" in book.read_bytes()[-32:]
     files = sorted(p.name for p in page.parent.iterdir())
-    assert files == ["report.html", "report.pdf"]
+    assert files == [own_files.LIST, "report.html", "report.pdf"]
 
 
 def test_page_is_small_and_loads_nothing(full: tuple[Path, Path]) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from oed import csv_text
 from oed.arrays import Array
 from oed.dataset.columns import (
     REQUIRED,
@@ -19,7 +18,7 @@ from oed.dataset.columns import (
     is_covariate,
 )
 from oed.dataset.data import ColumnLayout, Dataset, consecutive
-from oed.dataset.dialect import COMMENT
+from oed.dataset.dialect import commented
 from oed.measurement import Series
 from oed.whole_file import whole_file
 
@@ -49,13 +48,8 @@ def to_csv(
         rows += _rows(s, values, covariates, layout)
     header = dict.fromkeys(name for row in rows for name in row)
     names = sorted(header, key=lambda name: _rank(name, dataset))
-    text = io.StringIO(newline="")
-    if comments is not None:
-        text.writelines(f"{COMMENT} {line}\n" for line in comments(names))
-    writer = csv.DictWriter(text, names, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    above = () if comments is None else comments(names)
+    return commented(above) + csv_text.of_tables(names, rows)
 
 
 def _rows(

@@ -13,7 +13,7 @@ import csv
 import dataclasses
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
 from oed.dataset.columns import REQUIRED
@@ -63,6 +63,11 @@ def decode(content: bytes) -> str:
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
     return content.decode("utf-8-sig")
+
+
+def commented(lines: Iterable[str]) -> str:
+    """The text of lines that readers skip."""
+    return "".join(f"{COMMENT} {line}\n" for line in lines)
 
 
 def split(text: str) -> SplitText:

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from oed import units
+from oed import csv_text, units
 from oed.arrays import Array, Mask
 from oed.dataset import dialect
 from oed.dataset.columns import (
@@ -156,7 +156,7 @@ def from_rows(
     names = [cell.strip() for cell in rows[0][1]]
     for stem, column in columns.items():
         k = names.index(column.name)
-        text = [cells[k].strip() for _, cells in body]
+        text = [csv_text.plain(cells[k].strip()) for _, cells in body]
         is_label = stem in LABELS
         points = dialect.with_decimal_points(text, separator)
         frame[stem] = text if is_label else _numbers(column, points, numbers, file)

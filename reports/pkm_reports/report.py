@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from oed.own_files import write_own
 from oed.result import StudyResult
-from oed.whole_file import whole_file
 from pkm_reports import document
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
@@ -17,9 +17,9 @@ def write_report(
 ) -> tuple[Path, ...]:
     """Write `report.html` and `report.pdf`, or one of them, into the folder `out`.
 
-    The folder is created where it is missing. Files appear complete or not at all: they
-    are written under another name first. Returns the paths, HTML first. Raises OSError
-    where the folder cannot be written.
+    The folder is created where it is missing. Files appear complete or not at all. One
+    that the user changed stays, and the new one gets a number. Returns the paths, HTML
+    first. Raises OSError where the folder cannot be written.
     """
     return write_document(document.build(result), out, "report", html=html, pdf=pdf)
 
@@ -34,11 +34,4 @@ def write_document(
     if pdf:
         pages[f"{name}.pdf"] = pdf_writer.render(report)
     out.mkdir(parents=True, exist_ok=True)
-    return tuple(_write_whole(out / file, page) for file, page in pages.items())
-
-
-def _write_whole(path: Path, page: bytes) -> Path:
-    """Write a file so that it appears complete or not at all."""
-    with whole_file(path) as part:
-        part.write_bytes(page)
-    return path
+    return tuple(write_own(out / file, page) for file, page in pages.items())

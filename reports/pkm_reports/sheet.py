@@ -10,9 +10,9 @@ from typing import Final
 
 import msgspec
 
+from oed.own_files import write_own
 from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
 from oed.text import shorten
-from oed.whole_file import whole_file
 from pkm_reports import missing, pdf, text
 from pkm_reports.document import footer
 
@@ -91,10 +91,7 @@ def write_sheet(
     words = msgspec.json.encode(build(result, poses))
     page = pdf.compile_typst("sheet.typ", {"sheet.json": words})
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "measurement_sheet.pdf"
-    with whole_file(path) as part:
-        part.write_bytes(page)
-    return path
+    return write_own(folder / "measurement_sheet.pdf", page)
 
 
 def build(result: StudyResult, poses: Sequence[PlannedReading]) -> Sheet:

@@ -48,13 +48,15 @@ def campaign(
     folder = Path("out") / loaded.name if out is None else out
     with display.progress(quiet=quiet) as progress:
         progress.stage("cases")
-        runner.run_cases(
+        broken = runner.run_cases(
             loaded,
             folder,
             workers=workers or os.cpu_count() or 1,
             scheduler=scheduler,
             progress=progress.share,
         )
+    for sentence in broken:
+        print(f"Warning: {sentence}.")
     table = results.read_table(loaded, folder)
     summary = results.summarise(loaded, table)
     paths = results.write_table(table, summary, folder)

@@ -32,8 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # before NumPy is loaded: the matrices are small, and two BLAS threads on busy cores
     # slow them down tenfold
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    console.set_up()
     try:
+        console.set_up()
         return _call(arguments)
     except InputError as error:
         return _bad_input(str(error))
@@ -71,9 +71,16 @@ def _interrupted() -> int:
 
 
 def _about_file(error: OSError) -> str:
+    """What a file refuses; an error without a name may be the output's own."""
     problem = (error.strerror or type(error).__name__).lower()
+    name = error.filename
+    if console.is_about_output(error):
+        console.discard_output()
+        name = console.OUTPUT
+    if name == console.OUTPUT:
+        return f"{name}: {problem}; send it to a terminal, a pipe or another file."
     return (
-        f"{error.filename or 'a file'}: {problem}; check the name, its folder and its"
+        f"{name or 'the system'}: {problem}; check the name, its folder and its"
         " permissions, and close it in other programs."
     )
 

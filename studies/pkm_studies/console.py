@@ -2,23 +2,57 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import os
 import sys
 from typing import Any
 
+#: the standard output in messages
+OUTPUT = "standard output"
+#: errors of writing: full disk, quota, largest file, device, closed stream
+DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
+
 
 def set_up() -> None:
-    """Replace characters that the terminal's encoding lacks, as σ in cp1252, by ?."""
+    """Replace characters that the terminal's encoding lacks, as σ in cp1252, by ?.
+
+    Raises OSError where the standard output is closed. Streams that are closed get the
+    null device: otherwise the next file that is opened would have their number.
+    """
+    _fill_closed_streams()
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    if sys.stdout is None:
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+        raise OSError(errno.EBADF, "it is closed", OUTPUT)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
 
 
+def _fill_closed_streams() -> None:
+    """Open the null device for each of the three streams that is closed."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
+
+
 def print_error(line: str) -> None:
-    """Print one line about an error on stderr."""
-    print(f"oed: {line}", file=sys.stderr, flush=True)
+    """Print one line about an error on stderr, if it can be written."""
+    with contextlib.suppress(OSError, ValueError):
+        print(f"oed: {line}", file=sys.stderr, flush=True)
+
+
+def is_about_output(error: OSError) -> bool:
+    """Whether an error says that the standard output cannot be written.
+
+    Errors about files state their names (`oed.whole_file`), those of streams none.
+    """
+    return error.filename is None and error.errno in DISK_ERRORS
 
 
 def print_json(value: Any) -> None:

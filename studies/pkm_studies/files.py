@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import os
-from collections.abc import Collection
 from pathlib import Path
 
 from oed.whole_file import whole_file
@@ -42,24 +40,6 @@ def check_new(path: Path) -> None:
 def digest(content: bytes) -> str:
     """SHA-256 of a file's content."""
     return hashlib.sha256(content).hexdigest()
-
-
-def unused_path(path: Path, content: str, written: Collection[str]) -> Path:
-    """Where to write `content`: `path`, or `path` with a number, as in poses-2.csv.
-
-    written  digests of files that may be replaced
-
-    A file that was changed after it was written, as by filled-in readings, stays.
-    """
-    new = digest(content.encode("utf-8"))
-    for number in itertools.count(1):
-        name = path.name if number == 1 else f"{path.stem}-{number}{path.suffix}"
-        candidate = path.with_name(name)
-        if not candidate.is_file():
-            return candidate
-        if digest(candidate.read_bytes()) in (new, *written):
-            return candidate
-    raise AssertionError
 
 
 def out_folder(path: Path) -> Path:

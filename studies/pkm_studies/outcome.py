@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from oed import own_files
 from oed.result import trust
 from pkm_studies import console
 
@@ -17,14 +18,18 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2
 def report_outcome(result: StudyResult, folder: Path, quiet: bool) -> int:
     """Print headline, files and claims; the exit code."""
     if not quiet:
+        from pkm_studies import result_folder
+
         for sentence in (*result.headline, *_advice(result)):
             print(sentence)
         for warning in result.warnings:
             if warning not in result.headline:
                 print(f"Warning: {_sentence(warning)}")
+        for sentence in result_folder.changed_files(folder):
+            print(f"Warning: {_sentence(sentence)}")
         names = ("report.html", "report.pdf", "result.json")
-        paths = [folder / name for name in names if (folder / name).is_file()]
-        print(f"Report: {', '.join(map(str, paths))}")
+        paths = [own_files.latest(folder / name) for name in names]
+        print(f"Report: {', '.join(str(p) for p in paths if p.is_file())}")
         for name in result.written:
             if name.startswith("poses"):
                 print(f"To fill in: {folder / name}")

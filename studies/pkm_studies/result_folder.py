@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
 import oed
-from oed import dataset, posterior
+from oed import dataset, own_files, posterior
 from oed.checkpoint import Checkpoint
 from oed.measurement import Measurement, Series
 from oed.posterior import Posterior
@@ -20,13 +20,16 @@ from pkm_studies.run_state import RunState
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.plan import files as plan_files
 from pkm_studies.stages.plan.section import PlanOutcome
-from pkm_studies.stored_result import load_result, write_report
+from pkm_studies.stored_result import load_result, read_result, write_report
 from pkm_studies.study import Study
 
 __all__ = ["checkpoint", "load_result", "prepare", "rewrite", "write", "write_report"]
 
 #: folder of an unfinished posterior
 UNFINISHED = "posterior.unfinished"
+RESULT, POSTERIOR = "result.json", "posterior.nc"
+#: files that are written after the result
+PAGES = ("report.html", "report.pdf", "measurement_sheet.pdf")
 
 
 def checkpoint(folder: Path, study: Study, seed: int) -> Checkpoint:
@@ -53,25 +56,18 @@ def write(
     changed, as by filling readings into poses.csv, stays, and the new one gets another
     name. Returns the result with the digests of the files.
     """
-    earlier = _written_before(folder)
+    known = _written_before(folder)
     written: dict[str, str] = {}
-    warnings = list(result.warnings)
-    texts = _texts(result, state)
-    for name, text in texts.items():
-        path = files.unused_path(folder / name, text, earlier)
-        written[path.name] = files.digest(text.encode("utf-8"))
-        if path.name != name:
-            warnings.append(
-                f"{name} was changed after it was written, and stays as it is; the new"
-                f" one is {path.name}"
-            )
-    result = msgspec.structs.replace(result, written=written, warnings=warnings)
-    encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
-    files.write_whole(folder / "result.json", encoded)
+    names: dict[str, str] = {}
+    for name, text in _texts(result, state).items():
+        path = own_files.write_own(folder / name, text.encode(), known)
+        written[path.name] = files.digest(text.encode())
+        names[name] = path.name
     if state.posterior is not None:
-        _save_posterior(folder, result, state.posterior)
-    for name, text in zip(written, texts.values(), strict=True):
-        files.write_whole(folder / name, text)
+        names[POSTERIOR] = _save_posterior(folder, result, state.posterior).name
+    warnings = [*result.warnings, *_renamed(names), *_set_aside(folder)]
+    result = msgspec.structs.replace(result, written=written, warnings=warnings)
+    _write_result(folder, result)
     if sheet:
         _write_sheet(folder, result, state.plan)
     return result
@@ -79,11 +75,46 @@ def write(
 
 def rewrite(folder: Path, result: StudyResult) -> None:
     """Write result.json of a folder again, and the reports that the folder has."""
-    encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
-    files.write_whole(folder / "result.json", encoded)
+    _set_aside(folder)
+    _write_result(folder, result)
     html, pdf = ((folder / f"report.{kind}").is_file() for kind in ("html", "pdf"))
     if html or pdf:
         write_report(folder, html=html, pdf=pdf)
+
+
+def changed_files(folder: Path) -> list[str]:
+    """Sentences on reports and sheets that the user changed, and that stay."""
+    names = {name: own_files.latest(folder / name).name for name in PAGES}
+    return list(_renamed(names))
+
+
+def _renamed(names: Mapping[str, str]) -> Iterator[str]:
+    """Sentences on files that were written under another name."""
+    for name, written in names.items():
+        if written != name:
+            yield (
+                f"the file {name} is not as this version wrote it, and stays as it is;"
+                f" the new one is {written}"
+            )
+
+
+def _set_aside(folder: Path) -> list[str]:
+    """Rename a result.json that is not as it was written; a sentence about it.
+
+    Results of versions that kept no list of their files are among these.
+    """
+    path = folder / RESULT
+    if not path.exists() or own_files.is_own(path):
+        return []
+    return [
+        f"the file {RESULT} was not as this version wrote it, and is now"
+        f" {own_files.set_aside(path, 'earlier').name}"
+    ]
+
+
+def _write_result(folder: Path, result: StudyResult) -> None:
+    encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
+    own_files.write_own(folder / RESULT, encoded)
 
 
 def _texts(result: StudyResult, state: RunState) -> dict[str, str]:
@@ -105,11 +136,11 @@ def _texts(result: StudyResult, state: RunState) -> dict[str, str]:
 
 def _written_before(folder: Path) -> list[str]:
     """Digests of the files that an earlier run wrote into the folder."""
-    path = folder / "result.json"
+    path = folder / RESULT
     if not path.exists():
         return []
     try:
-        return list(load_result(folder).written.values())
+        return list(read_result(path).written.values())
     except InputError as error:
         raise InputError(
             "this file is no result, and it is not overwritten",
@@ -118,10 +149,10 @@ def _written_before(folder: Path) -> list[str]:
         ) from error
 
 
-def _save_posterior(folder: Path, result: StudyResult, draws: Posterior) -> None:
+def _save_posterior(folder: Path, result: StudyResult, draws: Posterior) -> Path:
     """Write the draws as NetCDF, for xarray and ArviZ."""
     attributes = {"study": result.study, "units": "SI", "seed": str(result.seed)}
-    posterior.save(draws, folder / "posterior.nc", attributes)
+    return posterior.save(draws, folder / POSTERIOR, attributes)
 
 
 def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:

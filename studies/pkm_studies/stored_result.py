@@ -20,7 +20,11 @@ def load_result(folder: Path) -> StudyResult:
 
     Raises InputError where there is none, or the file is no result.
     """
-    path = folder / "result.json"
+    return read_result(folder / "result.json")
+
+
+def read_result(path: Path) -> StudyResult:
+    """The result in a file, as it stands there. Raises InputError as `load_result`."""
     text = files.read_text(path, limit=LIMIT, what="result")
     try:
         return msgspec.json.decode(text, type=StudyResult)

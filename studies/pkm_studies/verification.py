@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from oed import own_files
 from oed.result import AcceptanceSection, StudyResult, VerificationSection, trust
 from pkm_studies import files, result_folder
 from pkm_studies.acceptance import plan
@@ -60,13 +61,14 @@ def plan_folder(
     rng = np.random.default_rng([result.seed, int(Stream.ACCEPTANCE)])
     section = plan.plan_section(result, accuracy, rng, power=power, most=most)
     text = plan.to_fill_in(section, machine)
-    path = files.unused_path(folder / FILE, text, list(result.written.values()))
-    written = {**result.written, path.name: files.digest(text.encode("utf-8"))}
+    known = list(result.written.values())
+    path = own_files.write_own(folder / FILE, text.encode(), known)
+    written = {**result.written, path.name: files.digest(text.encode())}
     result = msgspec.structs.replace(
         result, acceptance=section, verification=None, written=written
     )
     result_folder.rewrite(folder, result)
-    return section, files.write_whole(path, text)
+    return section, path
 
 
 def judge_folder(folder: Path, readings: Path) -> VerificationSection:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 import numpy as np
 
-from oed import units
+from oed import csv_text, units
 from oed.acceptance import AcceptancePlan, Promise, plan_acceptance, state_limits
 from oed.arrays import Array, Index
-from oed.dataset.dialect import COMMENT
+from oed.dataset.dialect import commented
 from oed.machine import Component, Machine
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult
 from pkm_studies import conventions
@@ -143,11 +141,8 @@ def to_fill_in(section: AcceptanceSection, machine: Machine) -> str:
     columns = list(error_columns(section.components).values())
     if section.further:
         columns += [*error_columns(section.further).values(), AXES]
-    text = io.StringIO()
-    text.writelines(f"{COMMENT} {line}\n" for line in _comments(section, machine))
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*section.poses[0], "direction", *columns])
+    rows = [[*section.poses[0], "direction", *columns]]
     for pose in section.poses:
         values = [f"{value:.10g}" for value in pose.values()]
-        writer.writerow([*values, "", *[""] * len(columns)])
-    return text.getvalue()
+        rows.append([*values, "", *[""] * len(columns)])
+    return commented(_comments(section, machine)) + csv_text.of_rows(rows)

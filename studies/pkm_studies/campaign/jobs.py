@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -62,5 +62,21 @@ def _work(
 
 
 def read_row(path: Path) -> Row:
-    """The row of a job that is done."""
-    return dict(json.loads(path.read_text(encoding="utf-8")))
+    """The row of a job that is done. Raises ValueError where it is not whole."""
+    row = json.loads(path.read_bytes())
+    if not isinstance(row, dict):
+        raise ValueError("no row of a table")
+    return row
+
+
+def is_done(path: Path, known: Mapping[str, Any], required: Sequence[str]) -> bool:
+    """Whether a file has the whole row of a job, with values that are known before.
+
+    required  names of further values
+    """
+    try:
+        row = read_row(path)
+    except (OSError, ValueError, RecursionError):
+        return False
+    has_all = row.keys() >= {*known, *required}
+    return has_all and all(row[name] == value for name, value in known.items())

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oed.whole_file import whole_file
+from oed import csv_text
+from oed.own_files import save_own, write_own
 from pkm_studies.campaign import jobs
 from pkm_studies.campaign.case import ERROR, PROCESSOR_TIME
 from pkm_studies.campaign.machine_summary import summarise_machines
@@ -44,15 +46,15 @@ def processor_time(campaign: Campaign, out: Path) -> float:
 def write_table(
     table: pd.DataFrame, summary: pd.DataFrame, out: Path
 ) -> tuple[Path, ...]:
-    """Write `cases.parquet`, `cases.csv` and `summary.csv`, whole."""
-    parquet = out / "cases.parquet"
-    with whole_file(parquet) as part:
-        table.to_parquet(part, index=False)
-    texts = {out / "cases.csv": table, out / "summary.csv": summary}
-    for path, frame in texts.items():
-        with whole_file(path) as part:
-            frame.to_csv(part, index=False, lineterminator="\n")
-    return parquet, *texts
+    """Write `cases.parquet`, `cases.csv` and `summary.csv`, whole; their paths.
+
+    One that the user changed stays, and the new one gets a number.
+    """
+    return (
+        save_own(out / "cases.parquet", partial(table.to_parquet, index=False)),
+        write_own(out / "cases.csv", csv_text.of_frame(table).encode()),
+        write_own(out / "summary.csv", csv_text.of_frame(summary).encode()),
+    )
 
 
 def summarise(campaign: Campaign, table: pd.DataFrame) -> pd.DataFrame:

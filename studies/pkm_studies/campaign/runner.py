@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from oed import own_files
 from pkm_studies import files
 from pkm_studies.campaign import jobs
-from pkm_studies.campaign.case import Case, evaluate
+from pkm_studies.campaign.case import ERROR, SEED, Case, evaluate
 from pkm_studies.campaign.case_function import CaseFunctionError
 from pkm_studies.campaign.jobs import Job
 from pkm_studies.campaign.tables import Campaign
@@ -25,8 +27,8 @@ def run_cases(
     workers: int,
     scheduler: str = "",
     progress: Callable[[float], None] = lambda share: None,
-) -> None:
-    """Do the cases that `out` lacks.
+) -> list[str]:
+    """Do the cases that `out` lacks; sentences on files that were no whole cases.
 
     workers    processes on this computer; 1: this one alone
     scheduler  address of a Dask scheduler, in place of them
@@ -35,6 +37,7 @@ def run_cases(
     function fails.
     """
     every = list(_jobs(campaign, _case_folder(campaign, out)))
+    broken = [_set_aside(job.path) for job in every if _is_broken(job)]
     missing = [job for job in every if not job.path.is_file()]
     done = len(every) - len(missing)
     # No batch may be so large that some processes have nothing to do.
@@ -49,6 +52,24 @@ def run_cases(
         raise campaign.place.key("case").error(
             str(error), "mend the function; the other cases stay", campaign.case
         ) from error
+    return broken
+
+
+def _is_broken(job: Job[Case]) -> bool:
+    """Whether a case's file is there, but has no whole row of this case."""
+    if not job.path.is_file():
+        return False
+    case = job.case
+    # a list or table of a setting comes back as JSON has it
+    setting = json.loads(json.dumps(dict(case.setting)))
+    known = {**setting, SEED: case.seed}
+    return not jobs.is_done(job.path, known, [ERROR])
+
+
+def _set_aside(path: Path) -> str:
+    """Rename a broken file; a sentence about it."""
+    name = own_files.set_aside(path, "broken").name
+    return f"{path} is no whole case: it is now {name}, and was computed again"
 
 
 def case_paths(campaign: Campaign, out: Path) -> list[Path]:
@@ -73,7 +94,7 @@ def _case_folder(campaign: Campaign, out: Path) -> Path:
     if campaign.varied is not None:
         digest = files.digest(campaign.varied.text.encode())
         content = f"# study: {digest}\n{content}"
-    if stamp.is_file() and stamp.read_text(encoding="utf-8") != content:
+    if stamp.is_file() and stamp.read_bytes() != content.encode():
         raise InputError(
             "it holds cases of another campaign, or of this one before a change",
             "choose another folder with --out, or remove this one",

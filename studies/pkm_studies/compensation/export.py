@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 
 from oed.compensate import ParameterCompensator, component_errors
+from oed.own_files import write_own
 from oed.result import StudyResult, trust
 from oed.text import quantity
 from pkm_studies import catalogue, files, result_folder
@@ -171,4 +172,5 @@ def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:
                     "this file is there already", "name another one", file=str(path)
                 )
     contents = zip(paths, texts.values(), strict=True)
-    return tuple(files.write_whole(path, text) for path, text in contents)
+    files.out_folder(paths[0].parent)
+    return tuple(write_own(path, text.encode()) for path, text in contents)

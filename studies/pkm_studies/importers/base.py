@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from oed.dataset.dialect import COMMENT
+from oed import csv_text
+from oed.dataset.dialect import commented
 from pkm_studies.user_code import Consent
 
 #: cells of a row of the readings file, by column
@@ -84,12 +83,8 @@ def readings_text(
     comments  lines above the header, from the names of the columns
     """
     header = dict.fromkeys(column for row in rows for column in row)
-    text = io.StringIO(newline="")
-    text.writelines(f"{COMMENT} {line}\n" for line in comments(list(header)))
-    writer = csv.DictWriter(text, list(header), restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    names = list(header)
+    return commented(comments(names)) + csv_text.of_tables(names, rows)
 
 
 def line_field(number: int, field: str = "") -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Final
 
@@ -13,6 +14,8 @@ from pkm_reports.sections.stages.chapter import has_schedule
 
 #: set-ups and stages named one by one
 MOST: Final = 6
+#: names of files with readings to fill in; numbered where an earlier one is filled in
+POSES: Final = re.compile(r"(\w+_)?poses(-\d+)?\.csv")
 
 
 def title(result: StudyResult) -> str:
@@ -118,7 +121,7 @@ def _stages(result: StudyResult) -> list[tuple[str, str]]:
 
 
 def _list_of_readings(result: StudyResult) -> list[tuple[str, str]]:
-    files = [name for name in result.written if name.endswith("poses.csv")]
+    files = [name for name in result.written if POSES.fullmatch(name)]
     if not files or not is_plan(result):
         return []
     return [("List", f"{text.listing(files)}, with cells for the readings.")]

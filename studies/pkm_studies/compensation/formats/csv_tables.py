@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from oed import units
+from oed import csv_text, units
 from oed.arrays import Array
 from oed.result import EffectTable
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
@@ -78,11 +78,7 @@ def _effects(tables: Sequence[EffectTable]) -> Iterable[list[str]]:
 
 
 def _text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    return buffer.getvalue()
+    return csv_text.of_rows([header, *rows])
 
 
 def joints(texts: Texts, compensation: Compensation) -> Array:

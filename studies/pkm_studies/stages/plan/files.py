@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 
-from oed import result
+from oed import csv_text, result
 from oed.arrays import Array
 from oed.machine import Machine
 from oed.measurement import Measurement, Series
@@ -38,9 +36,7 @@ def stages_csv(plan: result.PlanSection) -> str:
     for number, stage in enumerate(plan.stages, start=1):
         times = _times(stage) if has_times else []
         rows.append([number, *_stage_cells(stage), *times])
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()
+    return csv_text.of_rows(rows)
 
 
 def _stage_cells(stage: result.StageRecord) -> list[object]:
