@@ -12,9 +12,10 @@ from oracles import a3_geometry
 
 from oed.kinematics import Kinematics
 from pkm_models.machines import a3_head, delta, hexapod
+from pkm_reports.figures import machine
 from pkm_studies.progress import Silent
 from pkm_studies.run_state import start
-from pkm_studies.stages import drawing_labels
+from pkm_studies.stages import describe, drawing_labels
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.steps.readings import planned_series
 from pkm_studies.study import load
@@ -79,3 +80,57 @@ def test_planned_readings_state_the_joints_of_the_nominal_machine(
 def test_a_machine_without_a_skeleton_has_no_labels() -> None:
     """As most files of a user's own are at first."""
     assert _labels(dataclasses.replace(delta.machine, skeleton=None)) == {}
+
+
+MIXED = """\
+schema = 1
+name = "mixed"
+
+[machine]
+model = "a3_head"
+
+[[setup]]
+name = "camera"
+instrument = "camera_known_frame"
+
+[[setup]]
+name = "cup"
+instrument = "ball_bar_free_cup"
+length_mm = 300.0
+at_x_mm = 0.0
+at_y_mm = 0.0
+at_z_mm = 1286.0
+
+[[design.reference]]
+name = "both"
+setup = "camera"
+z_mm = 1146.0
+psi_deg = [0.0, 90.0]
+theta_deg = 20.0
+
+[[design.reference]]
+name = "both"
+setup = "cup"
+z_mm = 1146.0
+psi_deg = { from = 0.0, to = 360.0, count = 6, endpoint = false }
+theta = "hold"
+"""
+
+
+def test_each_tool_point_has_its_own_far_end_or_none(tmp_path: Path) -> None:
+    """Set-ups with a cup and without one: no reading gets the bar of another."""
+    path = tmp_path / "mixed.study.toml"
+    path.write_text(MIXED, "utf-8")
+    state = start(load(path), None, Silent(), None)
+    plan = state.resolved.reference_plans[0]
+    measurement = state.resolved.measurement_with(plan.setups)
+    drawn = describe.drawing(measurement, plan.series)
+    assert drawn.reading_of == ["camera"] * 2 + ["cup"] * 6
+    assert drawn.bars[:2] == [[], []]
+    for bar, tip in zip(drawn.bars[2:], drawn.tool_points[2:], strict=True):
+        assert bar == [[0.0, 0.0, 1.286], tip]
+    shown = machine.scene_of(drawn)
+    for owner, tip, bar in zip(shown.setups, shown.tips, shown.bars, strict=True):
+        assert len(bar) == (0 if owner == "camera" else 2)
+        if owner == "cup":
+            assert bar[1] == pytest.approx(tip)

@@ -11,6 +11,7 @@ import pytest
 import sample
 import test_bad_fit
 
+from oed.noise.law import reach_words
 from pkm_studies import cli
 
 ESTIMATED = sample.changed(
@@ -55,6 +56,7 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     noise = fit(tmp_path, readings.with_y(readings.y + shift), ESTIMATED)["noise"]
     shared = noise["run cup.length"]
     assert shared["value"] > noise["reading cup.length"]["value"]
+    assert 0.0 < noise["reach"]["value"] <= blunders.POINTS
 
 
 def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
@@ -77,3 +79,19 @@ def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path: Path) -> None:
     assert goodness["chi2"] == pytest.approx(result["estimate"]["chi2"])
     assert goodness["dof"] == pytest.approx(result["estimate"]["dof"])
     assert not goodness["noise"]
+
+
+@pytest.mark.parametrize(
+    ("reach", "longest", "words"),
+    [
+        (22145.0, 27, "over whole runs of up to 27 readings"),
+        (20.0, 27, "over whole runs of up to 27 readings"),
+        (5.2, 27, "over about 5 readings"),
+        (0.3, 27, "to the next reading"),
+        (300.0, float("inf"), "over about 300 readings"),
+    ],
+)
+def test_a_reach_is_what_the_runs_can_show(
+    reach: float, longest: float, words: str
+) -> None:
+    assert reach_words(reach, longest) == words

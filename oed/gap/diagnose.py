@@ -104,7 +104,7 @@ def conclude(
         set95=answers.credible_set(groups),
         marginal=_marginal(search.library.effects, hypotheses, shares),
         law=law,
-        noise_words=describe(law),
+        noise_words=describe(law, problem.longest),
         constants=_constants(search, best, [size.effect for size in parts.sizes]),
         coefficients=parts.coefficients,
         sizes=parts.sizes,

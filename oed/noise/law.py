@@ -26,6 +26,8 @@ from oed.noise.runs import RunLayout, Runs
 
 #: share of the stated noise from which a part of a law is described
 WORTH_SAYING = 0.2
+#: share of the longest run beyond which its readings do not show where an error ends
+SHOWN_REACH = 0.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,8 +171,23 @@ def law_of(laws: Laws, row: int, channel: Index) -> NoiseLaw:
     )
 
 
-def describe(law: NoiseLaw) -> tuple[str, ...]:
-    """A law as a person reads it."""
+def reach_words(reach: float, longest: float) -> str:
+    """How far an error is carried along a run, as far as its readings can show it.
+
+    reach, longest  in readings; of the error, and of the longest run
+    """
+    if reach > SHOWN_REACH * longest:
+        return f"over whole runs of up to {longest:.0f} readings"
+    if reach < 1.5:
+        return "to the next reading"
+    return f"over about {reach:.0f} readings"
+
+
+def describe(law: NoiseLaw, longest: float = np.inf) -> tuple[str, ...]:
+    """A law as a person reads it.
+
+    longest  number of readings of the longest run
+    """
     sentences = [f"single readings scatter by {law.level:.2g} times the stated noise"]
     if law.run_sd > WORTH_SAYING:
         sentences.append(
@@ -184,7 +201,7 @@ def describe(law: NoiseLaw) -> tuple[str, ...]:
     if law.ar1_sd > WORTH_SAYING:
         sentences.append(
             f"an error of {law.level * law.ar1_sd:.2g} times the stated noise is"
-            f" carried along over about {law.ar1_length:.0f} readings"
+            f" carried along {reach_words(law.ar1_length, longest)}"
         )
     if np.isfinite(law.student_dof):
         sentences.append(

@@ -72,6 +72,11 @@ class Runs:
         return len(self.position)
 
     @property
+    def longest(self) -> int:
+        """Length of the longest run, in steps of `position`."""
+        return 1 + max(int(np.ptp(self.position[m])) for m in self.members)
+
+    @property
     def levels(self) -> Array:
         """`level`, ones by default."""
         return np.ones(len(self)) if self.level is None else self.level

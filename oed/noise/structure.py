@@ -72,6 +72,14 @@ class ReadingStructure:
         """Number of chains, and readings of the longest one."""
         return len(self.run), int(self.slot[1].max()) + 1
 
+    @property
+    def longest(self) -> int:
+        """Length of the longest chain, in steps of `position`."""
+        ends = np.full((2, len(self.run)), -np.inf)
+        np.maximum.at(ends[0], self.chain, self.position)
+        np.maximum.at(ends[1], self.chain, -self.position)
+        return 1 + int(ends.sum(axis=0).max())
+
     @functools.cached_property
     def first_chains(self) -> Index:
         """First chain of each run (R,)."""

@@ -33,7 +33,7 @@ class NoiseNumber:
              reach (in readings)
     of       set-up and channel, `cup.length`; set-up for a seat; "" for all readings
     unit     SI unit of a standard deviation; 1 for a share, `readings` for the reach
-    value    posterior mean, SI
+    value    posterior mean, SI; the reach at most as long as the longest run
     sd       posterior standard deviation, SI
     stated   what the stated noise has, SI; None for the reach
     departs  whether it surely differs from that by more than matters
@@ -94,7 +94,9 @@ def _numbers(
         far = laws.carried - share > MOST_CARRIED
         yield number("carried", "", "1", laws.carried, share, far)
         never = np.zeros(len(laws), dtype=bool)
-        yield number("reach", "", "readings", laws.reach, statement.reach, never)
+        # beyond the longest run, readings cannot tell how far it goes
+        reach = np.minimum(laws.reach, posterior.structure.longest)
+        yield number("reach", "", "readings", reach, statement.reach, never)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

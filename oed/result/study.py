@@ -53,6 +53,8 @@ class DrawingLabel(Record, frozen=True):
 class Drawing(Record, frozen=True):
     """The machine at its home pose and the planned tool points, m, base frame.
 
+    bars             of each tool point, empty without a far end; none where no reading
+                     has one
     runs, commands   of each tool point; commands in user units, empty where only joints
                      are known
     labels           where the machine's parameters act

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from oed.result import StudyResult
+from oed.result import StudyResult, relations
 from pkm_studies import files
 from pkm_studies.errors import Place
 
@@ -18,9 +18,17 @@ LIMIT = 1 << 28
 def load_result(folder: Path) -> StudyResult:
     """The result in a folder; keys that its file lacks have their defaults.
 
-    Raises InputError where there is none, or the file is no result.
+    Raises InputError where there is none, the file is no result, or it contradicts
+    itself.
     """
-    return read_result(folder / "result.json")
+    path = folder / "result.json"
+    result = read_result(path)
+    for breach in relations.breaches(result):
+        raise Place(str(path), breach.field).error(
+            f"this result contradicts itself: {breach.problem}",
+            "it was changed after it was written: make it again, or restore the entry",
+        )
+    return result
 
 
 def read_result(path: Path) -> StudyResult:

@@ -40,7 +40,7 @@ class Scene:
 
     lines     kind and points (n, 3) of each polyline
     tips      tool points (n, 3)
-    bars      the reading's far end and the tool point, (2, 3) each
+    bars      the reading's far end and the tool point, (2, 3) each; (0, 3) without
     setups    set-up of each tool point
     """
 
@@ -95,11 +95,13 @@ def scene_of(drawing: Drawing) -> Scene:
     tips = points_mm(drawing.tool_points)
     setups = _setup_of_each(drawing, len(tips))
     shown = _evenly(setups)
-    bars = drawing.bars
+    # results of older versions list far ends only where there is one: of which reading
+    # is then unknown
+    bars = drawing.bars if len(drawing.bars) == len(tips) else []
     return Scene(
         lines=[(line.kind, points_mm(line.points)) for line in drawing.lines],
         tips=tips[shown],
-        bars=[points_mm(bars[k]) for k in shown if k < len(bars)],
+        bars=[points_mm(bars[k]) for k in shown] if bars else [],
         setups=[setups[k] for k in shown],
     )
 
@@ -246,7 +248,7 @@ def legend_entries(shown: Scene) -> list[Line2D]:
             label="machine",
         )
     )
-    if shown.bars:
+    if any(map(len, shown.bars)):
         label = "bar or line of sight"
         entries.append(
             Line2D(

@@ -109,9 +109,10 @@ def _readings(result: StudyResult, drawing: Drawing) -> list[ViewReading]:
     count = len(drawing.tool_points)
     runs, commands = _runs_and_commands(result, drawing)
     fitted = residuals_of_readings(result, drawing)
-    tips, far_ends = _mm(drawing.tool_points), [bar[0] for bar in drawing.bars]
-    paired = len(far_ends) == count
-    far = [_mm([end])[0] for end in far_ends] if paired else [None] * count
+    tips = _mm(drawing.tool_points)
+    paired = len(drawing.bars) == count
+    bars = drawing.bars if paired else [[]] * count
+    far = [_mm(bar[:1])[0] if bar else None for bar in bars]
     setups = [*drawing.reading_of, *["reading"] * count][:count]
     return [
         ViewReading(

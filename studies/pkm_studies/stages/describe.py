@@ -147,9 +147,10 @@ def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
             tips.append(tip)
             owners.append(s.setup)
             far_end = _far_end(setup, tool_points, row)
-            if far_end is not None:
-                bars.append([far_end, tip])
+            bars.append([] if far_end is None else [far_end, tip])
     labels = parameter_labels(kinematics, x[0], q[0])
+    if not any(bars):
+        bars = []
     return Drawing(lines, tips, owners, bars, runs, commands, labels)
 
 

@@ -10,6 +10,7 @@ from oed import units
 from oed.checks.goodness import Goodness
 from oed.estimate import Estimate
 from oed.instrument import Setup
+from oed.noise.law import reach_words
 from oed.noise.summary import NoiseNumber, noise_numbers
 from oed.result import GoodnessSection, NoiseRecord, trust
 
@@ -31,7 +32,8 @@ def with_noise(
     numbers = noise_numbers(posterior, setups)
     records = {f"{n.kind} {n.of}".rstrip(): _record(n) for n in numbers}
     assumed = posterior.prior.statement.is_assumed
-    words = _words(numbers, "assumed" if assumed else "stated")
+    stated_as = "assumed" if assumed else "stated"
+    words = _words(numbers, stated_as, posterior.structure.longest)
     return msgspec.structs.replace(section, noise=records, noise_words=words)
 
 
@@ -90,10 +92,11 @@ _ERRORS = {
 }
 
 
-def _words(numbers: Sequence[NoiseNumber], stated_as: str) -> list[str]:
+def _words(numbers: Sequence[NoiseNumber], stated_as: str, longest: int) -> list[str]:
     """Departures from the stated noise, as one sentence; none where there is none.
 
     stated_as  stated, or assumed
+    longest    number of readings of the longest run
     """
     reach = [n.value for n in numbers if n.kind == "reach"]
     phrases = []
@@ -105,7 +108,7 @@ def _words(numbers: Sequence[NoiseNumber], stated_as: str) -> list[str]:
         if number.kind == "carried":
             phrases.append(
                 f"a share of {size} of the variance of single readings is carried along"
-                f" a run, over about {reach[0]:.0f} readings"
+                f" a run, {reach_words(reach[0], longest)}"
             )
             continue
         stated = (

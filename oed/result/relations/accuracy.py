@@ -1,0 +1,137 @@
+"""Relations of what is predicted and confirmed: accuracy, budget, acceptance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from oed.result.acceptance import AcceptanceSection, VerificationSection
+from oed.result.budget import BudgetSection
+from oed.result.prediction import MapPoint, PredictionSection, SpreadRecord
+from oed.result.relations import base
+from oed.result.relations.base import Breach
+from oed.result.study import StudyResult
+
+REFERENCES = ("home", "absolute", "best_fit")
+MODES = ("plan", "identified", "corrected")
+
+
+def breaches(result: StudyResult) -> Iterator[Breach]:
+    """Contradictions of the sections about accuracy."""
+    if result.prediction is not None:
+        yield from _prediction("prediction", result.prediction)
+    corrected = result.corrected
+    if corrected is not None and corrected.prediction is not None:
+        field = "corrected.prediction"
+        yield from _prediction(field, corrected.prediction)
+        of = f"{field}.components"
+        alone = corrected.parameters_only
+        yield from base.known(
+            "corrected.parameters_only", alone, corrected.prediction.components, of
+        )
+        yield from _spreads("corrected.parameters_only", alone)
+    if result.acceptance is not None:
+        yield from _acceptance(result.acceptance)
+    if result.verification is not None:
+        yield from _verification(result.verification)
+
+
+def _prediction(field: str, section: PredictionSection) -> Iterator[Breach]:
+    names, of = section.components, f"{field}.components"
+    yield from base.known(
+        f"{field}.reference", [section.reference], REFERENCES, "its values"
+    )
+    yield from base.known(f"{field}.mode", [section.mode], MODES, "its values")
+    yield from base.same_names(f"{field}.unit", section.unit, names, of)
+    for name, component in names.items():
+        at = f"{of}.{name}"
+        for part in ("before", "after", "known"):
+            spread: SpreadRecord = getattr(component, part)
+            yield from _spreads(f"{at}.{part}", {"": spread})
+            if name in section.unit and spread.unit != section.unit[name]:
+                other = section.unit[name]
+                problem = f"{spread.unit}, where {field}.unit has {other}"
+                yield Breach(f"{at}.{part}.unit", problem)
+    for part in ("realised_share", "wanted", "worst"):
+        yield from base.known(f"{field}.{part}", getattr(section, part), names, of)
+    if section.realised is not None:
+        yield from base.known(f"{field}.realised", section.realised, names, of)
+        yield from _spreads(f"{field}.realised", section.realised)
+    for reference, spreads in section.references.items():
+        at = f"{field}.references.{reference}"
+        yield from base.same_names(at, spreads, names, of)
+        yield from _spreads(at, spreads)
+    for k, tool in enumerate(section.tools, start=1):
+        at = f"{field}.tools[{k}]"
+        yield from base.unit(f"{at}.unit", tool.unit)
+        yield from base.same_names(f"{at}.components", tool.components, names, of)
+        yield from _spreads(f"{at}.components", tool.components)
+    yield from _map(field, section)
+    if section.budget is not None:
+        yield from _budget(f"{field}.budget", section.budget, section)
+
+
+def _map(field: str, section: PredictionSection) -> Iterator[Breach]:
+    places: dict[str, MapPoint] = {
+        f"{field}.map[{k}]": point for k, point in enumerate(section.map, start=1)
+    }
+    places |= {f"{field}.worst.{name}": point for name, point in section.worst.items()}
+    of = f"{field}.components"
+    for at, point in places.items():
+        for part in ("before", "after"):
+            errors = getattr(point, part)
+            yield from base.same_names(f"{at}.{part}", errors, section.components, of)
+        if point.at:
+            yield from base.lengths(f"{at}.at", point.at, "a point", 3)
+    yield from base.same_keys(f"{field}.map", [p.command for p in section.map])
+    with_place = [bool(point.at) for point in section.map]
+    if any(with_place) and not all(with_place):
+        first = with_place.index(False) + 1
+        yield Breach(f"{field}.map[{first}].at", "missing, which other poses have")
+
+
+def _budget(
+    field: str, section: BudgetSection, prediction: PredictionSection
+) -> Iterator[Breach]:
+    of = f"{field}.predicted"
+    names = section.predicted
+    yield from base.known(
+        of, names, prediction.components, "the prediction's components"
+    )
+    for k, line in enumerate(section.lines, start=1):
+        at = f"{field}.lines[{k}]"
+        for part in ("share", "size", "without", "halved"):
+            values = getattr(line, part)
+            if values is not None:
+                yield from base.same_names(f"{at}.{part}", values, names, of)
+    for k, effect in enumerate(section.unmodelled, start=1):
+        at = f"{field}.unmodelled[{k}]"
+        for part in ("size", "with_it"):
+            yield from base.same_names(f"{at}.{part}", getattr(effect, part), names, of)
+
+
+def _spreads(field: str, spreads: Mapping[str, SpreadRecord]) -> Iterator[Breach]:
+    for name, spread in spreads.items():
+        at = f"{field}.{name}" if name else field
+        yield from base.unit(f"{at}.unit", spread.unit)
+        for part in ("rms", "p95", "max"):
+            value = getattr(spread, part)
+            yield from base.within(f"{at}.{part}", value, 0.0, base.LARGEST)
+
+
+def _acceptance(section: AcceptanceSection) -> Iterator[Breach]:
+    if not section.poses:
+        yield Breach("acceptance.poses", "there is none")
+    yield from base.same_keys("acceptance.poses", section.poses)
+    for name, demand in section.components.items():
+        yield from base.unit(f"acceptance.components.{name}.unit", demand.unit)
+
+
+def _verification(section: VerificationSection) -> Iterator[Breach]:
+    for name, verdict in section.components.items():
+        yield from base.unit(f"verification.components.{name}.unit", verdict.unit)
+    for name, record in section.positioning.items():
+        yield from base.unit(f"verification.positioning.{name}.unit", record.unit)
+    of = "verification.components"
+    yield from base.known(
+        "verification.positioning", section.positioning, section.components, of
+    )

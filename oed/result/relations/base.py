@@ -1,0 +1,124 @@
+"""Contradictions within a result, and the comparisons that find them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from oed import units
+from oed.text import shorten, suggest
+
+#: size of a number beyond which it is a slip, and its square overflows soon
+LARGEST: Final = 1e100
+#: logarithms of which a power can be taken
+LARGEST_LOGARITHM: Final = 700.0
+#: units beside those of `oed.units`
+OTHER_UNITS: Final = ("", "1", "sigma", "readings", "s", "K", "m", "rad")
+
+
+class Breach(NamedTuple):
+    """A field that contradicts another, and how."""
+
+    field: str
+    problem: str
+
+
+def number_breaches(field: str, value: Any) -> Iterator[Breach]:
+    """Numbers anywhere within a value that no result has."""
+    if isinstance(value, msgspec.Struct):
+        for name in value.__struct_fields__:
+            yield from number_breaches(_join(field, name), getattr(value, name))
+    elif isinstance(value, Mapping):
+        for key, entry in value.items():
+            yield from number_breaches(_join(field, str(key)), entry)
+    elif isinstance(value, list | tuple):
+        for k, entry in enumerate(value, start=1):
+            yield from number_breaches(f"{field}[{k}]", entry)
+    elif isinstance(value, int | float) and not abs(value) < LARGEST:
+        yield Breach(field, f"{value:.3g} is no number of a result")
+
+
+def _join(field: str, name: str) -> str:
+    return f"{field}.{name}" if field else name
+
+
+def lengths(
+    field: str, values: Sequence[Any], other: str, count: int
+) -> Iterator[Breach]:
+    """A list whose length differs from a number that `other` states."""
+    if len(values) != count:
+        yield Breach(field, f"{len(values)} entries, where {other} has {count}")
+
+
+def table(
+    field: str, rows: Sequence[Sequence[Any]], other: str, height: int, width: int
+) -> Iterator[Breach]:
+    """A table that is not of the height and width that `other` states."""
+    yield from lengths(field, rows, other, height)
+    for k, row in enumerate(rows, start=1):
+        yield from lengths(f"{field}[{k}]", row, other, width)
+
+
+def equal_widths(field: str, rows: Sequence[Sequence[Any]]) -> Iterator[Breach]:
+    """Rows whose lengths differ from that of the first."""
+    for k, row in enumerate(rows[1:], start=2):
+        yield from lengths(f"{field}[{k}]", row, f"{field}[1]", len(rows[0]))
+
+
+def points(field: str, places: Sequence[Sequence[float]]) -> Iterator[Breach]:
+    """Points that have not three coordinates."""
+    for k, place in enumerate(places, start=1):
+        yield from lengths(f"{field}[{k}]", place, "a point", 3)
+
+
+def known(
+    field: str, names: Collection[str], allowed: Collection[str], of: str
+) -> Iterator[Breach]:
+    """Names that `of` does not have."""
+    for name in names:
+        if name not in allowed:
+            remedy = suggest(name, allowed, kind=of, limit=12)
+            yield Breach(field, f"{shorten(name, 40)!r} is not in {of}; {remedy}")
+            return
+
+
+def same_names(
+    field: str, names: Collection[str], others: Collection[str], of: str
+) -> Iterator[Breach]:
+    """Names that are not exactly those of `of`."""
+    yield from known(field, names, others, of)
+    for name in others:
+        if name not in names:
+            yield Breach(field, f"{shorten(name, 40)!r} is missing, which {of} has")
+            return
+
+
+def same_keys(field: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Breach]:
+    """Rows by name that have other names than the first."""
+    for k, row in enumerate(rows[1:], start=2):
+        yield from same_names(f"{field}[{k}]", row, rows[0], f"{field}[1]")
+
+
+def unit(field: str, name: str) -> Iterator[Breach]:
+    """A unit that nobody knows."""
+    of_effects = [shown for shown, _ in units.EFFECT.values()]
+    if name not in (*units.UNITS, *OTHER_UNITS, *of_effects):
+        yield Breach(field, f"{shorten(name, 40)!r} is no known unit")
+
+
+def within(field: str, value: float, low: float, high: float) -> Iterator[Breach]:
+    """A number outside of its range."""
+    if not low <= value <= high:
+        ends = f"{low:g} on" if math.isinf(high) else f"{low:g} to {high:g}"
+        yield Breach(field, f"{value:.6g} is not from {ends}")
+
+
+def ascending(field: str, values: Sequence[float]) -> Iterator[Breach]:
+    """Numbers that do not grow, or do not begin above zero."""
+    for k, value in enumerate(values, start=1):
+        if value <= (values[k - 2] if k > 1 else 0):
+            yield Breach(f"{field}[{k}]", f"{value:g} is not above the one before")
+            return
