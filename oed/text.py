@@ -8,6 +8,9 @@ from collections.abc import Iterable
 
 from oed import units
 
+#: percent by which rounding may miss all of something
+ROUNDING = 1e-9
+
 
 def percent(share: float) -> str:
     """A share between 0 and 1 in percent, such as `83 %` or `99.6 %`.
@@ -18,9 +21,9 @@ def percent(share: float) -> str:
     value = 100.0 * share
     if 0.0 < value < 0.05:
         return "under 0.1 %"
-    if 99.95 <= value < 100.0:
+    if 99.95 <= value < 100.0 - ROUNDING:
         return "over 99.9 %"
-    near_an_end = 0.0 < value < 1.0 or 99.0 < value < 100.0
+    near_an_end = 0.0 < value < 1.0 or 99.0 < value < 100.0 - ROUNDING
     return f"{value:.{1 if near_an_end else 0}f} %"
 
 
