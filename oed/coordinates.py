@@ -18,7 +18,7 @@ import numpy as np
 
 from oed import identifiability, information
 from oed.arrays import Array, Index
-from oed.linear_algebra import right_singular
+from oed.linear_algebra import canonical_rows, right_singular
 from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise
 
@@ -170,8 +170,9 @@ def _split_directions(null_space: Array) -> tuple[Array, Array]:
     if not count:
         return np.zeros((size, 0)), np.eye(size)
     basis = np.linalg.qr(null_space.T)[0]
-    complete = np.linalg.qr(basis, mode="complete")[0]
-    return complete[:, :count], complete[:, count:]
+    complete = np.linalg.qr(basis, mode="complete")[0].T
+    lost, determined = complete[:count], complete[count:]
+    return canonical_rows(lost).T, canonical_rows(determined).T
 
 
 def _at_rows(rows: Index, values: Array, count: int) -> Array:

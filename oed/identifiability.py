@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.arrays import Array, Index, Mask
-from oed.linear_algebra import right_singular
+from oed.linear_algebra import first_largest, right_singular
 from oed.machine import Machine, PointGroup
 
 #: Singular values below this share of the largest count as zero. Exact zeros come out
@@ -165,7 +165,7 @@ def _directions(rows: Array, scale: Array) -> Array:
     directions = np.empty_like(rows)
     for k, row in enumerate(rows):
         change = row * scale
-        directions[k] = change / change[np.argmax(np.abs(change))]
+        directions[k] = change / change[first_largest(change)]
     return directions
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.estimate import Estimate
+from oed.linear_algebra import covariance_root
 from oed.log_density import LogDensity, OutOfBoundsError
 from oed.measurement import Measurement, Series
 
@@ -24,10 +25,14 @@ DRAWS, MOST_ROUNDS = 2000, 30
 
 @dataclasses.dataclass(frozen=True)
 class ApproximateDraws:
-    """Draws without sampling: parameters (m, n), SI, and coordinates (m, d) of the law."""
+    """Draws of parameters (m, n), SI, and coordinates (m, d) of the law.
+
+    worth  number of independent draws that they are worth; None: all
+    """
 
     theta: Array
     noise_law: Array
+    worth: float | None = None
 
 
 def draw_approximation(
@@ -74,8 +79,7 @@ def _draw_points(
     if estimate.noise_posterior is not None:
         return estimate.noise_posterior.draw(rng, count)
     dual = estimate.coordinates.dual
-    values, vectors = np.linalg.eigh(dual @ estimate.covariance @ dual.T)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = covariance_root(dual @ estimate.covariance @ dual.T)
     normal = rng.standard_normal((count, len(estimate.z)))
     return np.asarray(estimate.z + normal @ root.T), np.zeros((count, 0))
 

@@ -226,16 +226,20 @@ class LogDensity:
         return np.asarray(power * np.log1p(np.sum(white**2, axis=1) / PROPOSAL_DOF))
 
     def _laplace_root(self) -> Array:
-        """Root of the covariance of the Laplace approximation."""
+        """Root of the covariance of the Laplace approximation, symmetric where it can be:
+
+        that one does not depend on the signs of eigenvectors.
+        """
         root = np.zeros((self.dimensions, self.dimensions))
         if self._posterior is not None:
             values, vectors = np.linalg.eigh(self._posterior.covariance)
-            root[: self.r, : self.r] = vectors * np.sqrt(np.maximum(values, 1e-12))
+            sizes = np.sqrt(np.maximum(values, 1e-12))
+            root[: self.r, : self.r] = (vectors * sizes) @ vectors.T
             root[self.r :, self.r :] = self._posterior.root
             return root
         precision = self._slope.T @ self._slope + np.eye(self.r)
         values, vectors = np.linalg.eigh(precision)
-        return np.asarray(vectors / np.sqrt(values))
+        return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
     def move_along_null(self, theta: Array, change: Array) -> Array:
         """Move draws (..., n) by null changes (..., n) with the readings as they were.

@@ -15,10 +15,11 @@ tolerances).
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from oed import monte_carlo
 from oed.arrays import Array
 from oed.error_maps import (
     ErrorMaps,
@@ -41,8 +42,11 @@ __all__ = [
     "relative_to_reference",
 ]
 
-#: virtual machines drawn for the 95th percentile and the largest error
-VIRTUAL_MACHINES = 400
+#: virtual machines drawn for the 95th percentile and the largest error, and how many
+#: at least where the errors of all would take too much memory
+VIRTUAL_MACHINES, LEAST_MACHINES = 2000, 400
+#: errors of all machines, poses and components, at most
+MOST_ERRORS = 12_000_000
 #: ends of the interval that holds 95 % of the machines
 INTERVAL = (0.025, 0.975)
 
@@ -63,6 +67,9 @@ class Spread:
                       machines
     p95_interval      the same of each machine's 95th percentile
     largest_interval  the same of each machine's largest error
+    monte_carlo       {figure: standard errors that the number of machines leaves}: of
+                      `rms` where it is drawn, of `p95`, `largest`, and of both ends of
+                      the intervals
     """
 
     rms: float
@@ -71,6 +78,9 @@ class Spread:
     rms_interval: Interval = UNKNOWN_INTERVAL
     p95_interval: Interval = UNKNOWN_INTERVAL
     largest_interval: Interval = UNKNOWN_INTERVAL
+    monte_carlo: Mapping[str, tuple[float, ...]] = dataclasses.field(
+        default_factory=dict
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,6 +116,7 @@ def predict(
     mean: Array | None = None,
     known: Array | None = None,
     draws: Array | None = None,
+    worth: float | None = None,
     reference: Reference = "home",
     variance: Array | None = None,
 ) -> Prediction:
@@ -116,14 +127,19 @@ def predict(
              dp_hat by default, which misses the squares of large errors
     draws    (m, np) draws of delta from the posterior of the parameters, SI, of which
              `posterior` is the second moment; normal draws by default
+    worth    number of independent draws that these are worth; m by default
     variance (n, k) of the errors that delta causes, where it is known better than by
              the maps (`oed.budget.linearisation`); draws are scaled to it
     """
     measured = mean is not None
     centre = np.zeros(len(prior)) if mean is None else mean
     unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
-    delta = _draw(posterior, rng) if draws is None else _choose(draws, rng)
-    estimate = centre + _draw(unknown_estimate, rng)
+    count = _machines(maps)
+    if draws is None:
+        delta = _draw(posterior, rng, count)
+    else:
+        delta, worth = _choose(draws, rng, count, worth)
+    estimate = centre + _draw(unknown_estimate, rng, len(delta))
     undetermined = _apply(maps.raw, delta)
     rms_undetermined = _rms(maps.raw, posterior, np.zeros(len(prior)))
     if variance is not None:
@@ -147,7 +163,9 @@ def predict(
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),
         "fully_corrected": rms_undetermined,
     }
-    spreads = {key: _spreads(maps.names, errors[key], rms[key]) for key in errors}
+    spreads = {
+        key: _spreads(maps.names, errors[key], rms[key], worth) for key in errors
+    }
     return Prediction(
         reference=reference,
         command=maps.command,
@@ -160,49 +178,80 @@ def predict(
     )
 
 
-def error_spread(errors: Array) -> Spread:
-    """Spread of the errors (machines, n), SI, of one pose component."""
+def error_spread(errors: Array, worth: float | None = None) -> Spread:
+    """Spread of the errors (machines, n), SI, of one pose component.
+
+    worth  number of independent machines that these are worth; all by default
+    """
     size = np.abs(errors)
-    largest = size.max(axis=1)
+    of_machine = {
+        "rms": np.sqrt(np.mean(errors**2, axis=1)),
+        "p95": np.quantile(size, 0.95, axis=1),
+        "largest": size.max(axis=1),
+    }
+    rms = monte_carlo.root_mean_square(errors, worth)
+    p95 = monte_carlo.pooled_quantile(size, 0.95, worth)
+    largest = monte_carlo.quantile(of_machine["largest"], 0.95, worth)
+    intervals: dict[str, Interval] = {}
+    errors_of: dict[str, tuple[float, ...]] = {
+        "rms": (rms.error,),
+        "p95": (p95.error,),
+        "largest": (largest.error,),
+    }
+    for name, values in of_machine.items():
+        low, high = (monte_carlo.quantile(values, end, worth) for end in INTERVAL)
+        intervals[f"{name}_interval"] = (low.value, high.value)
+        errors_of[f"{name}_interval"] = (low.error, high.error)
     return Spread(
-        rms=float(np.sqrt(np.mean(errors**2))),
-        p95=float(np.quantile(size, 0.95)),
-        largest=float(np.quantile(largest, 0.95)),
-        rms_interval=_interval(np.sqrt(np.mean(errors**2, axis=1))),
-        p95_interval=_interval(np.quantile(size, 0.95, axis=1)),
-        largest_interval=_interval(largest),
+        rms=rms.value,
+        p95=p95.value,
+        largest=largest.value,
+        monte_carlo=errors_of,
+        **intervals,
     )
 
 
-def _interval(values: Array) -> Interval:
-    """Interval that holds 95 % of the values (machines,)."""
-    low, high = np.quantile(values, INTERVAL)
-    return float(low), float(high)
-
-
-def _spreads(names: Sequence[str], errors: Array, rms: Array) -> dict[str, Spread]:
+def _spreads(
+    names: Sequence[str], errors: Array, rms: Array, worth: float | None
+) -> dict[str, Spread]:
     """Spread by component, from drawn errors (machines, n, k) and exact rms (n, k).
 
     Only the percentile and the largest error need the draws.
     """
     spreads = {}
     for k, name in enumerate(names):
+        drawn = error_spread(errors[:, :, k], worth)
         exact = float(np.sqrt(np.mean(rms[:, k] ** 2)))
-        spreads[name] = dataclasses.replace(error_spread(errors[:, :, k]), rms=exact)
+        others = {n: e for n, e in drawn.monte_carlo.items() if n != "rms"}
+        spreads[name] = dataclasses.replace(drawn, rms=exact, monte_carlo=others)
     return spreads
 
 
-def _draw(covariance: Array, rng: np.random.Generator) -> Array:
-    """Draws (machines, np) of N(0, covariance)."""
-    noise = rng.standard_normal((VIRTUAL_MACHINES, len(covariance)))
+def _machines(maps: ErrorMaps) -> int:
+    """Number of virtual machines whose errors at all poses fit into the memory."""
+    of_machine = maps.raw.shape[0] * maps.raw.shape[1]
+    return int(np.clip(MOST_ERRORS // of_machine, LEAST_MACHINES, VIRTUAL_MACHINES))
+
+
+def _draw(covariance: Array, rng: np.random.Generator, count: int) -> Array:
+    """Draws (count, np) of N(0, covariance)."""
+    noise = rng.standard_normal((count, len(covariance)))
     return np.asarray(noise @ covariance_root(covariance).T)
 
 
-def _choose(draws: Array, rng: np.random.Generator) -> Array:
-    """As many of the draws (m, np) as virtual machines are wanted."""
-    return np.asarray(
-        rng.choice(draws, VIRTUAL_MACHINES, replace=len(draws) < VIRTUAL_MACHINES)
-    )
+def _choose(
+    draws: Array, rng: np.random.Generator, count: int, worth: float | None
+) -> tuple[Array, float]:
+    """`count` of the draws (m, np) or all, and how many independent ones they are worth.
+
+    Draws of a chain are worth fewer than they are; some of them apart lose less.
+    """
+    chosen = draws
+    if len(draws) > count:
+        chosen = rng.choice(draws, count, replace=False)
+    alone, whole = 1.0 / len(chosen), 1.0 / len(draws)
+    related = 0.0 if worth is None else max(1.0 / max(worth, 1.0) - whole, 0.0)
+    return np.asarray(chosen), 1.0 / (alone + related)
 
 
 def _apply(maps: Array, parameters: Array) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from oed.arrays import Array
+from oed.linear_algebra import covariance_root
 from oed.session_change import (
     CombinationChange,
     Session,
@@ -178,8 +179,7 @@ def next_calibration(
 
     With the drift v the squared rms error is after^2 + t^2 mean (maps v)^2.
     """
-    values, vectors = np.linalg.eigh(drifted.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = covariance_root(drifted.covariance)
     normal = rng.standard_normal((draws, len(drifted.rate)))
     rates = drifted.rate + normal @ root.T
     growth = np.sqrt(np.mean((rates @ maps.T) ** 2, axis=1))

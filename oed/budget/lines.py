@@ -19,6 +19,8 @@ from oed.error_maps import ErrorMaps
 #: factor on the standard deviation of an error that is gone: its covariance stays
 #: regular
 GONE = 1e-4
+#: share of the variance below which a line is rounding
+ROUNDING = 1e-10
 #: name of what a linear calculation leaves out
 LINEARISATION = "linearisation"
 #: name of what is not known of the noise
@@ -105,8 +107,16 @@ def _with_remainder(lines: Sequence[Line], variance: Array) -> tuple[Line, ...]:
             return None
         return np.asarray(np.sqrt(np.maximum(rms**2 + beyond, 0.0)))
 
+    def plain(part: Array) -> Array:
+        return np.where(np.abs(part) > ROUNDING * variance, part, 0.0)
+
     return tuple(
-        dataclasses.replace(li, without=whole(li.without), halved=whole(li.halved))
+        dataclasses.replace(
+            li,
+            variance=plain(li.variance),
+            without=whole(li.without),
+            halved=whole(li.halved),
+        )
         for li in lines
     )
 

@@ -48,10 +48,12 @@ def predict_corrected(
     reference: Reference,
     rng: np.random.Generator,
     draws: Array | None = None,
+    worth: float | None = None,
 ) -> CorrectedAccuracy:
     """Predict the residual accuracy at commands (n, n_dof), SI.
 
     draws  (m, n_all) posterior draws of theta; the normal approximation by default
+    worth  number of independent draws that these are worth; m by default
     """
     machine = corrected.readings.measurement.machine
     count, setups = len(machine.parameters), corrected.parameters
@@ -83,6 +85,7 @@ def predict_corrected(
             rng,
             mean=mean,
             draws=changes,
+            worth=worth,
             reference=reference,
         )
 

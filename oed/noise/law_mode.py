@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import optimize
 
 from oed.arrays import Array
+from oed.linear_algebra import eigenvectors
 
 #: step of numerical slopes and curvatures, and least curvature, in prior sd
 SLOPE_STEP, CURVATURE_STEP, LEAST_CURVATURE = 1e-4, 0.15, 0.5
@@ -80,7 +81,7 @@ def root_about(cost: Cost, mode: Array) -> Array:
     for (i, j), value in zip(pairs, costs[2 * d + 1 :], strict=True):
         mixed = value - ahead[i] - ahead[j] + middle
         curvature[i, j] = curvature[j, i] = mixed
-    values, vectors = linalg.eigh(curvature / CURVATURE_STEP**2)
+    values, vectors = eigenvectors(curvature / CURVATURE_STEP**2)
     root: Array = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
     return root
 

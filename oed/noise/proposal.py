@@ -18,9 +18,10 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
-from scipy import linalg, special
+from scipy import special
 
 from oed.arrays import Array
+from oed.linear_algebra import eigenvectors
 
 #: degrees of freedom of the Student t
 DEGREES = 5.0
@@ -123,7 +124,7 @@ def kernels_at(draws: Array, log_weights: Array) -> KernelMixture:
     # Silverman's rule for as many normal draws as the weights are worth.
     effective = 1.0 / (weights**2).sum()
     width = (4.0 / ((d + 2.0) * effective)) ** (1.0 / (d + 4.0))
-    values, vectors = linalg.eigh(covariance)
+    values, vectors = eigenvectors(covariance)
     least = 1e-6 * values.max()
     root = width * vectors * np.sqrt(np.maximum(values, least))
     return KernelMixture(draws, weights, root)

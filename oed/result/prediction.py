@@ -14,6 +14,8 @@ class SpreadRecord(Record, frozen=True):
     `unit`.
 
     An interval holds that figure of 95 % of the machines, each over its workspace.
+    `monte_carlo` has the standard errors that the number of drawn machines leaves, by
+    figure: of `p95`, `max` and both ends of an interval, of `rms` where it is drawn.
     """
 
     rms: float
@@ -23,6 +25,7 @@ class SpreadRecord(Record, frozen=True):
     rms_interval: Interval | None = None
     p95_interval: Interval | None = None
     max_interval: Interval | None = None
+    monte_carlo: dict[str, list[float]] = {}
 
 
 class ComponentAccuracy(Record, frozen=True):

@@ -52,6 +52,27 @@ def number(value: Number, digits: int = 3) -> str:
     return _minus_sign(f"{x:.{decimals}f}")
 
 
+def drawn(value: Number, error: Number, digits: int = 3) -> str:
+    """A number of draws, with no more digits than its standard error allows.
+
+    The error is at most three units of the last digit.
+    """
+    x, e = or_nan(value), or_nan(error)
+    if not math.isfinite(x) or not math.isfinite(e) or e <= 0.0 or x == 0.0:
+        return number(value, digits)
+    place = last_place(e)
+    x = round(x, -place)
+    if x == 0.0:
+        return "0"
+    allowed = math.floor(math.log10(abs(x))) - place + 1
+    return number(x, min(digits, max(allowed, 1)))
+
+
+def last_place(error: float) -> int:
+    """Power of ten of the last digit that a standard error leaves."""
+    return round(math.log10(error))
+
+
 def trimmed(value: Number, digits: int = 4) -> str:
     """As `number`, without zeros at the end: 0.5, not 0.5000."""
     written = number(value, digits)
@@ -259,7 +280,8 @@ def sentences(texts: Iterable[str]) -> list[str]:
 
 def linear_combination(terms: Mapping[str, float], most: int = 10) -> str:
     """A linear combination, its largest term first: 0.71 db2x − 0.71 db3x."""
-    ordered = sorted(terms.items(), key=lambda term: -abs(term[1]))
+    # equal terms stay in their order: which is larger by rounding says nothing
+    ordered = sorted(terms.items(), key=lambda term: -float(f"{abs(term[1]):.6g}"))
     written = ""
     for k, (name, coefficient) in enumerate(ordered[:most]):
         size = trimmed(abs(coefficient), 2)

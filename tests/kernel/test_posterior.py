@@ -11,7 +11,7 @@ from scipy import special
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed import posterior, simulation
+from oed import own_files, posterior, simulation
 from oed.identification import Estimate, identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
@@ -196,7 +196,7 @@ def test_the_file_holds_the_draws(tmp_path: Path) -> None:
     )
     path = tmp_path / "posterior.nc"
     posterior.save(drawn, path, {"study": "test"})
-    assert [p.name for p in tmp_path.iterdir()] == ["posterior.nc"]
+    assert {p.name for p in tmp_path.iterdir()} == {"posterior.nc", own_files.LIST}
     tree = xr.open_datatree(path, engine="h5netcdf")
     assert (tree["posterior"]["theta"].to_numpy() == drawn.draws).all()
     assert tree["posterior"]["parameter"].to_numpy().tolist() == list(m.names)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from oed.linear_algebra import by_size
+
 #: share of the mean by which coefficients that are common may differ
 COMMON = 0.1
 #: share of the largest below which a coefficient is not mentioned
@@ -22,7 +24,7 @@ def in_words(combination: Mapping[str, float]) -> str:
     if np.all(np.abs(values - mean) < COMMON * abs(mean)):
         return f"common to {', '.join(names[:-1])} and {names[-1]}"
     terms = []
-    for k in np.argsort(-np.abs(values), kind="stable"):
+    for k in by_size(values):
         if abs(values[k]) >= MINOR:
             terms.append(_term(float(values[k]), names[k]))
     return " ".join(terms).removeprefix("+ ")

@@ -17,6 +17,7 @@ from oed.gap.before.combinations import in_words
 from oed.gap.before.forms import Form
 from oed.gap.before.power import needed_lambda
 from oed.gap.data.root import inverse_root
+from oed.linear_algebra import canonical_rows, first_largest
 from oed.result.gap_before import RivalRecord, SharedRecord
 
 #: sqrt(lambda_k|j) below which the two cannot be distinguished
@@ -72,7 +73,7 @@ def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Arra
     u, cosine, _ = np.linalg.svd(cross)
     missing = np.zeros(u.shape[1] - len(cosine))
     cosine = np.append(np.minimum(cosine, 1.0), missing)
-    vectors = root @ u
+    vectors = root @ canonical_rows(u.T, cosine).T
     lengths = np.linalg.norm(vectors, axis=0)
     return np.rad2deg(np.arccos(cosine)), vectors / lengths
 
@@ -103,7 +104,7 @@ def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
         visible = whole >= needed_lambda(1)
         imitated = distinct < min(SEPARATED**2, HALF * whole)
         if angle < SAME or (visible and imitated):
-            shares = v / v[np.argmax(np.abs(v))]
+            shares = v / v[first_largest(v)]
             combination = dict(zip(names, shares.tolist(), strict=True))
             record = SharedRecord(
                 words=in_words(combination),

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from oed.arrays import Array
+from oed.linear_algebra import eigenvectors
 
 
 def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
@@ -15,6 +16,6 @@ def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
     Directions of less energy than `least`, a function of the largest energy, are left
     out.
     """
-    values, vectors = np.linalg.eigh(gram)
+    values, vectors = eigenvectors(gram)
     visible = values > least(float(values.max(initial=0.0)))
     return np.asarray(vectors[:, visible] / np.sqrt(values[visible]))

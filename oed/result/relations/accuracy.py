@@ -12,6 +12,8 @@ from oed.result.relations.base import Breach
 from oed.result.study import StudyResult
 
 REFERENCES = ("home", "absolute", "best_fit")
+#: figures of drawn machines
+DRAWN = ("rms", "p95", "max", "rms_interval", "p95_interval", "max_interval")
 MODES = ("plan", "identified", "corrected")
 
 
@@ -25,7 +27,7 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _prediction(field, corrected.prediction)
         of = f"{field}.components"
         alone = corrected.parameters_only
-        yield from base.known(
+        yield from base.same_names(
             "corrected.parameters_only", alone, corrected.prediction.components, of
         )
         yield from _spreads("corrected.parameters_only", alone)
@@ -116,6 +118,12 @@ def _spreads(field: str, spreads: Mapping[str, SpreadRecord]) -> Iterator[Breach
         for part in ("rms", "p95", "max"):
             value = getattr(spread, part)
             yield from base.within(f"{at}.{part}", value, 0.0, base.LARGEST)
+        names = spread.monte_carlo
+        yield from base.known(f"{at}.monte_carlo", names, DRAWN, "its names")
+        for figure, errors in names.items():
+            ends = 2 if figure.endswith("_interval") else 1
+            field = f"{at}.monte_carlo.{figure}"
+            yield from base.lengths(field, errors, "the figure", ends)
 
 
 def _acceptance(section: AcceptanceSection) -> Iterator[Breach]:

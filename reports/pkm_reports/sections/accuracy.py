@@ -108,6 +108,8 @@ def _improvement(name: str, component: ComponentAccuracy) -> str:
     unit = component.after.unit
     before = text.quantity(component.before.rms, unit)
     after = text.quantity(component.after.rms, unit)
+    if before == after:
+        return f"{name}, which stays at {after}"
     return f"{name} from {before} to {after}"
 
 
@@ -149,7 +151,8 @@ def _table(components: Components) -> Table:
     rows = [_row(name, component, states) for name, component in components.items()]
     caption = (
         "Errors before and after compensation: rms, 95th percentile and largest over"
-        " the workspace."
+        " the workspace. Percentiles and largest errors are of drawn machines, with the"
+        " digits that their number allows."
     )
     if "known" in states:
         caption += (
@@ -172,8 +175,7 @@ def _row(
 
 
 def _sizes(spread: SpreadRecord) -> list[str]:
-    sizes = (spread.rms, spread.p95, spread.max)
-    return [text.number(size) for size in sizes]
+    return accuracy_ranges.figures(spread)
 
 
 # -- virtual machine, budget, map ------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -33,8 +34,7 @@ def _intervals(after: Mapping[str, SpreadRecord]) -> Table:
     columns = [TableColumn("Component"), *number_columns("rms", "p95", "max")]
     rows = []
     for name, spread in after.items():
-        ends = (spread.rms_interval, spread.p95_interval, spread.max_interval)
-        cells = ["" if e is None else _span(e) for e in ends]
+        cells = [_span(spread, figure) for figure in ("rms", "p95", "max")]
         rows.append([f"{name} [{text.unit_symbol(spread.unit)}]", *cells])
     caption = (
         "What a single machine can expect after compensation: 95 % of the machines have"
@@ -43,9 +43,14 @@ def _intervals(after: Mapping[str, SpreadRecord]) -> Table:
     return Table(columns, rows, caption)
 
 
-def _span(ends: tuple[float, float]) -> str:
-    low, high = ends
-    return f"{text.number(low)} to {text.number(high)}"
+def _span(spread: SpreadRecord, figure: str) -> str:
+    """Both ends of the interval of a figure, empty without one."""
+    ends = getattr(spread, f"{figure}_interval")
+    if ends is None:
+        return ""
+    errors = spread.monte_carlo.get(f"{figure}_interval", [math.nan, math.nan])
+    low, high = (text.drawn(v, e) for v, e in zip(ends, errors, strict=True))
+    return f"{low} to {high}"
 
 
 def _references(references: Mapping[str, Mapping[str, SpreadRecord]]) -> Table:
@@ -57,14 +62,19 @@ def _references(references: Mapping[str, Mapping[str, SpreadRecord]]) -> Table:
     for name, spread in components.items():
         cells = [f"{name} [{text.unit_symbol(spread.unit)}]"]
         for spreads in references.values():
-            cells += _figures(spreads[name])
+            cells += figures(spreads[name])
         rows.append(cells)
     caption = "Errors after compensation against each reference."
     return Table(columns, rows, caption)
 
 
-def _figures(spread: SpreadRecord) -> list[str]:
-    return [text.number(v) for v in (spread.rms, spread.p95, spread.max)]
+def figures(spread: SpreadRecord) -> list[str]:
+    """Rms, 95th percentile and largest error, with the digits that the draws allow."""
+    cells = []
+    for name in ("rms", "p95", "max"):
+        error = next(iter(spread.monte_carlo.get(name, [])), math.nan)
+        cells.append(text.drawn(getattr(spread, name), error))
+    return cells
 
 
 def _tools(tools: Sequence[ToolAccuracy]) -> Table:
@@ -76,7 +86,7 @@ def _tools(tools: Sequence[ToolAccuracy]) -> Table:
     for name, spread in tools[0].components.items():
         cells = [f"{name} [{text.unit_symbol(spread.unit)}]"]
         for tool in tools:
-            cells += _figures(tool.components[name])
+            cells += figures(tool.components[name])
         rows.append(cells)
     caption = "Errors after compensation at tools longer than the reference one."
     return Table(columns, rows, caption)

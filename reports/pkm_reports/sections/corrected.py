@@ -18,6 +18,7 @@ from pkm_reports.blocks import (
     number_columns,
 )
 from pkm_reports.sections import budget
+from pkm_reports.sections.accuracy_ranges import figures
 
 #: coefficients in standard deviations from which on they are listed
 CLEAR: Final = 2.0
@@ -118,9 +119,9 @@ def _accuracy(corrected: CorrectedSection) -> Table:
     rows = []
     for name, c in corrected.prediction.components.items():
         alone = corrected.parameters_only[name]
-        cells = [c.before.rms, alone.rms, c.after.rms, c.after.p95, c.after.max]
+        cells = [text.number(c.before.rms), text.number(alone.rms)]
         unit = text.unit_symbol(c.after.unit)
-        rows.append([f"{name} [{unit}]", *(text.number(v) for v in cells)])
+        rows.append([f"{name} [{unit}]", *cells, *figures(c.after)])
     caption = (
         "Predicted errors over the workspace in the states of these readings: rms"
         " uncompensated, with the parameters alone compensated, and with the effects"

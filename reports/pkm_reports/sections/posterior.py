@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord, StudyResult
+from oed.result.record import Number
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -29,6 +30,11 @@ LARGEST_RHAT: Final = 1.01
 SMALLEST_ESS: Final = 1000.0
 #: sd, in prior standard deviations, above which the readings say little
 WIDE: Final = 0.7
+#: standard errors of mean, sd, and both quantiles of a normal marginal, over its sd and
+#: times the root of the effective sample size
+ERRORS: Final = (1.0, 0.5**0.5, 2.67, 2.67)
+#: relative error of an effective sample size
+ESTIMATED: Final = 0.05
 COMPARED: Final = {
     "rms": "Root mean square",
     "largest": "Largest",
@@ -79,7 +85,7 @@ def _diagnostics(marginals: Mapping[str, Marginal]) -> list[Block]:
     ess = min(or_nan(m.ess) for m in sampled.values())
     diagnostics = (
         f"R-hat is at most {text.fixed(rhat, 3)}, and the effective sample size at"
-        f" least {text.fixed(ess, 0)}"
+        f" least {_sample_size(ess)}"
     )
     bad = [name for name, m in sampled.items() if not _is_well_sampled(m)]
     if not bad:
@@ -159,7 +165,7 @@ def _marginals(marginals: Mapping[str, Marginal]) -> list[Block]:
     rows = [_marginal_row(name, marginal) for name, marginal in marginals.items()]
     caption = (
         "Marginals of the posterior with sampler diagnostics (ESS: effective sample"
-        " size)."
+        " size, which decides how many digits are printed)."
     )
     return [Table(columns, rows, caption)]
 
@@ -175,9 +181,9 @@ def _checks(checks: Mapping[str, PredictiveCheckRecord]) -> list[Block]:
     rows = [
         [
             text.meaning(name, COMPARED),
-            text.number(check.observed),
-            text.number(check.low),
-            text.number(check.high),
+            text.number(check.observed, 2),
+            text.number(check.low, 2),
+            text.number(check.high, 2),
             text.number(check.p_high, 2),
         ]
         for name, check in checks.items()
@@ -190,15 +196,31 @@ def _checks(checks: Mapping[str, PredictiveCheckRecord]) -> list[Block]:
 
 
 def _marginal_row(name: str, marginal: Marginal) -> list[str]:
-    decimals = text.decimals_for(marginal.sd)
     numbers = (marginal.mean, marginal.sd, marginal.q025, marginal.q975)
     return [
         name,
-        *[text.fixed(number, decimals) for number in numbers],
+        *[
+            text.fixed(number, _decimals(marginal, error))
+            for number, error in zip(numbers, ERRORS, strict=True)
+        ],
         text.unit_symbol(marginal.unit),
         text.fixed(marginal.rhat, 3),
-        text.fixed(marginal.ess, 0),
+        _sample_size(marginal.ess),
     ]
+
+
+def _sample_size(ess: Number) -> str:
+    """An effective sample size: an estimate that is right to some per cent."""
+    return text.drawn(ess, ESTIMATED * or_nan(ess))
+
+
+def _decimals(marginal: Marginal, error: float) -> int:
+    """Decimals of a figure whose standard error for one draw is `error` times the sd."""
+    usual, ess = text.decimals_for(marginal.sd), or_nan(marginal.ess)
+    if not ess > 0.0 or marginal.sd <= 0.0:
+        return usual
+    size = error * marginal.sd / math.sqrt(ess)
+    return max(0, min(usual, -text.last_place(size)))
 
 
 CHAPTER: Final = Chapter("posterior", "Posterior", blocks)

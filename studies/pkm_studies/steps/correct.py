@@ -150,7 +150,8 @@ def _with_section(
     accuracy = None
     if len(command):
         theta = _approximate(corrected, rng) if draws is None else draws.pooled
-        accuracy = predict_corrected(corrected, command, reference, rng, theta)
+        worth = None if draws is None else float(np.nanmin(draws.ess))
+        accuracy = predict_corrected(corrected, command, reference, rng, theta, worth)
     section = sections.corrected_section(
         corrected,
         truth,

@@ -79,7 +79,7 @@ def _knowledge(state: RunState) -> ParameterKnowledge:
     if state.estimate is None or state.readings.truth is not None:
         return knowledge.planned(state.measurement, series)
     return knowledge.identified(
-        state.measurement, series, state.estimate, _draws(state).theta
+        state.measurement, series, state.estimate, _draws(state)
     )
 
 
@@ -91,7 +91,8 @@ def _draws(state: RunState) -> ApproximateDraws:
     sampled = state.posterior
     if sampled is not None:
         theta, laws = sampled.pooled, sampled.noise_law
-        return ApproximateDraws(theta, laws.reshape(len(theta), laws.shape[2]))
+        laws = laws.reshape(len(theta), laws.shape[2])
+        return ApproximateDraws(theta, laws, float(np.nanmin(sampled.ess)))
     readings, estimate = state.readings, state.estimate
     assert readings is not None
     assert readings.y is not None

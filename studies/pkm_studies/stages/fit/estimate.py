@@ -35,12 +35,7 @@ def estimate_section(
     names = np.array([c.name for c in channels])
     after, before = estimate.residuals / factor, estimate.residuals_before / factor
     rounds = [
-        {
-            "evaluations": r.iterations,
-            "rms_before": r.rms_before,
-            "rms_after": r.rms_after,
-        }
-        for r in estimate.stages
+        {"rms_before": r.rms_before, "rms_after": r.rms_after} for r in estimate.stages
     ]
     return EstimateSection(
         parameters=_parameters(measurement, estimate, truth),

@@ -10,6 +10,7 @@ import numpy as np
 from oed import units
 from oed.arrays import Array
 from oed.identification import Estimate
+from oed.linear_algebra import by_size
 from oed.measurement import Measurement
 from oed.posterior import MIXED_RHAT, Posterior
 from oed.posterior_checks import PredictiveCheck
@@ -136,7 +137,7 @@ def _widest(
     names = []
     for k in widest:
         weight = estimate.coordinates.basis[:, k] / scale
-        largest = np.argsort(-np.abs(weight))[:NAMED]
+        largest = by_size(weight)[:NAMED]
         terms = [f"{weight[j]:+.2f} {measurement.names[j]}" for j in largest]
         names.append(" ".join(terms))
     thin = max(1, len(z) // CORNER_DRAWS)

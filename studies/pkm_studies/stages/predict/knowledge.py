@@ -15,6 +15,7 @@ from oed.error_draws import compensated_errors
 from oed.error_maps import ErrorMaps, Reference, maps_by_reference
 from oed.estimate import Estimate
 from oed.kinematics import AssemblyError
+from oed.laplace import ApproximateDraws
 from oed.measurement import Measurement, Series
 from oed.noise.process_noise import ProcessNoise
 from oed.prediction import Prediction
@@ -30,6 +31,7 @@ class ParameterKnowledge:
     mean                 (np,) identified errors; None before any reading
     draws                (m, np) draws of the posterior, or of its approximation, about
                          the estimate; None before any reading
+    worth                number of independent draws that these are worth; None: all
     estimated            (np, np) of the estimate, where it holds more than the model
     """
 
@@ -39,6 +41,7 @@ class ParameterKnowledge:
     covariance: Array
     mean: Array | None = None
     draws: Array | None = None
+    worth: float | None = None
     estimated: Array | None = None
 
 
@@ -68,13 +71,13 @@ def identified(
     measurement: Measurement,
     series: Sequence[Series],
     estimate: Estimate,
-    theta: Array,
+    known: ApproximateDraws,
 ) -> ParameterKnowledge:
-    """After a fit: the estimate, and draws (m, n) of what is known of theta, SI."""
+    """After a fit: the estimate, and draws of what is known of the parameters."""
     count = len(measurement.machine.parameters)
     laws = estimate.noise.law.laws if isinstance(estimate.noise, ProcessNoise) else None
     estimated = estimate.covariance[:count, :count]
-    draws = theta[:, :count] - estimate.theta[:count]
+    draws = known.theta[:, :count] - estimate.theta[:count]
     return ParameterKnowledge(
         measurement,
         tuple(series),
@@ -82,6 +85,7 @@ def identified(
         draws.T @ draws / len(draws),
         mean=(estimate.theta - measurement.nominal)[:count],
         draws=draws,
+        worth=known.worth,
         estimated=estimated,
     )
 
@@ -115,6 +119,7 @@ def accuracy(
             mean=known.mean,
             known=_remaining(known, command, reference, tool),
             draws=known.draws,
+            worth=known.worth,
             reference=reference,
             variance=variances.get(reference),
         )
