@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ import sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from oed import dataset, units
+from oed import csv_text, dataset, units
 from oed.dataset import Dataset, ReadingsError, columns, table
 from oed.measurement import Measurement
 
@@ -346,6 +348,73 @@ def test_a_huge_file_is_refused_unread(head: Measurement, tmp_path: Path) -> Non
         file.truncate(table.MAX_BYTES + 1)
     with pytest.raises(ReadingsError, match="too large"):
         dataset.load(path, head)
+
+
+def test_too_many_readings_are_refused_before_they_are_parsed(
+    head: Measurement, tmp_path: Path
+) -> None:
+    """A million rows: the memory stays below 20 times the file, time is seconds."""
+    path = tmp_path / "long.csv"
+    header, *rows = sample.READINGS.splitlines()
+    rows = [row.replace(",1,", ",{},", 1) for row in rows[:1]] * 1_000_000
+    body = "\n".join(row.format(k) for k, row in enumerate(rows, start=1))
+    path.write_text(f"{header}\n{body}\n", encoding="utf-8")
+    tracemalloc.start()
+    with pytest.raises(ReadingsError) as error:
+        dataset.load(path, head)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert "1000000 rows are too many: a session has at most 50000" in str(error.value)
+    assert "keep one row in 20 of each run" in str(error.value)
+    assert peak < 20 * path.stat().st_size
+
+
+def test_readings_are_counted_by_channel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table, "MOST_READINGS", 4)
+    text = sample.changed(
+        sample.STUDY, ('instrument = "ball_bar"', 'instrument = "camera_known_frame"')
+    )
+    text = text.replace("length_mm = 300.0\n", "").replace(
+        "length_um = 0.5", "read_x_um = 5"
+    )
+    text = re.sub(r"teach = .*\n", "", text).replace(
+        'theta = "hold"', "theta_deg = 20.0"
+    )
+    camera = sample.resolved(text).measurement
+    rows = "setup,run,order,z_mm,psi_deg,theta_deg,read_x_mm,read_y_mm,read_z_mm\n"
+    rows += "cup,1,1,1146,0,20,1,2,3\n"
+    assert len(loaded(rows, camera, tmp_path).y) == 3
+    rows += "cup,1,2,1146,9,20,1,2,3\n"
+    assert "about 6 readings are too many" in str(refused(rows, camera, tmp_path))
+
+
+@pytest.mark.parametrize("cell", ["", "abc", "1e99"])
+def test_one_remedy_for_a_cell_of_a_pose(
+    cell: str, delta: Measurement, tmp_path: Path
+) -> None:
+    """It may not be left empty, whatever is wrong with it."""
+    text = sample.changed(sample.DELTA_READINGS, ("390,410,400", f"{cell},410,400"))
+    error = refused(text, delta, tmp_path)
+    assert (error.row, error.column) == (3, "q1_mm")
+    remedy = "write the number: each row of a set-up has all of q1, q2, q3"
+    assert error.remedy == remedy
+    text = sample.changed(sample.DELTA_READINGS, ("400,18.2,", "400,abc,"))
+    assert "leave the cell empty" in refused(text, delta, tmp_path).remedy
+
+
+def test_a_run_may_have_any_name(head: Measurement, tmp_path: Path) -> None:
+    """Also one that a spreadsheet would evaluate: it is marked, and comes back."""
+    names = ("=1+1", "'=1", "@x", "-a")
+    for name in names:
+        text = sample.READINGS.replace(",low,", f',"{csv_text.safe(name)}",')
+        read = loaded(text, head, tmp_path)
+        assert name in list(read.covariates["run"])
+        written = dataset.to_csv(read)
+        assert f"cup,{csv_text.safe(name)},1," in written
+        again = loaded(written, head, tmp_path)
+        assert list(again.covariates["run"]) == list(read.covariates["run"])
 
 
 def test_a_set_up_reads_only_its_own_channels(

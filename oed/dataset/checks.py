@@ -18,7 +18,7 @@ from oed.dataset.columns import (
     is_temperature,
     tension_columns,
 )
-from oed.dataset.table import ReadingsError, ReadingsFile
+from oed.dataset.table import ReadingsError, ReadingsFile, cell_remedy
 from oed.instrument import Setup
 from oed.machine import Coordinate
 from oed.measurement import Measurement
@@ -38,6 +38,12 @@ def expected_columns(measurement: Measurement) -> dict[str, str]:
         expected |= {c.name: c.unit for c in setup.instrument.channels}
     tensions = dict.fromkeys(tension_columns(machine), "N")
     return {**expected, **COVARIATES, **tensions}
+
+
+def pose_groups(measurement: Measurement) -> list[list[str]]:
+    """Stems that only together give a pose: the commands, and the joints."""
+    machine = measurement.machine
+    return [[c.name for c in machine.command], [c.name for c in machine.joints]]
 
 
 def check_columns(table: ReadingsFile, measurement: Measurement) -> None:
@@ -131,12 +137,11 @@ def filled_columns(
     finite = np.isfinite(values)
     if not finite.any():
         return None
-    wanted = f"give all of {', '.join(stems)}"
+    wanted = cell_remedy(stems[0], [stems])
     if len(present) < len(stems):
         absent = next(stem for stem in stems if stem not in present)
         problem = f"there is no column for {absent}"
         raise table.error(problem, wanted, int(rows[0]), absent)
     for i, k in np.argwhere(~finite)[:1]:
-        remedy = f"{wanted} in every row of a set-up"
-        raise table.error("the cell is empty", remedy, int(rows[i]), present[k])
+        raise table.error("the cell is empty", wanted, int(rows[i]), present[k])
     return values

@@ -33,7 +33,8 @@ def load(path: Path | Sequence[Path], measurement: Measurement) -> Dataset:
     """
     paths = [path] if isinstance(path, Path) else list(path)
     expected = checks.expected_columns(measurement)
-    return from_tables([table.read(p, expected) for p in paths], measurement)
+    poses = checks.pose_groups(measurement)
+    return from_tables([table.read(p, expected, poses) for p in paths], measurement)
 
 
 def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:
@@ -44,6 +45,7 @@ def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dat
     for one in tables:
         checks.check_columns(one, measurement)
     merged = _merge(tables)
+    _check_size(merged, measurement)
     checks.check_setups(merged, measurement)
     names = merged.frame["setup"].to_numpy()
     used = [name for name in measurement.setups if (names == name).any()]
@@ -64,6 +66,17 @@ def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dat
         dropped=sum(part.dropped for part in parts),
         columns=merged.columns,
     )
+
+
+def _check_size(merged: ReadingsFile, measurement: Measurement) -> None:
+    """Refuse more readings than a fit has the memory for."""
+    channels = {
+        c.name for s in measurement.setups.values() for c in s.instrument.channels
+    }
+    present = [name for name in channels if name in merged.frame]
+    count = int(merged.frame[present].notna().to_numpy().sum())
+    if max(count, len(merged.frame)) > table.MOST_READINGS:
+        raise table.too_many(max(count, len(merged.frame)), "readings", merged.file)
 
 
 def _merge(tables: Sequence[ReadingsFile]) -> ReadingsFile:

@@ -33,6 +33,9 @@ from oed.dataset.dialect import Row, SplitText
 from oed.text import shorten
 
 MAX_BYTES: Final = 64_000_000
+#: readings of one session, each a value of a channel: with these a check takes about a
+#: gigabyte, and a diagnosis some four
+MOST_READINGS: Final = 50_000
 MAX_COLUMNS: Final = 200
 #: columns of a frame that no column of a file can have: the row's file and number
 FILE, ROW = "#file", "#row"
@@ -120,19 +123,23 @@ def _as_written(cell: object, column: ReadingsColumn) -> str:
     return f"{value:.6g}" if math.isfinite(value) else ""
 
 
-def read(path: Path, expected: Mapping[str, str] | None = None) -> ReadingsFile:
+def read(
+    path: Path,
+    expected: Mapping[str, str] | None = None,
+    poses: Sequence[Sequence[str]] = (),
+) -> ReadingsFile:
     """Read and check one file.
 
-    `expected` are stems with SI units that the caller knows: they make the remedy for
-    a wrong unit exact. Raises ReadingsError for the first problem, OSError where the
-    file is not there.
+    `expected` are stems with SI units that the caller knows, `poses` groups of stems
+    that only together give a pose: they make remedies exact. Raises ReadingsError for
+    the first problem, OSError where the file is not there.
     """
     split = dialect.split(_text(path))
     rows = _rows(split, str(path), expected or {})
     if not rows:
         problem = "there is no header below the comments"
         raise ReadingsError(problem, HEADER_REMEDY, file=str(path))
-    return from_rows(rows, str(path), expected, split.separator)
+    return from_rows(rows, str(path), expected, split.separator, poses)
 
 
 def from_rows(
@@ -140,6 +147,7 @@ def from_rows(
     file: str,
     expected: Mapping[str, str] | None = None,
     separator: str = ",",
+    poses: Sequence[Sequence[str]] = (),
 ) -> ReadingsFile:
     """Make a table from numbered rows of cells, the header first; else as `read`.
 
@@ -159,7 +167,11 @@ def from_rows(
         text = [csv_text.plain(cells[k].strip()) for _, cells in body]
         is_label = stem in LABELS
         points = dialect.with_decimal_points(text, separator)
-        frame[stem] = text if is_label else _numbers(column, points, numbers, file)
+        if is_label:
+            frame[stem] = text
+            continue
+        remedy = cell_remedy(stem, poses)
+        frame[stem] = _numbers(column, points, numbers, file, remedy)
     table = ReadingsFile(file, frame, columns)
     _check_labels(table)
     _check_order(table)
@@ -191,11 +203,24 @@ def _text(path: Path) -> str:
     return text
 
 
+def too_many(count: int, what: str, file: str) -> ReadingsError:
+    """The error for `count` readings, or rows of them, which are too many."""
+    step = -(-count // MOST_READINGS)
+    return ReadingsError(
+        f"about {count} {what} are too many: a session has at most {MOST_READINGS}"
+        " readings, counted by channel",
+        f"keep one row in {step} of each run, or check and fit the runs in parts",
+        file=file,
+    )
+
+
 def _rows(split: SplitText, file: str, expected: Mapping[str, str]) -> list[Row]:
     """Numbered rows of cells, blank ones left out. Raises ReadingsError if ragged."""
     rows: list[Row] = []
     try:
         for number, cells in split.rows():
+            if len(rows) > MOST_READINGS:
+                raise too_many(split.text.count("\n") - 1, "rows", file)
             if rows:
                 rows.append((number, _in_columns(cells, rows[0][1], number, file)))
             else:
@@ -300,8 +325,27 @@ def _unit_remedy(name: str, expected: Mapping[str, str]) -> str:
     return f"end it in a known unit: {', '.join(units.UNITS)}"
 
 
+def cell_remedy(stem: str, poses: Sequence[Sequence[str]]) -> str:
+    """What to do about a cell that is wrong, or empty where it may not be.
+
+    poses  groups of stems that only together give a pose; none where they are not known
+    """
+    if not poses:
+        return "correct the number; only readings and covariates may be left empty"
+    for group in poses:
+        if stem in group:
+            return (
+                f"write the number: each row of a set-up has all of {', '.join(group)}"
+            )
+    return "correct the number, or leave the cell empty where none was read"
+
+
 def _numbers(
-    column: ReadingsColumn, text: Sequence[str], rows: np.ndarray, file: str
+    column: ReadingsColumn,
+    text: Sequence[str],
+    rows: np.ndarray,
+    file: str,
+    remedy: str,
 ) -> Array:
     """SI values (n,) of a column, NaN where the cell is empty. Raises ReadingsError."""
     cells = pd.Series(text, dtype=object)
@@ -311,7 +355,6 @@ def _numbers(
     bad = np.flatnonzero(filled & ~np.isfinite(values))
     if bad.size:
         k = int(bad[0])
-        remedy = "leave the cell empty where no reading was taken"
         if "," in text[k] and "." in text[k]:
             remedy = "write one decimal sign, and no sign between thousands"
         elif "," in text[k]:
@@ -328,8 +371,8 @@ def _numbers(
     if huge.size:
         k = int(huge[0])
         raise ReadingsError(
-            "no reading is so large",
-            "correct it, or leave the cell empty",
+            "no number of a session is so large",
+            remedy,
             file=file,
             row=int(rows[k]),
             column=column.name,
