@@ -44,12 +44,21 @@ MIRRORED = (
 class AssemblyError(RuntimeError):
     """The closure cannot be satisfied at some poses: out of reach, or singular.
 
-    `indices` are the indices of these poses, flat.
+    `indices` are the indices of these poses, flat. Of commanded ones, `first` is the
+    command (n_dof,), SI, of the first, and `reason` why it fails.
     """
 
-    def __init__(self, message: str, indices: Index) -> None:
+    def __init__(
+        self,
+        message: str,
+        indices: Index,
+        first: Array | None = None,
+        reason: str = "",
+    ) -> None:
         super().__init__(message)
         self.indices = indices
+        self.first = first
+        self.reason = reason
 
 
 class InverseKinematics:
@@ -302,6 +311,8 @@ class InverseKinematics:
             f" cannot be assembled, the first at {values}: {reason}; move it into the"
             " workspace, check tool and unit, or, well inside, the machine's guess",
             lost,
+            command[lost[0]],
+            reason,
         )
 
 

@@ -158,6 +158,61 @@ def test_the_schema_knows_tables_with_fields_of_free_name() -> None:
     assert schema["$defs"]["DesignTable"]["additionalProperties"] is False
 
 
+#: machines whose ranges say more than they reach, and one whose joints reach little
+REACH_LESS = """
+import dataclasses, math
+from pkm_models.machines import a3_head, hexapod, linear_delta
+
+def ranged(machine, name, factor):
+    ends = [(factor * c.lower, factor * c.upper) for c in machine.command]
+    command = [
+        dataclasses.replace(c, lower=low, upper=high)
+        for c, (low, high) in zip(machine.command, ends)
+    ]
+    return dataclasses.replace(machine, name=name, command=tuple(command))
+
+big = ranged(linear_delta.machine, "big", 2.0)
+free = dataclasses.replace(
+    a3_head.machine,
+    name="free",
+    command=tuple(
+        dataclasses.replace(c, lower=-math.inf, upper=math.inf)
+        for c in a3_head.machine.command
+    ),
+)
+narrow = dataclasses.replace(
+    hexapod.machine,
+    name="narrow",
+    joints=tuple(
+        dataclasses.replace(c, lower=0.57, upper=0.68) for c in hexapod.machine.joints
+    ),
+)
+nowhere = dataclasses.replace(
+    hexapod.machine,
+    name="nowhere",
+    joints=tuple(
+        dataclasses.replace(c, lower=0.1, upper=0.2) for c in hexapod.machine.joints
+    ),
+)
+"""
+
+
+def test_a_draft_of_a_machine_that_reaches_less_than_its_ranges_is_sound(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It keeps to a smaller part about home; what no draft can do is named."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(REACH_LESS, "utf-8")
+    for name in ("big", "free", "narrow"):
+        assert main(["new", "--machine", f"mine.py:{name}"]) == 0
+        assert main(["check", f"{name}.study.toml"]) == 0
+    capsys.readouterr()
+    assert main(["new", "--machine", "mine.py:nowhere"]) == 2
+    error = capsys.readouterr().err
+    assert re.search(r"the pose x = \S+ mm, y = \S+ mm, .*needs q1 = \S+ mm", error)
+    assert not (tmp_path / "nowhere.study.toml").exists()
+
+
 def test_a_study_is_drafted_from_a_machine_file_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

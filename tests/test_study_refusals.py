@@ -25,7 +25,7 @@ BROKEN = {
     "no machine": (('[machine]\nmodel = "a3_head"', ""), "machine", "missing"),
     "machine": (('"a3_head"', '"a3_haed"'), "machine.model", "did you mean a3_head"),
     "instrument": (('"ball_bar"', '"ball_baar"'), "setup[1].instrument", "did you mean ball_bar"),
-    "module": (('"a3_head"', '"no.such:machine"'), "machine.model", "was not found"),
+    "module": (('"a3_head"', '"no.such:machine"'), "machine.model", "belongs to no installed"),
     "attribute": (('"a3_head"', '"pkm_models.machines.a3_head:m"'), "machine.model", "there is: machine"),
     "no user file": (('"a3_head"', '"mine.py:machine"'), "machine.model", "no such file"),
     "unit of noise": (("length_um = 0.5", "length_kg = 0.5"), "noise.length_kg", "length_um"),
@@ -105,7 +105,37 @@ def test_a_pose_that_does_not_close_is_refused() -> None:
     short_arm = '"linear_delta"\nnominal = { arm1_mm = 200 }'
     error = sample.refused(text, ('"linear_delta"', short_arm))
     assert error.field == "design.candidates[1]"
-    assert "cannot be assembled" in str(error)
+    assert "1 pose cannot be reached, the first at x = 100 mm, y = 0 mm, z = 20 mm" in (
+        str(error)
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "z_mm = { from = 1066.0, to = 1266.0, count = 4 }",
+            "z_um = [1066000.0, 2000000.0]",
+            "2000000 um is outside the workspace of a3_head; z goes from",
+        ),
+        (
+            '"a3_head"',
+            '"a3_head"\nhome = { z_um = 2000000.0 }',
+            "home has z = 2000000 um, outside the workspace; state a home pose inside",
+        ),
+        (
+            "[noise]",
+            '[[prior.bounds]]\nparameters = ["dq1"]\nlower_um = 5.0\n[noise]',
+            "the nominal value of dq1, 0 um, is not within",
+        ),
+    ],
+)
+def test_limits_are_stated_in_the_unit_of_their_field(
+    old: str, new: str, words: str
+) -> None:
+    error = sample.refused(sample.STUDY, (old, new))
+    assert words in str(error)
+    assert " mm" not in str(error).partition("; ")[0]
 
 
 def test_entries_count_from_1() -> None:

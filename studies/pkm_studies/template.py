@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,10 @@ from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Coordinate, Family, Machine
 from oed.measurement import Measurement
 from pkm_studies import catalogue, files, shipped
-from pkm_studies.errors import Place
+from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve.quantities import column, display_unit
-from pkm_studies.study import SUFFIX
+from pkm_studies.resolve.resolved import resolve
+from pkm_studies.study import SUFFIX, parse
 from pkm_studies.study.tables.fit import PredictionReference
 from pkm_studies.user_code import Origin
 
@@ -25,8 +27,8 @@ from pkm_studies.user_code import Origin
 POSES, VALUES, FEWER_VALUES = 1000, 5, 3
 #: values of an angle that goes all the way round
 TURN_VALUES = 12
-#: share of the workspace that the grid spans
-SHARE = 0.6
+#: shares of the workspace that the grid spans: the first whose poses can be measured
+SHARES = (0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
 #: half a range of a coordinate without end, m or rad
 HALF_RANGE = 0.1
 #: readings of the design, where the grid has as many
@@ -96,23 +98,60 @@ def write(name: str | None, machine: str, instrument: str, origin: Origin) -> Pa
             f"it cannot read {model.name}: {reason}", "take another", instrument
         )
     study = path.name.removesuffix(SUFFIX)
-    return files.write_whole(path, text(study, machine, model, instrument, tool))
+    drafts = (text(study, machine, model, instrument, tool, share) for share in SHARES)
+    draft = _first_sound(drafts, path, origin)
+    return files.write_whole(path, draft)
+
+
+def _first_sound(drafts: Iterable[str], path: Path, origin: Origin) -> str:
+    """The first draft whose poses the machine can take, or whose fault is another.
+
+    A user's machine may reach less than its ranges say. Raises InputError where it does
+    not even reach what lies near its home pose.
+    """
+    problem: InputError | None = None
+    for draft in drafts:
+        try:
+            resolve(parse(draft, path, origin.consent), readings=())
+        except (InputError, AssemblyError) as error:
+            problem = problem or _as_input(error)
+            continue
+        return draft
+    assert problem is not None
+    raise InputError(
+        f"no draft of a study passes its check: {problem.problem}",
+        "check the machine's home pose, the ranges of commands and joints, and guess",
+        file=problem.file,
+        field=problem.field,
+    )
+
+
+def _as_input(error: InputError | AssemblyError) -> InputError:
+    return error if isinstance(error, InputError) else InputError(str(error), "")
 
 
 def text(
-    name: str, model: str, machine: Machine, reference: str, instrument: Instrument
+    name: str,
+    model: str,
+    machine: Machine,
+    reference: str,
+    instrument: Instrument,
+    share: float = SHARES[0],
 ) -> str:
-    """The text of a study without errors; `model` and `reference` name its objects."""
+    """The text of a study; `model` and `reference` name its objects.
+
+    share  of the workspace that its poses span
+    """
     blocks = [
         _head(name, machine, instrument),
         _machine(model, machine),
         _setup(reference, machine, instrument),
         _noise(instrument),
         _prior(machine),
-        _design(machine, instrument),
+        _design(machine, instrument, share),
         _readings(machine),
-        prediction_table(machine),
-        _plan(machine, instrument),
+        prediction_table(machine, share=share),
+        _plan(machine, instrument, share),
         GAP,
         _claims(),
     ]
@@ -205,8 +244,8 @@ def _prior(machine: Machine) -> str:
 """
 
 
-def _design(machine: Machine, instrument: Instrument) -> str:
-    grid = _grid(machine, instrument)
+def _design(machine: Machine, instrument: Instrument, share: float) -> str:
+    grid = _grid(machine, instrument, share)
     counts = [int(n) for n in re.findall(r"count = (\d+)", "\n".join(grid))]
     readings = min(READINGS, math.prod(counts) // 2)  # fewer than there are candidates
     lines = [
@@ -230,9 +269,14 @@ draw = true  # the virtual machine's errors come from the tolerances
 """
 
 
-def prediction_table(machine: Machine, errors: PredictionReference = "home") -> str:
-    """The table [prediction]; `errors`, what the errors refer to."""
-    axes = "\n".join(_axis(c, machine) for c in machine.command)
+def prediction_table(
+    machine: Machine, errors: PredictionReference = "home", share: float = SHARES[0]
+) -> str:
+    """The table [prediction]; `errors`, what the errors refer to.
+
+    share  of the workspace that its poses span
+    """
+    axes = "\n".join(_axis(c, machine, share) for c in machine.command)
     driven = next((c for c in machine.components if c.compensatable), None)
     limit = ""
     if driven is not None:
@@ -247,7 +291,7 @@ reference = "{errors}"  # home, absolute or best_fit
 """
 
 
-def _plan(machine: Machine, instrument: Instrument) -> str:
+def _plan(machine: Machine, instrument: Instrument, share: float) -> str:
     """A plan with one measurement.
 
     Only a pointer where a setting is a placeholder: its readings say nothing.
@@ -258,7 +302,7 @@ def _plan(machine: Machine, instrument: Instrument) -> str:
     )
     if any(s.default is None for s in instrument.settings):
         return about
-    grid = "\n".join(f"# {line}" for line in _grid(machine, instrument))
+    grid = "\n".join(f"# {line}" for line in _grid(machine, instrument, share))
     return f"""\
 {about}# [plan]
 # budget_min = 120.0
@@ -282,25 +326,25 @@ def _claims() -> str:
 # -- grids -----------------------------------------------------------------------------
 
 
-def _grid(machine: Machine, instrument: Instrument) -> list[str]:
-    hold = _led_coordinate(machine, instrument)
+def _grid(machine: Machine, instrument: Instrument, share: float) -> list[str]:
+    hold = _led_coordinate(machine, instrument, share)
     lines = []
     for c in machine.command:
         if c.name == hold:
             lines.append(f'{c.name} = "hold"  # led by the instrument')
         else:
-            lines.append(_axis(c, machine))
+            lines.append(_axis(c, machine, share))
     return lines
 
 
-def _axis(c: Coordinate, machine: Machine) -> str:
+def _axis(c: Coordinate, machine: Machine, share: float) -> str:
     key = column(c.name, c.unit)
-    if _turns(c):
+    if _turns(c, share):
         count = TURN_VALUES
         return (
             f"{key} = {{ from = 0.0, to = 360.0, count = {count}, endpoint = false }}"
         )
-    low, high = (_number(end, c.unit) for end in _span(c, machine))
+    low, high = (_number(end, c.unit) for end in _span(c, machine, share))
     return f"{key} = {{ from = {low}, to = {high}, count = {_count(machine)} }}"
 
 
@@ -310,28 +354,41 @@ def _count(machine: Machine) -> int:
     return FEWER_VALUES if few else VALUES
 
 
-def _turns(c: Coordinate) -> bool:
-    """Whether an angle may go all the way round."""
+def _turns(c: Coordinate, share: float) -> bool:
+    """Whether an angle goes all the way round: not in a part of the workspace.
+
+    Where its range has no end, only a cautious try goes round.
+    """
     full_turn = 2.0 * math.pi - 1e-9
-    return c.unit == "rad" and c.lower <= 0.0 and c.upper >= full_turn
+    whole = c.unit == "rad" and c.lower <= 0.0 and c.upper >= full_turn
+    has_ends = math.isfinite(c.lower) and math.isfinite(c.upper)
+    return whole and (share == SHARES[0] or has_ends)
 
 
-def _span(c: Coordinate, machine: Machine) -> tuple[float, float]:
-    """The middle of a coordinate's range; about home where it has no end."""
+def _span(c: Coordinate, machine: Machine, share: float) -> tuple[float, float]:
+    """The middle of a coordinate's range; a smaller part of it lies about home.
+
+    So does that of a coordinate without end.
+    """
     home = machine.home[c.name]
     low = c.lower if np.isfinite(c.lower) else home - HALF_RANGE
     high = c.upper if np.isfinite(c.upper) else home + HALF_RANGE
     centre, half = (low + high) / 2.0, (high - low) / 2.0
-    return centre - SHARE * half, centre + SHARE * half
+    if share == SHARES[0]:
+        return centre - share * half, centre + share * half
+    return max(home - share * half, low), min(home + share * half, high)
 
 
-def _led_coordinate(machine: Machine, instrument: Instrument) -> str | None:
+def _led_coordinate(
+    machine: Machine, instrument: Instrument, share: float
+) -> str | None:
     """The coordinate by which the instrument leads the tool at most poses, if any."""
     if instrument.fixed_reading is None:
         return None
     axes = []
     for c in machine.command:
-        low, high = (0.0, 2.0 * math.pi) if _turns(c) else _span(c, machine)
+        whole_turn = (0.0, 2.0 * math.pi)
+        low, high = whole_turn if _turns(c, share) else _span(c, machine, share)
         axes.append(np.linspace(low, high, _count(machine)))
     mesh = np.meshgrid(*axes, indexing="ij")
     command = np.column_stack([m.ravel() for m in mesh])

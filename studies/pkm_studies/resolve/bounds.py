@@ -56,7 +56,9 @@ def _bounded(machine: Machine, table: BoundsTable, place: Place) -> Machine:
             parameters.append(parameter)
             continue
         if not low <= parameter.nominal <= high or low == high:
-            nominal = quantities.format_value(parameter.nominal, unit)
+            nominal = quantities.format_as(
+                parameter.nominal, unit, next(iter(table.ends))
+            )
             raise place.error(
                 f"the nominal value of {parameter.name}, {nominal}, is not within",
                 "bounds are of the value, not of its error; check their unit",

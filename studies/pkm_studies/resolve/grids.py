@@ -20,7 +20,7 @@ from oed.machine import Coordinate, Machine
 from oed.measurement import Measurement, Series
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import poses, quantities
-from pkm_studies.resolve.quantities import format_value
+from pkm_studies.resolve.quantities import format_as, format_value
 from pkm_studies.study.tables import Axis, GridTable, Span
 
 #: most poses of one grid
@@ -199,11 +199,11 @@ def check_workspace(
 ) -> None:
     """Raises InputError for the first command outside the machine's workspace."""
     for _, name, value, lower, upper in machine.out_of_range(command, tool)[:1]:
-        unit = command_units(machine)[name]
-        span = f"{format_value(lower, unit)} to {format_value(upper, unit)}"
-        raise place.key(keys.get(name, name)).error(
-            f"{format_value(value, unit)} is outside the workspace of {machine.name}",
-            f"{name} goes from {span}",
+        unit, key = command_units(machine)[name], keys.get(name, name)
+        stated, low, high = (format_as(v, unit, key) for v in (value, lower, upper))
+        raise place.key(key).error(
+            f"{stated} is outside the workspace of {machine.name}",
+            f"{name} goes from {low} to {high}",
         )
 
 
@@ -231,7 +231,8 @@ def solve_held(
     try:
         solved, solvable = measurement.commands_at_fixed_reading(setup, command, hold)
     except AssemblyError as error:
-        raise place.error(str(error), "narrow the grid", "hold") from error
+        problem = reach_problem(error, measurement.machine)
+        raise place.error(problem, "narrow the grid", "hold") from error
     lost = int((~solvable).sum())
     if lost == len(command) or (strict and lost):
         first = command[np.flatnonzero(~solvable)[0]]
@@ -266,7 +267,8 @@ def planned_series(
     try:
         series = measurement.series(setup, command, run)
     except AssemblyError as error:
-        raise place.error(str(error), "keep to poses the machine can reach") from error
+        problem = reach_problem(error, measurement.machine)
+        raise place.error(problem, REACH_REMEDY) from error
     if not len(series):
         raise place.error(
             "every run is one point: its reference, and no reading",
@@ -274,6 +276,13 @@ def planned_series(
         )
     check_joint_range(measurement.machine, series, place)
     return series.expand_passes(measurement.setups[setup].protocol)
+
+
+#: remedy for poses out of reach
+REACH_REMEDY = (
+    "keep to poses the machine can reach; check tool and units, and well inside the"
+    " workspace the model's guess"
+)
 
 
 def check_joint_range(machine: Machine, series: Series, place: Place) -> None:
@@ -285,10 +294,28 @@ def check_joint_range(machine: Machine, series: Series, place: Place) -> None:
             continue
         value = format_value(low if too_low else high, joint.unit)
         lower, upper = (format_value(v, joint.unit) for v in (joint.lower, joint.upper))
+        q = series.q[:, k]
+        worst = int(q.argmin() if too_low else q.argmax())
+        pose = pose_words(machine, series.command[worst])
         raise place.error(
-            f"a pose needs {joint.name} = {value}, outside the joint's range",
+            f"the pose {pose} needs {joint.name} = {value}, outside the joint's range",
             f"{joint.name} goes from {lower} to {upper}: keep to poses within",
         )
+
+
+def pose_words(machine: Machine, command: Array) -> str:
+    """A command (n_dof,), SI, in the units in which a person writes it."""
+    values = zip(machine.command, command, strict=True)
+    return ", ".join(f"{c.name} = {format_value(v, c.unit)}" for c, v in values)
+
+
+def reach_problem(error: AssemblyError, machine: Machine) -> str:
+    """How many commands cannot be reached, the first one, and why."""
+    if error.first is None:
+        return str(error)
+    poses = "1 pose" if len(error.indices) == 1 else f"{len(error.indices)} poses"
+    first = pose_words(machine, error.first)
+    return f"{poses} cannot be reached, the first at {first}: {error.reason}"
 
 
 def run_labels(

@@ -166,11 +166,15 @@ def _with_ranges(table: MachineTable, model: Machine, place: Place) -> Machine:
         home=home,
         drawn=model.drawn or model,
     )
-    for _, name, *_ in machine.out_of_range(machine.home_command[None]):
-        key = quantities.column(name, known[name])
-        value = quantities.format_value(home[name], known[name])
+    keys = {quantities.split_key(key, known, place)[0]: key for key in table.home}
+    for _, name, _, *ends in machine.out_of_range(machine.home_command[None]):
+        unit = known[name]
+        key = keys.get(name, quantities.column(name, unit))
+        value = quantities.format_as(home[name], unit, key)
+        low, high = (quantities.format_as(end, unit, key) for end in ends)
         problem = f"home has {name} = {value}, outside the workspace"
-        raise place.key("home").key(key).error(problem, "state a home pose inside")
+        remedy = f"state a home pose inside: {name} goes from {low} to {high}"
+        raise place.key("home").key(key).error(problem, remedy)
     return machine
 
 

@@ -83,6 +83,17 @@ def format_value(value: float, si: str) -> str:
     return number if unit == "1" else f"{number} {unit}"
 
 
+def format_as(value: float, si: str, key: str) -> str:
+    """An SI value as text, in the unit of the field that states it (`z_um`).
+
+    In the usual unit where the field has none of this kind.
+    """
+    unit = key.rpartition("_")[2]
+    if unit not in allowed_units(si) or unit == "1":
+        return format_value(value, si)
+    return f"{float(units.from_si(value, unit)):.9g} {unit}"
+
+
 def check_not_negative(value: float, place: Place) -> None:
     """Raises InputError for a tolerance below 0."""
     if value < 0.0:

@@ -137,5 +137,6 @@ def _check_teach_pose(kinematics: Kinematics, setup: Setup, place: Place) -> Non
     try:
         series = Measurement(machine, [setup], kinematics).series(setup.name, command)
     except AssemblyError as error:
-        raise place.error(str(error), "give a pose the machine can reach") from error
+        problem = grids.reach_problem(error, machine)
+        raise place.error(problem, "give a pose the machine can reach") from error
     grids.check_joint_range(machine, series, place)
