@@ -129,6 +129,20 @@ def test_check_reads_readings_with_their_study(oed: Run, tmp_path: Path) -> None
     assert "3 readings fit the columns of small" in out
 
 
+def test_readings_of_a_study_with_an_error_are_checked_as_text(
+    oed: Run, tmp_path: Path
+) -> None:
+    study, readings = tmp_path / "a.study.toml", tmp_path / "r.csv"
+    study.write_text(sample.STUDY.replace("a3_head", "a3_hed"), encoding="utf-8")
+    readings.write_text(sample.READINGS, encoding="utf-8")
+    code, out, err = oed("check", study, readings)
+    assert code == 2
+    assert "did you mean a3_head?" in err
+    assert "4 rows are sound as text; set-ups, poses and units are checked once" in out
+    assert "give the study" not in out
+    assert "give the study as well" in oed("check", readings)[1]
+
+
 def test_check_says_where_data_is_missing(oed: Run, tmp_path: Path) -> None:
     study = write(
         tmp_path / "d.study.toml",

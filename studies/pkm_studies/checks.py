@@ -48,13 +48,14 @@ def check(
     """
     resolved: list[ResolvedStudy] = []
     alone = all(p.suffix != ".csv" for p in paths)
+    given = any(p.suffix not in (".csv", ".py") for p in paths)
     for path in [p for p in paths if p.suffix == ".py"]:
         yield path, _verdict(partial(_check_machine, path, consent))
     for path in [p for p in paths if p.suffix not in (".csv", ".py")]:
         check_study = partial(_check_study, path, consent, resolved, alone=alone)
         yield path, _verdict(check_study)
     for path in [p for p in paths if p.suffix == ".csv"]:
-        yield path, _verdict(partial(_check_readings, path, resolved))
+        yield path, _verdict(partial(_check_readings, path, resolved, given=given))
 
 
 def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
@@ -143,14 +144,21 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
     return "; ".join(sentences)
 
 
-def _check_readings(path: Path, resolved: Sequence[ResolvedStudy]) -> Verdict:
-    """What a readings file holds, by the studies that name it, or by all."""
+def _check_readings(
+    path: Path, resolved: Sequence[ResolvedStudy], *, given: bool
+) -> Verdict:
+    """What a readings file holds, by the studies that name it, or by all.
+
+    given  whether a study was given, which may have an error
+    """
     if not resolved:
         rows = sources.check_text(path)
-        return Verdict(
-            f"{rows} rows are sound as text; give the study as well to check set-ups,"
-            " poses and units"
+        rest = (
+            "set-ups, poses and units are checked once the study has no error"
+            if given
+            else "give the study as well to check set-ups, poses and units"
         )
+        return Verdict(f"{rows} rows are sound as text; {rest}")
     naming = [r for r in resolved if _names_file(r.study, path)]
     contents: list[str] = []
     findings: list[str] = []
