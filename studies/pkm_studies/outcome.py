@@ -18,10 +18,14 @@ DONE, FAILED, BAD_INPUT = 0, 1, 2
 def report_outcome(result: StudyResult, folder: Path, quiet: bool) -> int:
     """Print headline, files and claims; the exit code."""
     if not quiet:
-        from pkm_studies import result_folder
+        from pkm_studies import accuracy_table, result_folder
+        from pkm_studies.stages import headline
 
-        for sentence in (*result.headline, *_advice(result)):
-            print(sentence)
+        accuracy_table.print_accuracy(result)
+        tabled = headline.accuracy_sentences(result)
+        for sentence in result.headline:
+            if sentence not in tabled:
+                print(sentence)
         for warning in result.warnings:
             if warning not in result.headline:
                 print(f"Warning: {_sentence(warning)}")
@@ -42,16 +46,6 @@ def report_outcome(result: StudyResult, folder: Path, quiet: bool) -> int:
     for objection in objections:
         console.print_error(f"{objection}; nothing that rests on it can be trusted")
     return FAILED if failing or objections else DONE
-
-
-def _advice(result: StudyResult) -> list[str]:
-    """What to improve first, of the accuracy that compensation reaches."""
-    prediction = result.prediction
-    if result.corrected is not None:
-        prediction = result.corrected.prediction
-    if prediction is None or prediction.budget is None:
-        return []
-    return prediction.budget.advice
 
 
 def _sentence(text: str) -> str:

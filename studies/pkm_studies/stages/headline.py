@@ -19,6 +19,7 @@ from oed.result import (
     PlanScore,
     PosteriorSection,
     PredictionSection,
+    StudyResult,
 )
 from pkm_studies.stages.plan.summary import plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
@@ -60,6 +61,15 @@ def sentences(sections: Mapping[str, Any], recorded: bool = False) -> list[str]:
     return [*alarms, *findings, *noise, *ranked[:MAX_SENTENCES]]
 
 
+def accuracy_sentences(result: StudyResult) -> list[str]:
+    """Sentences of the headline that the terminal has as a table."""
+    return [
+        *_corrected(result.corrected),
+        *_accuracy(result.prediction),
+        *_unmodelled(result.prediction),
+    ]
+
+
 def _separation(section: GapBeforeSection | None) -> list[str]:
     """How well the runs of [gap.design] separate effects."""
     if section is None or section.chosen is None:
@@ -71,47 +81,51 @@ def _corrected(section: CorrectedSection | None) -> list[str]:
     """What compensation of parameters and effects reaches, and on which conditions."""
     if section is None or section.prediction is None:
         return []
-    changes = [
-        _change(name, c.before.rms, c.after.rms, c.after.unit)
-        for name, c in section.prediction.components.items()
-        if c.compensatable
-    ]
     effects = " and ".join(section.constants)
     reference = REFERENCES[section.prediction.reference]
     return [
         f"With {effects} in the model, compensation of parameters and effects is"
-        f" predicted to reduce the rms error, {reference}: {'; '.join(changes)}. It rests"
-        f" on these conditions: {'; '.join(section.conditions)}."
+        f" predicted to {_changes(section.prediction, f'the rms error, {reference}')}."
+        f" It rests on these conditions: {'; '.join(section.conditions)}."
     ]
 
 
 def _accuracy(section: PredictionSection | None) -> list[str]:
     if section is None:
         return []
+    error = f"the rms error over the workspace, {REFERENCES[section.reference]}"
+    others = without_drive(section)
+    return [f"Compensation is predicted to {_changes(section, error)}.{others}"]
+
+
+def _changes(section: PredictionSection, error: str) -> str:
+    """What becomes of an error in the components that the controller corrects.
+
+    What stays as it is, or grows, is not said to be reduced.
+    """
     driven = {name: c for name, c in section.components.items() if c.compensatable}
-    others = _without_drive(section)
-    before = {name: format_number(c.before.rms) for name, c in driven.items()}
-    after = {name: format_number(c.after.rms) for name, c in driven.items()}
-    reference = REFERENCES[section.reference]
-    if before == after:
-        errors = [
-            f"{name} {value} {section.unit[name]}" for name, value in after.items()
-        ]
-        return [
-            "Compensation is predicted to leave the rms error over the workspace as it"
-            f" is, {reference}: {'; '.join(errors)}.{others}"
-        ]
-    changes = [
-        _change(name, c.before.rms, c.after.rms, section.unit[name])
-        for name, c in driven.items()
-    ]
-    return [
-        f"Compensation is predicted to reduce the rms error over the workspace,"
-        f" {reference}: {'; '.join(changes)}.{others}"
-    ]
+    reduced: list[str] = []
+    same: list[str] = []
+    grown: list[str] = []
+    for name, c in driven.items():
+        unit = section.unit[name]
+        before, after = c.before.rms, c.after.rms
+        if format_number(before) == format_number(after):
+            same.append(f"{name} {format_number(after)} {unit}")
+        else:
+            group = reduced if after < before else grown
+            group.append(_change(name, before, after, unit))
+    phrases = [f"reduce {error}: {'; '.join(reduced)}"] if reduced else []
+    of = "" if reduced else f" {error}"
+    if same:
+        phrases.append(f"leave{of} as it is: {'; '.join(same)}")
+        of = ""
+    if grown:
+        phrases.append(f"increase{of or ' it'}: {'; '.join(grown)}")
+    return ", and to ".join(phrases) or f"change nothing of {error}"
 
 
-def _without_drive(section: PredictionSection) -> str:
+def without_drive(section: PredictionSection) -> str:
     """What no drive corrects, without and with further axes; empty where there is none."""
     parts = [
         f"{name} {format_number(c.after.rms)} ({format_number(c.known.rms)} with further"
@@ -252,7 +266,7 @@ def _posterior(section: PosteriorSection | None) -> list[str]:
     rhat = max((m.rhat for m in marginals if m.rhat is not None), default=math.nan)
     return [
         f"The posterior has {section.draws} draws, an effective sample size of at least"
-        f" {ess:.0f} and an R-hat of at most {rhat:.3f}."
+        f" {float(f'{ess:.2g}'):.0f} and an R-hat of at most {rhat:.3f}."
     ]
 
 
@@ -270,6 +284,8 @@ def predicted_accuracy(section: PredictionSection | None) -> dict[str, float]:
 
 
 def _change(name: str, before: float, after: float, unit: str) -> str:
+    if format_number(before) == format_number(after):
+        return f"{name} stays at {format_number(after)} {unit}"
     return f"{name} from {format_number(before)} to {format_number(after)} {unit}"
 
 

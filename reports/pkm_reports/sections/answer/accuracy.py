@@ -6,7 +6,12 @@ import dataclasses
 import math
 from typing import Final
 
-from oed.result import ComponentAccuracy, PredictionSection, StudyResult
+from oed.result import (
+    ComponentAccuracy,
+    PredictionSection,
+    SpreadRecord,
+    StudyResult,
+)
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
     Block,
@@ -16,7 +21,7 @@ from pkm_reports.blocks import (
     TableColumn,
     number_columns,
 )
-from pkm_reports.sections import acceptance
+from pkm_reports.sections import acceptance, accuracy_ranges
 from pkm_reports.sections.stages import wording
 
 REFERENCES: Final = {
@@ -128,7 +133,12 @@ def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block
         rows.append(_row(name, components[name], judged[name], with_limits))
         marks.append(judged[name].mark)
     table = Table(columns, rows, _caption(prediction, judged), marks)
-    return [table, *_unknown_part(components), *_worst_case(prediction)]
+    return [
+        table,
+        *_unmodelled(prediction),
+        *_unknown_part(components),
+        *_worst_case(prediction),
+    ]
 
 
 def _ordered(
@@ -191,10 +201,33 @@ def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
     ]
 
 
+def _unmodelled(prediction: PredictionSection) -> list[Block]:
+    """What the effect outside the model that adds most would make of the accuracy."""
+    if prediction.budget is None or not prediction.budget.unmodelled:
+        return []
+    worst = prediction.budget.unmodelled[0]
+    components = prediction.components
+    driven = [name for name, c in components.items() if c.compensatable]
+    changes = []
+    for name in driven or list(components):
+        after = components[name].after
+        larger = text.quantity(worst.with_it[name], after.unit)
+        changes.append(f"{name} from {text.number(after.rms)} to {larger}")
+    effect = worst.effect.replace("_", " ")
+    return [
+        Notice(
+            f"This is geometry alone. {effect.capitalize()} of its expected size"
+            f" ({text.with_symbols(worst.expected)}), which the model lacks, brings"
+            f" {text.listing(changes)}: calibration takes a part of it for geometry."
+            f" Remedy: {worst.remedy.rstrip('.')}."
+        )
+    ]
+
+
 def _worst_case(prediction: PredictionSection) -> list[Block]:
     """The largest error of what the controller corrects, which rms hides."""
     worst = [
-        f"{name} {text.quantity(c.after.max, c.after.unit)}"
+        f"{name} {text.with_unit(_largest(c.after), c.after.unit)}"
         for name, c in prediction.components.items()
         if c.compensatable
     ]
@@ -202,6 +235,10 @@ def _worst_case(prediction: PredictionSection) -> list[Block]:
         return []
     words = "Largest error over the workspace, which 95 % of such machines stay below"
     return [Paragraph(f"{words}: {text.listing(worst)}.")]
+
+
+def _largest(spread: SpreadRecord) -> str:
+    return accuracy_ranges.figures(spread)[-1]
 
 
 def _planned(result: StudyResult) -> Table:

@@ -154,6 +154,24 @@ def advice_on(
     lines: Sequence[BudgetLine], predicted: Values, components: Mapping[str, str]
 ) -> list[str]:
     """The improvements of components {name: unit} that bring most, in sentences."""
+    sentences = []
+    best = improvements(lines, predicted, components)
+    for number, (improvement, after) in enumerate(best):
+        order = "Improve first" if number == 0 else "Then"
+        sentences.append(
+            f"{order}: {improvement} brings {quantities(after, components)} instead of"
+            f" {quantities(predicted, components)}."
+        )
+    return sentences
+
+
+def improvements(
+    lines: Sequence[BudgetLine], predicted: Values, components: Mapping[str, str]
+) -> list[tuple[str, Values]]:
+    """The improvements of components {name: unit} that bring most, and what each brings.
+
+    In words, the best first.
+    """
     ranked: list[tuple[float, str, Values]] = []
     for line in lines:
         better = line.halved or line.without
@@ -165,14 +183,7 @@ def advice_on(
     for gain, improvement, after in ranked:
         if gain < 1.0 - WORTH:
             best.setdefault(improvement, after)  # several lines may have the same one
-    sentences = []
-    for number, (improvement, after) in enumerate([*best.items()][:MOST_ADVICE]):
-        order = "Improve first" if number == 0 else "Then"
-        sentences.append(
-            f"{order}: {improvement} brings {quantities(after, components)} instead of"
-            f" {quantities(predicted, components)}."
-        )
-    return sentences
+    return [*best.items()][:MOST_ADVICE]
 
 
 def _improvement(line: BudgetLine) -> str:

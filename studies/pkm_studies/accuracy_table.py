@@ -1,0 +1,98 @@
+"""Prints the predicted accuracy as one table: before, after, what would change it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from pkm_studies.stages.headline import REFERENCES, format_number, without_drive
+from pkm_studies.stages.predict.budget import improvements
+
+if TYPE_CHECKING:
+    from oed.result import PredictionSection, StudyResult
+
+#: width of the table where there is no terminal
+WIDTH = 120
+
+
+class Row(NamedTuple):
+    """A line of the table: what it is, and the rms error by component."""
+
+    words: str
+    errors: Mapping[str, float]
+
+
+def print_accuracy(result: StudyResult) -> None:
+    """Print the table on stdout, and what its lines mean; nothing without accuracy."""
+    prediction = result.final_prediction
+    if prediction is None or not prediction.components:
+        return
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    units = shown_components(prediction)
+    reference = REFERENCES[prediction.reference]
+    title = f"Predicted rms error over the workspace, {reference}"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    table.add_column("")
+    for name, unit in units.items():
+        table.add_column(f"{name} [{unit}]", justify="right")
+    for row in rows(result, prediction):
+        cells = [_cell(row.errors, name) for name in units]
+        table.add_row(row.words, *cells)
+    terminal = Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+    terminal.print(table, markup=False)
+    for sentence in remarks(result, prediction):
+        print(sentence)
+
+
+def shown_components(prediction: PredictionSection) -> dict[str, str]:
+    """{component: unit} of those that the controller corrects; all where it does none."""
+    components = prediction.components
+    driven = {n: c.after.unit for n, c in components.items() if c.compensatable}
+    return driven or {n: c.after.unit for n, c in components.items()}
+
+
+def rows(result: StudyResult, prediction: PredictionSection) -> list[Row]:
+    """The lines of the table."""
+    components = prediction.components
+    lines = [Row("before", {n: c.before.rms for n, c in components.items()})]
+    corrected = result.corrected
+    if corrected is not None:
+        alone = {n: s.rms for n, s in corrected.parameters_only.items()}
+        lines.append(Row("parameters compensated alone", alone))
+    after = "after compensation" if corrected is None else "effects compensated too"
+    lines.append(Row(after, {n: c.after.rms for n, c in components.items()}))
+    budget = prediction.budget
+    if budget is None:
+        return lines
+    for worst in budget.unmodelled[:1]:
+        words = f"+ {worst.effect} of {worst.expected}, not in the model"
+        lines.append(Row(words, worst.with_it))
+    units = shown_components(prediction)
+    for words, better in improvements(budget.lines, budget.predicted, units):
+        lines.append(Row(f"with {words}", better))
+    return lines
+
+
+def remarks(result: StudyResult, prediction: PredictionSection) -> list[str]:
+    """What the lines rest on, and the remedy for an effect that the model lacks."""
+    others = without_drive(prediction).strip()
+    sentences = [others] if others else []
+    if result.corrected is not None:
+        conditions = "; ".join(result.corrected.conditions)
+        sentences.append(f"This rests on these conditions: {conditions}.")
+    budget = prediction.budget
+    if budget is not None and budget.unmodelled:
+        worst = budget.unmodelled[0]
+        sentences.append(
+            f"The prediction is geometry alone. {worst.effect} is no part of it:"
+            f" calibration takes some of it for geometry. Remedy: {worst.remedy}."
+        )
+    return sentences
+
+
+def _cell(errors: Mapping[str, float], name: str) -> str:
+    return format_number(errors[name]) if name in errors else ""
