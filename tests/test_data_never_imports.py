@@ -220,7 +220,7 @@ def test_results(draw: st.DataObject) -> None:
             call("compare", "a", "b")
 
 
-@settings(EXAMPLES, max_examples=5)
+@settings(EXAMPLES, max_examples=2)
 @given(st.data())
 def test_reports(draw: st.DataObject) -> None:
     plain = report_fixture.sample()
