@@ -195,7 +195,8 @@ def _unlocated(
     if not lost:
         suspects = _suspects(session, search, aside)
         lost = [outlier_odds.likeliest(suspects)]
-    without = fit(session.without([*aside, *lost]), search.solution.theta)
+    others = session.without([*aside, *lost])
+    without = fit(others, search.solution.theta) if len(others.y) else None
     if without is None:
         return ()
     if goodness(without).is_bad(noise_is_a_guess=noise_is_a_guess):
