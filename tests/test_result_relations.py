@@ -212,6 +212,8 @@ MUTATIONS: list[tuple[Change, str]] = [
     (drop("estimate/residuals"), "residuals"),
     (drop("prediction/components/z/after"), "after"),
     (put("estimate/colour", "blue"), "colour"),
+    (drop("machine/parameters/0/name"), "machine.parameters[1].name"),
+    (put("machine/parameters/0/tolerance", "much"), "machine.parameters[1].tolerance"),
     # types
     (put("seed", "three"), "seed"),
     (put("headline", "a sentence"), "headline"),

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any, Final
 
 from oed.result.design import DesignSection, HowManySummary, RobustSummary
 from oed.result.identifiability import IdentifiabilitySection, KappaMap
 from oed.result.plan import PlanSection
 from oed.result.relations import base
 from oed.result.relations.base import LARGEST_LOGARITHM, Breach
-from oed.result.study import Drawing, StudyResult
+from oed.result.study import Drawing, MachineInfo, StudyResult
 
 #: what a criterion compares may be the logarithm of a size, or minus a variance
 LOGARITHMS = (-LARGEST_LOGARITHM, LARGEST_LOGARITHM)
 
+#: columns of the machine's table that others look up, and their types
+PARAMETER: Final[dict[str, Any]] = {
+    "name": str,
+    "unit": str,
+    "nominal": (int, float),
+    "tolerance": (int, float),
+}
+
 
 def breaches(result: StudyResult) -> Iterator[Breach]:
     """Contradictions of the sections that a plan makes."""
+    yield from _machine(result.machine)
     setups = [setup.name for setup in result.setups]
     for name, variant in result.identifiability_of.items():
         yield from _identifiability(f"identifiability_of.{name}", variant)
@@ -30,6 +40,16 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _plan(result.plan)
     if result.drawing is not None:
         yield from _drawing(result.drawing, setups)
+
+
+def _machine(machine: MachineInfo) -> Iterator[Breach]:
+    """Parameters without name, unit or numbers: a later stage looks them up."""
+    for k, row in enumerate(machine.parameters, start=1):
+        field = f"machine.parameters[{k}]"
+        for key, kind in PARAMETER.items():
+            if not isinstance(row.get(key), kind):
+                yield Breach(f"{field}.{key}", f"{row.get(key)!r} is no {key}")
+        yield from base.unit(f"{field}.unit", str(row.get("unit")))
 
 
 def _identifiability(field: str, section: IdentifiabilitySection) -> Iterator[Breach]:
