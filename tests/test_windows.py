@@ -126,7 +126,10 @@ def test_no_module_needs_posix() -> None:
 def test_a_file_that_another_program_has_open_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Windows refuses to replace an open file: one line, and the old file stays."""
+    """Windows refuses to replace an open file: one line, and the old files stay.
+
+    The result comes last: it names the files that are there.
+    """
     study, out = tmp_path / "p.study.toml", tmp_path / "out"
     study.write_text(PLAN, encoding="utf-8")
     assert (
@@ -141,7 +144,7 @@ def test_a_file_that_another_program_has_open_is_named(
     monkeypatch.setattr(Path, "replace", refuse)
     assert cli.main(["run", str(study), "--quiet", "--out", str(out)]) == 2
     err = capsys.readouterr().err
-    assert "result.json: access is denied" in err
+    assert "plan.csv: access is denied" in err
     assert "close it in other programs" in err
     assert (out / "result.json").read_text(encoding="utf-8") == old
     assert [path.name for path in out.iterdir()] == ["result.json"]

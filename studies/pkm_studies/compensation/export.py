@@ -161,16 +161,19 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
 def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:
     """Write the texts; a file that a user names is never replaced."""
     if out is None:
-        paths = [folder / f"compensation{suffix}" for suffix in texts]
-    else:
-        stem = out.stem if ENDING.fullmatch(out.suffix) else out.name
-        others = [out.with_name(f"{stem}{suffix}") for suffix in list(texts)[1:]]
-        paths = [out, *others]
-        for path in paths:
-            if path.exists():
-                raise InputError(
-                    "this file is there already", "name another one", file=str(path)
-                )
+        files.out_folder(folder)
+        return tuple(
+            write_own(folder / f"compensation{suffix}", text.encode())
+            for suffix, text in texts.items()
+        )
+    stem = out.stem if ENDING.fullmatch(out.suffix) else out.name
+    others = [out.with_name(f"{stem}{suffix}") for suffix in list(texts)[1:]]
+    paths = [out, *others]
+    for path in paths:
+        if path.exists():
+            raise InputError(
+                "this file is there already", "name another one", file=str(path)
+            )
+    files.out_folder(out.parent)
     contents = zip(paths, texts.values(), strict=True)
-    files.out_folder(paths[0].parent)
-    return tuple(write_own(path, text.encode()) for path, text in contents)
+    return tuple(files.write_whole(path, text) for path, text in contents)
