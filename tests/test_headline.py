@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -104,6 +105,20 @@ def test_the_terminal_has_each_figure_once(capsys: pytest.CaptureFixture[str]) -
     assert row.split()[-3:] == ["1118", "237", "15.1"]
     assert [line for line in lines if "half the noise of ball_bar" in line]
     assert "Remedy: measure each joint's travel." in text
+
+
+def test_what_no_drive_corrects_is_below_the_table(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    full = report_fixture.sample()["prediction"]["components"]
+    others = [name for name, c in full.items() if not c["compensatable"]]
+    assert others
+    raw = report_fixture.bare() | {"prediction": report_fixture.sample()["prediction"]}
+    accuracy_table.print_accuracy(report_fixture.result_of(raw))
+    out = capsys.readouterr().out
+    (sentence,) = re.findall(r"No drive corrects (.*)\.$", out, re.MULTILINE)
+    assert [part.split()[0] for part in sentence.split("; ")] == others
+    assert sentence.count("with further axes") == len(others)
 
 
 def test_the_headline_is_not_printed_twice(

@@ -88,8 +88,8 @@ def remarks(result: StudyResult, prediction: PredictionSection) -> list[str]:
     if budget is not None and budget.unmodelled:
         worst = budget.unmodelled[0]
         sentences.append(
-            f"The prediction is geometry alone. {worst.effect} is no part of it:"
-            f" calibration takes some of it for geometry. Remedy: {worst.remedy}."
+            f"The prediction is geometry alone, without {worst.effect}: calibration takes"
+            f" some of it for geometry. Remedy: {worst.remedy}."
         )
     return sentences
 
