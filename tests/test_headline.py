@@ -43,6 +43,7 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
         "expected": "10 um",
         "size": after,
         "with_it": {name: 11.5 * value for name, value in after.items()},
+        "far": {name: 345.0 * value for name, value in after.items()},
         "remedy": "measure each joint's travel",
     }
     line = {
@@ -103,6 +104,8 @@ def test_the_terminal_has_each_figure_once(capsys: pytest.CaptureFixture[str]) -
         assert text.count(figure) == 1
     (row,) = [line for line in lines if "pitch_accumulation of 10 um" in line]
     assert row.split()[-3:] == ["1118", "237", "15.1"]
+    (row,) = [line for line in lines if "30 times as much of it" in line]
+    assert row.split()[-3:] == ["33534", "7107", "452"]
     assert [line for line in lines if "half the noise of ball_bar" in line]
     assert "Remedy: measure each joint's travel." in text
 
@@ -147,4 +150,5 @@ def test_the_first_page_says_what_the_model_lacks() -> None:
     plain = words.replace("\N{NO-BREAK SPACE}", " ")
     assert "Pitch accumulation of its expected size (10 µm)" in plain
     assert "z from 97.2 to 1118 µm" in plain
+    assert "a very large one brings 33534 µm" in plain
     assert "Remedy: measure each joint's travel." in plain

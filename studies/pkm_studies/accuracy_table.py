@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from pkm_studies.stages.headline import REFERENCES, format_number, without_drive
-from pkm_studies.stages.predict.budget import improvements
+from pkm_studies.stages.predict.budget import FAR, improvements
 
 if TYPE_CHECKING:
     from oed.result import PredictionSection, StudyResult
@@ -71,6 +71,8 @@ def rows(result: StudyResult, prediction: PredictionSection) -> list[Row]:
     for worst in budget.unmodelled[:1]:
         words = f"+ {worst.effect} of {worst.expected}, not in the model"
         lines.append(Row(words, worst.with_it))
+        if worst.far:
+            lines.append(Row(f"+ {FAR:.0f} times as much of it", worst.far))
     units = shown_components(prediction)
     for words, better in improvements(budget.lines, budget.predicted, units):
         lines.append(Row(f"with {words}", better))
@@ -89,7 +91,8 @@ def remarks(result: StudyResult, prediction: PredictionSection) -> list[str]:
         worst = budget.unmodelled[0]
         sentences.append(
             f"The prediction is geometry alone, without {worst.effect}: calibration takes"
-            f" some of it for geometry. Remedy: {worst.remedy}."
+            f" some of it for geometry, and sizes vary by decades. Remedy:"
+            f" {worst.remedy}."
         )
     return sentences
 

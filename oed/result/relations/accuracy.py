@@ -109,6 +109,9 @@ def _budget(
         at = f"{field}.unmodelled[{k}]"
         for part in ("size", "with_it"):
             yield from base.same_names(f"{at}.{part}", getattr(effect, part), names, of)
+        # results of older versions have no sizes by decades
+        if effect.far:
+            yield from base.same_names(f"{at}.far", effect.far, names, of)
 
 
 def _spreads(field: str, spreads: Mapping[str, SpreadRecord]) -> Iterator[Breach]:

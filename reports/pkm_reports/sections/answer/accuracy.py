@@ -214,12 +214,21 @@ def _unmodelled(prediction: PredictionSection) -> list[Block]:
         larger = text.quantity(worst.with_it[name], after.unit)
         changes.append(f"{name} from {text.number(after.rms)} to {larger}")
     effect = worst.effect.replace("_", " ")
+    far = ""
+    if worst.far:
+        largest = [
+            text.quantity(worst.far[n], components[n].after.unit)
+            for n in driven or list(components)
+        ]
+        far = (
+            f" Sizes vary by decades: a very large one brings {text.listing(largest)}."
+        )
     return [
         Notice(
             f"This is geometry alone. {effect.capitalize()} of its expected size"
             f" ({text.with_symbols(worst.expected)}), which the model lacks, brings"
             f" {text.listing(changes)}: calibration takes a part of it for geometry."
-            f" Remedy: {worst.remedy.rstrip('.')}."
+            f"{far} Remedy: {worst.remedy.rstrip('.')}."
         )
     ]
 
