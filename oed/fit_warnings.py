@@ -7,7 +7,7 @@ import numpy as np
 from oed import text, units
 from oed.estimate import AT_PRIOR, WEAK, Estimate
 from oed.measurement import Measurement
-from oed.result.trust import FAR, chi2_is_large
+from oed.result.trust import FAR, GUESS, chi2_is_large
 
 #: standard deviations from a bound within which an estimate is near it
 NEAR = 2.0
@@ -48,12 +48,17 @@ def large_residuals(estimate: Estimate) -> list[str]:
     if not chi2_is_large(estimate.chi2, estimate.dof):
         return []
     ratio = np.sqrt(estimate.chi2 / estimate.dof)
+    opening = f"the residuals are {ratio:.1f} times the stated noise"
+    if ratio > GUESS:
+        return [
+            f"{opening}: an effect of this size is not in the model, or the readings have"
+            " a mistake"
+        ]
     remedy = "[noise] estimate = true widens the intervals"
     if estimate.noise_posterior is not None:
         remedy = "the intervals are as wide as the residuals ask for"
     return [
-        f"the residuals are {ratio:.1f} times the stated noise: noise is understated, or"
-        f" an effect is not in the model; {remedy}"
+        f"{opening}: noise is understated, or an effect is not in the model; {remedy}"
     ]
 
 

@@ -181,15 +181,18 @@ class Kinematics:
         base, platform, by_joint = self._struts(x, q, p)
         return base.swapaxes(1, 2), platform.swapaxes(1, 2), -1.0 / by_joint
 
-    def start_poses(self, q: Array) -> Array:
+    def start_poses(self, q: Array, *, patient: bool = True) -> Array:
         """Start poses (n, nx) for joints (n, nq) without a command.
 
-        They are followed from the home pose in small steps. Raises AssemblyError.
+        They are followed from the home pose in small steps, in finer ones where that
+        fails and one is `patient`. Raises AssemblyError.
         """
         home_x, home_q = self.inverse(self.machine.home_command)
         try:
             return self._follow_joints(home_x, home_q, q, HOMING_STEPS)
         except AssemblyError:
+            if not patient:
+                raise
             return self._follow_joints(home_x, home_q, q, FINER_HOMING_STEPS)
 
     def _follow_joints(

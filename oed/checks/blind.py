@@ -1,51 +1,113 @@
 """Which mistakes readings cannot reveal: said before the measurement.
 
 Each mistake is undone in noise-free readings of a machine that does not have it. Where
-the result fits as well, readings with the mistake would as well.
+the result fits as well, readings with the mistake would as well. Of mistakes of an amount
+it is the largest one that leaves no trace.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterator
+
 import numpy as np
 
-from oed.checks.fit import fit, linear_model
-from oed.checks.mistakes import Alternatives, variants
+from oed.checks.fit import fit
+from oed.checks.mistakes import Alternatives, Given, Trial, trials
+from oed.checks.mistakes.moved import CANNOT_BE
+from oed.checks.screening import Screening
 from oed.checks.session import SessionReadings
 from oed.simulation import draw_parameters
 
 #: penalised sum of squares that noise-free readings may gain without a trace
 UNSEEN = 25.0
-#: linear misfit, in the stated noise, beyond which a variant is not fitted
+#: scale of the noise, in the linear model, beyond which a mistake is not fitted
 FAR = 100.0
+#: kinds that rescale the noise, and are told by it, or that need mistaken readings
+SEEN = ("unit", "deviation", "sorting", "disorder", "copied")
+#: factors on readings, and on their noise, that a few readings do not tell
+FACTORS = (0.5, 2.0)
+#: mistakes of a kind that a sentence names
+NAMED = 3
 
 
 def unseen_mistakes(
     session: SessionReadings, alternatives: Alternatives, rng: np.random.Generator
 ) -> list[str]:
-    """Mistakes, as sentences without a full stop, that would pass unnoticed."""
-    measurement = session.measurement
+    """Mistakes of the file and its set-ups, as sentences without a full stop, that would
+    pass unnoticed; those of one kind together.
+    """
+    measurement = alternatives.measurement
+    whole = dataclasses.replace(session, measurement=measurement)
     truth = draw_parameters(measurement, rng)
-    exact = session.with_y(measurement.readings(session.series, truth))
+    exact = whole.with_y(measurement.readings(session.series, truth))
     plain = fit(exact)
     if plain is None:
         return []
     limit = plain.penalised + UNSEEN
-    unseen = []
-    model = linear_model(exact)
-    for variant in variants(exact, alternatives):
-        varied = variant.session
-        same_poses = _same_poses(varied, exact)
-        if same_poses and np.array_equal(varied.y, exact.y):
-            continue
-        of_poses = model if varied.series is exact.series else linear_model(varied)
-        if of_poses is None or of_poses.penalised(varied.y) > FAR**2 * len(varied):
-            continue
-        solution = fit(varied)
-        if solution is not None and solution.penalised <= limit:
-            unseen.append(variant.what)
-    return unseen
+    by_kind: dict[str, list[str]] = {}
+    for trial in _trials(Given(exact)):
+        if _fits(exact, trial, limit):
+            words = trial.words(trial.amounts, trial.amounts)
+            by_kind.setdefault(trial.kind, []).append(words)
+    return [_together(sentences) for sentences in by_kind.values()]
 
 
-def _same_poses(one: SessionReadings, other: SessionReadings) -> bool:
+def _together(sentences: list[str]) -> str:
+    """Mistakes of one kind, the first of them in words."""
+    text = "; or ".join(sentences[:NAMED])
+    more = len(sentences) - NAMED
+    return f"{text}; or {more} others of this kind" if more > 0 else text
+
+
+def _trials(given: Given) -> Iterator[Trial]:
+    """Mistakes of the file and of set-ups, without amounts, that may be unseen."""
+    every = [t for t in trials(given) if _is_whole(t)]
+    scores = Screening(given).scores(every)
+    for trial, score in zip(every, scores, strict=True):
+        if np.isfinite(score.log_evidence) and score.scale <= FAR:
+            yield trial
+
+
+def _is_whole(trial: Trial) -> bool:
+    """Whether a mistake concerns all readings of a set-up, and has one form."""
+    if trial.kind in SEEN or trial.scope.level not in ("file", "set-up"):
+        return False
+    has_form = not len(trial.amounts) and trial.estimated is None
+    moves = trial.missing is None and trial.parts is None and trial.columns is None
+    return has_form and moves and _is_of_noise(trial)
+
+
+def _is_of_noise(trial: Trial) -> bool:
+    """Whether a mistake leaves the readings with noise as stated, or nearly so."""
+    if trial.made is None or trial.y is None:
+        return True
+    count = max(int((trial.made != trial.y).sum()), 1)
+    factor = float(np.exp(-trial.log_scale / count))
+    return min(FACTORS) - 0.1 < factor < max(FACTORS) + 0.1
+
+
+def _fits(exact: SessionReadings, trial: Trial, limit: float) -> bool:
+    """Whether readings with the mistake fit as well, and differ from those without.
+
+    A mistake that is its own inverse, or one of its kind, is undone in their stead.
+    """
+    if trial.made is not None:
+        varied = exact.with_y(trial.made)
+    else:
+        try:
+            varied = trial.undo(trial.amounts)[0]
+        except CANNOT_BE:
+            return False
+    if _same(varied, exact):
+        return False
+    solution = fit(varied)
+    return solution is not None and solution.penalised <= limit
+
+
+def _same(one: SessionReadings, other: SessionReadings) -> bool:
+    """Whether readings and poses are the same."""
+    if len(one.series) != len(other.series) or not np.array_equal(one.y, other.y):
+        return False
     pairs = zip(one.series, other.series, strict=True)
     return all(a.setup == b.setup and np.array_equal(a.q, b.q) for a, b in pairs)

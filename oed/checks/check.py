@@ -8,19 +8,17 @@ import numpy as np
 
 from oed.arrays import Array, Index, Mask
 from oed.checks import copies, sentences
-from oed.checks.explain import PHYSICAL, Explanation, explain
+from oed.checks.explain import Explanation, explain
 from oed.checks.findings import CheckFinding, Severity
 from oed.checks.fit import fit
 from oed.checks.goodness import Goodness, goodness
-from oed.checks.mistakes import Alternatives
-from oed.checks.outliers import OutlierSearch, find_outliers
+from oed.checks.judgement import Judgement, judge
+from oed.checks.mistakes import PHYSICAL, Alternatives
+from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges, predict_ranges
 from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 
-#: ratio of the penalised sum of squares from which mistakes are tried though the
-#: residuals are small: parameters far outside their tolerances took the mistake in
-STRAINED = 2.0
 #: values from which on mistakes are tried: fewer fit too many of them
 LEAST_VALUES = 8
 #: outliers that are tried as an exchanged pair, at most
@@ -78,19 +76,23 @@ def check_session(
     rng: np.random.Generator,
     *,
     noise_is_a_guess: bool = False,
+    noise_is_estimated: bool = True,
 ) -> CheckedSession:
     """Check readings against tolerances, noise, the usual mistakes, and each other.
 
-    `rng` draws machines where ranges are not linear. Where the stated noise is a guess,
-    residuals up to GUESS times as large are no bad fit. Raises AssemblyError where the
-    nominal machine cannot be read.
+    `rng` draws machines where ranges are not linear. Where the noise law is estimated, as
+    in a fit, what it holds is no misfit; where the stated noise is a guess, residuals up
+    to `oed.result.trust.GUESS` times as large are no bad fit. Raises AssemblyError where the nominal machine
+    cannot be read.
     """
     ranges = predict_ranges(session, rng)
     outside = ranges.outside(session.y)
     suspects = np.unique(session.reading_of_value[outside])
-    outliers = find_outliers(session, suspects, robust=noise_is_a_guess)
-    fitted = None if outliers is None else goodness(outliers.rest)
-    explanations = _explanations(session, alternatives, outliers, fitted)
+    judgement = judge(
+        session, suspects, estimated=noise_is_estimated, robust=noise_is_a_guess
+    )
+    outliers, fitted = judgement.outliers, judgement.fitted
+    explanations = _explanations(session, alternatives, judgement)
     if explanations:
         every = fit(session)
         fitted = None if every is None else goodness(every)
@@ -116,20 +118,18 @@ def check_session(
 
 
 def _explanations(
-    session: SessionReadings,
-    alternatives: Alternatives,
-    outliers: OutlierSearch | None,
-    fitted: Goodness | None,
+    session: SessionReadings, alternatives: Alternatives, judgement: Judgement
 ) -> list[Explanation]:
     """Mistakes, where the readings without their outliers do not fit."""
-    if len(session) < LEAST_VALUES:
+    if len(session) < LEAST_VALUES or judgement.stated:
         return []
-    if outliers is None or fitted is None:
-        return explain(session, None, alternatives)
-    strained = outliers.rest.ratio > STRAINED
-    if not (outliers.exhausted or fitted.too_large or strained):
-        return []
-    return explain(session, outliers.rest, alternatives)
+    outliers = judgement.outliers
+    solution = None if outliers is None else outliers.rest
+    if not judgement.sound:
+        return explain(session, solution, alternatives)
+    # what an effect can mimic, the noise law holds as well here
+    likely = explain(session, solution, alternatives, thorough=False)
+    return [one for one in likely if one.kind not in PHYSICAL]
 
 
 def _fit_findings(

@@ -17,7 +17,7 @@ FALSE_ALARM = 1e-5
 #: digits after the decimal point in a column's unit that are looked at
 DIGITS = 9
 #: share of the stated noise within which a reading is one of the nominal machine
-NOMINAL = 0.02
+NOMINAL = 0.1
 #: share of a session's readings that are nominal where they were computed
 COMPUTED = 0.3
 #: rounding steps, in the stated noise, from which on they matter
@@ -83,34 +83,43 @@ def _unlikely(session: SessionReadings, span: slice, table: Array, pairs: int) -
     """Whether chance gives as many equal pairs as seldom as FALSE_ALARM.
 
     Two values of a density f agree in a rounding step d with probability d times the
-    integral of f^2: over their spread for different poses, and over the noise for
-    repeated ones.
+    integral of f^2: over the spread of all for different runs, over that of a run for
+    different poses of it, and over the noise for repeated ones.
     """
     n, channels = table.shape
-    probability = repeated = 1.0
     sigma = session.measurement.sigma(session.series)[span].reshape(n, channels)
-    for c in range(channels):
-        members = np.arange(span.start, span.stop)[c::channels]
-        step = resolution(session, members)
-        noise = float(np.median(sigma[:, c]))
-        spread = max(_spread(table[:, c]), noise)
-        probability *= min(1.0, step / (2.0 * np.sqrt(np.pi) * spread))
-        repeated *= min(1.0, step / (2.0 * np.sqrt(np.pi) * noise))
-    poses = pd.DataFrame(_poses(session, span).round(9))
-    sizes = poses.groupby(list(poses.columns)).size().to_numpy()
-    same = float(np.sum(sizes * (sizes - 1) / 2))
-    expected = (0.5 * n * (n - 1) - same) * probability + same * repeated
-    if not pairs:
-        return False
+    noise = np.median(sigma, axis=0)
+    places = np.arange(span.start, span.stop).reshape(n, channels)
+    step = np.array([resolution(session, column) for column in places.T])
+
+    def agreement(values: Array) -> float:
+        """Probability that two of some readings (k, channels) are equal."""
+        spread = [_spread(column) for column in values.T]
+        wide = 2.0 * np.sqrt(np.pi) * np.maximum(spread, noise)
+        return float(np.minimum(step / wide, 1.0).prod())
+
+    series = _series(session, span)
+    poses = pd.DataFrame(series.q[series.index[:, 0]].round(9))
+    same = _pairs(poses.groupby(list(poses.columns)).size().to_numpy())
+    runs = [table[series.run == run] for run in dict.fromkeys(series.run)]
+    within = np.array([_pairs(np.array([len(run)])) for run in runs])
+    expected = same * agreement(np.zeros((1, channels)))
+    expected += float(within @ [agreement(run) for run in runs])
+    expected += max(_pairs(np.array([n])) - within.sum(), 0.0) * agreement(table)
     at_least_as_many = special.pdtrc(pairs - 1, expected)
     return bool(at_least_as_many < FALSE_ALARM)
 
 
-def _poses(session: SessionReadings, span: slice) -> Array:
-    """Joints (n, nq) at which the readings of a span were taken."""
+def _pairs(sizes: Index) -> float:
+    """Number of pairs in groups of some sizes."""
+    return float(np.sum(sizes * (sizes - 1) / 2))
+
+
+def _series(session: SessionReadings, span: slice) -> Series:
+    """The series whose values a span has."""
     for s, other in zip(session.series, session.spans, strict=True):
         if other == span:
-            return np.asarray(s.q[s.index[:, 0]])
+            return s
     raise KeyError(span)
 
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import linalg, optimize, special
+from scipy import linalg, optimize
 
 from oed.arrays import Array, Index
 from oed.checks.session import SessionReadings
 from oed.noise.covariance import Noise
 
 #: evaluations of the model in one fit
-MOST_EVALUATIONS = 15
+MOST_EVALUATIONS = 30
 #: whitened residual in place of one that cannot be computed
 UNREACHABLE = 1e9
 
@@ -33,6 +33,7 @@ class Fit:
     slopes     (N, r) whitened slopes over free parameters in their tolerances
     departure  (r,) free parameters from nominal, in their tolerances
     noise      of the readings
+    scale      factor on their noise that the fit assumes
     """
 
     session: SessionReadings
@@ -42,6 +43,7 @@ class Fit:
     slopes: Array
     departure: Array
     noise: Noise
+    scale: float = 1.0
 
     @property
     def chi2(self) -> float:
@@ -50,12 +52,24 @@ class Fit:
 
     @property
     def ratio(self) -> float:
-        """Penalised sum of squares over its expectation, as a ratio of amplitudes."""
-        return float(np.sqrt(self.penalised / max(len(self.residual), 1)))
+        """Penalised sum of squares over its expectation, as a ratio of amplitudes.
 
-    def p_penalised(self) -> float:
-        """Probability that correct readings have a larger penalised sum of squares."""
-        return float(special.chdtrc(len(self.residual), self.penalised))
+        It is in units of the noise without the factor.
+        """
+        square = self.scale**2 * self.chi2 + float(self.departure @ self.departure)
+        return float(np.sqrt(square / max(len(self.residual), 1)))
+
+    def remaining(self) -> float:
+        """Root mean square of the residuals over the noise without its factor."""
+        return self.scale * float(np.sqrt(np.mean(self.residual**2)))
+
+    def parameter(self, name: str) -> tuple[Array, Array]:
+        """Departure (1,) of a parameter from nominal, and its standard deviation, SI."""
+        measurement = self.session.measurement
+        k = measurement.names.index(name)
+        row = self.session.prior_root()[k] @ self.half_covariance()
+        departure = self.theta[k] - measurement.nominal[k]
+        return np.array([departure]), np.array([np.linalg.norm(row)])
 
     def linear_residual(self) -> Array:
         """Whitened residual (N,) about the nominal machine, linear at the solution."""
@@ -73,12 +87,18 @@ class Fit:
         return residual_weights(self.slopes)
 
 
-def fit(session: SessionReadings, start: Array | None = None) -> Fit | None:
-    """Fit a session from `start` (n,), or from nominal; None where it cannot be read."""
+def fit(
+    session: SessionReadings, start: Array | None = None, scale: float = 1.0
+) -> Fit | None:
+    """Fit a session from `start` (n,), or from nominal; None where it cannot be read.
+
+    scale  factor on the noise
+    """
     measurement, series = session.measurement, session.series
-    noise = measurement.noise(series)
+    noise, root = session.noise(), session.prior_root()
+    if scale != 1.0:
+        noise = noise.scaled(np.full(len(session), scale))
     free = np.flatnonzero(measurement.free)
-    root = measurement.prior_root()[:, free]
     nominal = measurement.nominal
 
     def theta_at(z: Array) -> Array:
@@ -113,42 +133,8 @@ def fit(session: SessionReadings, start: Array | None = None) -> Fit | None:
         slopes=-solution.jac[:count],
         departure=solution.x,
         noise=noise,
+        scale=scale,
     )
-
-
-@dataclasses.dataclass(frozen=True)
-class LinearModel:
-    """Readings linear about the nominal machine, to screen many sets of values.
-
-    predicted  (N,) readings of the nominal machine, SI
-    noise      stated noise
-    shared     (N, r) whitened slopes times the half covariance of the parameters
-    """
-
-    predicted: Array
-    noise: Noise
-    shared: Array
-
-    def penalised(self, y: Array) -> float:
-        """Penalised sum of squares of values (N,), SI."""
-        r = self.noise.whiten(y - self.predicted)
-        common = self.shared.T @ r
-        return float(r @ r - common @ common)
-
-
-def linear_model(session: SessionReadings) -> LinearModel | None:
-    """The linear model of a session's poses; None where they cannot be read."""
-    measurement, series = session.measurement, session.series
-    free = np.flatnonzero(measurement.free)
-    nominal, noise = measurement.nominal, measurement.noise(series)
-    try:
-        predicted = measurement.readings(series, nominal)
-        h = measurement.in_prior_units(measurement.jacobian(series, nominal))[:, free]
-    except (ArithmeticError, ValueError, RuntimeError):
-        return None
-    slopes = noise.whiten(h)
-    half = half_covariance(slopes)
-    return LinearModel(predicted, noise, slopes @ half)
 
 
 def residual_weights(slopes: Array) -> Array:

@@ -55,10 +55,10 @@ def far_readings(
     readings = sorted({int(k) for k in suspects})
     solution = fit(session.without(readings))
     for _ in range(ROUNDS):
-        on_all = None if solution is None else _on_all(session, solution)
-        if on_all is None or solution is None:
+        whole = None if solution is None else _on_all(session, solution)
+        if whole is None or solution is None:
             return None
-        prediction = predict_from_others(on_all)
+        prediction = predict_from_others(whole)
         newer, exhausted = _search(session, prediction, most, readings, robust=robust)
         if exhausted and not robust:
             newer, exhausted = _search(session, prediction, most, readings, robust=True)
@@ -81,8 +81,7 @@ def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
     None where the fitted machine cannot take the poses that were left out of the fit.
     """
     measurement, series = session.measurement, session.series
-    noise = measurement.noise(series)
-    free = np.flatnonzero(measurement.free)
+    noise = session.noise()
     try:
         difference = session.y - measurement.readings(series, solution.theta)
         jacobian = measurement.jacobian(series, solution.theta)
@@ -93,7 +92,7 @@ def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
         solution,
         session=session,
         residual=residual,
-        slopes=noise.whiten(measurement.in_prior_units(jacobian)[:, free]),
+        slopes=noise.whiten(jacobian @ session.prior_root()),
         noise=noise,
     )
 

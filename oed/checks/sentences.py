@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from oed import text
 from oed.arrays import Index
 from oed.checks.copies import EqualReadings
 from oed.checks.explain import Explanation
@@ -18,6 +19,7 @@ from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
 from oed.result.goodness import without_rows
+from oed.result.trust import GUESS
 
 #: rows that a sentence names, at most
 NAMED = 6
@@ -30,16 +32,26 @@ def explained(explanations: Sequence[Explanation]) -> list[CheckFinding]:
     if not explanations:
         return []
     best = explanations[0]
-    others = [one.what for one in explanations[1:NAMED]]
-    also = f" Equally likely: {'; or '.join(others)}." if others else ""
-    before = "cannot be fitted as given"
-    if np.isfinite(best.before):
-        before = f"misfit as given: {_times(best.before)} the stated noise"
+    others = [f"{one.what} ({_percent(one)})" for one in explanations[1:NAMED]]
+    also = f" Also possible: {'; or '.join(others)}." if others else ""
     sentence = (
-        f"The readings look mistaken: {best.what} ({before}; with this undone:"
-        f" {_times(best.after)}).{also}"
+        f"The readings look mistaken: {best.what} ({_percent(best)};"
+        f" {misfits(best.before, best.after)}).{also}"
     )
     return [CheckFinding(Severity.MISTAKE, best.kind, sentence)]
+
+
+def misfits(before: float, after: float) -> str:
+    """Misfit as given and with a mistake undone, over the stated noise."""
+    given = "cannot be fitted as given"
+    if np.isfinite(before):
+        given = f"misfit as given: {_times(before)} the stated noise"
+    undone = f"; with this undone: {_times(after)}" if np.isfinite(after) else ""
+    return f"{given}{undone}"
+
+
+def _percent(one: Explanation) -> str:
+    return f"probability {text.percent(one.probability)}"
 
 
 def no_fit() -> CheckFinding:
@@ -57,19 +69,22 @@ def too_large(
     """Residuals that the stated noise does not explain."""
     sentence = f"The fit is bad: {_misfit(fitted, outliers)}."
     if outliers.unlocated:
-        rows = _rows(session, sorted(outliers.unlocated))
+        rows = session.rows(sorted(outliers.unlocated))
         sentence = f"{sentence} {_one_of(rows)}"
         return CheckFinding(Severity.BAD_FIT, "fit", sentence, rows)
-    rows = _rows(session, outliers.alike)
+    rows = session.rows(outliers.alike)
     many = ""
     if outliers.exhausted:
         many = "More rows deviate than can be single outliers. "
     elif rows:
         many = f"{_count(rows)} are off the same way ({_listing(rows)}): no single errors. "
-    sentence = (
-        f"{sentence} {many}None of the usual mistakes explains it: the noise is"
-        " understated, or an effect is not in the model."
-    )
+    cause = "the noise is understated, or an effect is not in the model"
+    if fitted.ratio is not None and fitted.ratio > GUESS:
+        cause = (
+            "noise is not that large: an effect of this size is not in the model, or the"
+            " readings have a mistake that is not a usual one"
+        )
+    sentence = f"{sentence} {many}None of the usual mistakes explains it: {cause}."
     return CheckFinding(Severity.BAD_FIT, "fit", sentence)
 
 
@@ -103,8 +118,8 @@ def too_small(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
     sentence = (
         f"The residuals are only {_times(fitted.ratio or 0.0)} the stated noise"
         f"{_without(outliers)} (chi2 {fitted.chi2:.4g} for {fitted.dof:.1f} degrees of"
-        f" freedom, p {_probability(fitted.p_low)}): the noise is overstated, or the"
-        " readings were smoothed, averaged or computed."
+        f" freedom, p {_probability(fitted.p_low)}): the noise is overstated, an error is"
+        " carried along each run, or the readings were smoothed, averaged or computed."
     )
     return CheckFinding(Severity.REMARK, "too_small", sentence)
 
@@ -134,7 +149,7 @@ def _without(outliers: OutlierSearch) -> str:
 
 def computed(session: SessionReadings, readings: Index) -> CheckFinding:
     """Readings equal to those of the nominal machine."""
-    rows = _rows(session, readings)
+    rows = session.rows(readings)
     equal = "equals that" if len(rows) == 1 else "equal those"
     sentence = (
         f"{_count(rows)} {equal} of the nominal machine to within a small part of the"
@@ -145,9 +160,9 @@ def computed(session: SessionReadings, readings: Index) -> CheckFinding:
 
 def doubled(session: SessionReadings, groups: Sequence[EqualReadings]) -> CheckFinding:
     """Rows with readings equal to the last digit."""
-    rows = tuple(k for one in groups for k in _rows(session, one.readings))
+    rows = tuple(k for one in groups for k in session.rows(one.readings))
     pairs = [
-        " and ".join(str(k) for k in _rows(session, one.readings)[:NAMED])
+        " and ".join(str(k) for k in session.rows(one.readings)[:NAMED])
         for one in groups[:NAMED]
     ]
     more = ", ..." if len(groups) > NAMED else ""
@@ -190,7 +205,7 @@ def outliers(
     """Each outlier with row, column, value and what the others predict."""
     findings = []
     if exchanged is not None:
-        rows = _rows(session, exchanged)
+        rows = session.rows(exchanged)
         sentence = (
             f"Rows {rows[0]} and {rows[1]} look exchanged: each reading fits where the"
             " other one stands."
@@ -198,7 +213,7 @@ def outliers(
         findings.append(CheckFinding(Severity.OUTLIER, "exchanged", sentence, rows))
     for one in found_rows.gross:
         sentence = f"{_contradiction(session, one)}: the row is set aside."
-        row = _rows(session, [one.reading])
+        row = session.rows([one.reading])
         findings.append(CheckFinding(Severity.OUTLIER, "outlier", sentence, row))
     return findings
 
@@ -212,7 +227,7 @@ def doubtful(session: SessionReadings, outliers: OutlierSearch) -> list[CheckFin
             f" tails (posterior odds below {PROVEN:.0f}): the row stays in the fit. Take"
             " this reading again."
         )
-        row = _rows(session, [one.reading])
+        row = session.rows([one.reading])
         findings.append(CheckFinding(Severity.REMARK, "doubtful", sentence, row))
     return findings
 
@@ -260,13 +275,6 @@ def _place(session: SessionReadings, value: int) -> str:
 
 def _capital(text: str) -> str:
     return text[:1].upper() + text[1:]
-
-
-def _rows(session: SessionReadings, readings: Sequence[int] | Index) -> tuple[int, ...]:
-    """Rows of the file of readings, by number."""
-    row, reading = session.values["row"].to_numpy(), session.reading_of_value
-    first = np.searchsorted(reading, np.asarray(readings, dtype=np.intp))
-    return tuple(int(k) for k in row[first])
 
 
 def _count(rows: Sequence[int]) -> str:

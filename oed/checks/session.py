@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -10,10 +11,14 @@ import pandas as pd
 
 from oed import units
 from oed.arrays import Array, Index, Mask
+from oed.checks.law import CheckedLaw
 from oed.dataset.columns import ReadingsColumn, column_name, parse_column
 from oed.dataset.data import consecutive
 from oed.measurement import Measurement, Series
+from oed.noise.covariance import Noise
 
+#: fine units from which a difference is told in the unit of its column
+LARGE = 1000.0
 #: columns of `SessionReadings.values`
 VALUE_COLUMNS = ("setup", "run", "order", "row", "channel")
 
@@ -27,6 +32,8 @@ class SessionReadings:
     y            (N,) values, SI: series after series, channels innermost
     values       one row a value: setup, run, order, row in the file, channel
     columns      columns of the file by stem; written as a result is, where absent
+    law          noise law of the readings; None for the stated noise
+    wider        factors on the tolerances of parameters, by name
     """
 
     measurement: Measurement
@@ -34,16 +41,18 @@ class SessionReadings:
     y: Array
     values: pd.DataFrame
     columns: Mapping[str, ReadingsColumn] = dataclasses.field(default_factory=dict)
+    law: CheckedLaw | None = None
+    wider: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.y)
 
-    @property
+    @functools.cached_property
     def spans(self) -> tuple[slice, ...]:
         """Where the values of each series are in y."""
         return consecutive([len(s) * self.channel_count(s.setup) for s in self.series])
 
-    @property
+    @functools.cached_property
     def reading_of_value(self) -> Index:
         """Number (N,), from 0, of the reading that each value belongs to."""
         counts = [
@@ -87,6 +96,12 @@ class SessionReadings:
         every = np.arange(1 + int(self.reading_of_value[-1]))
         return self.take(np.setdiff1d(every, np.asarray(readings, dtype=np.intp)))
 
+    def rows(self, readings: Sequence[int] | Index) -> tuple[int, ...]:
+        """Rows of the file of readings, by number."""
+        row, reading = self.values["row"].to_numpy(), self.reading_of_value
+        first = np.searchsorted(reading, np.asarray(readings, dtype=np.intp))
+        return tuple(int(k) for k in row[first])
+
     def with_y(self, y: Array) -> SessionReadings:
         """The session with other values (N,), SI."""
         return dataclasses.replace(self, y=y)
@@ -101,6 +116,22 @@ class SessionReadings:
     def map_series(self, change: Callable[[Series], Series]) -> SessionReadings:
         """The session with each series changed."""
         return dataclasses.replace(self, series=tuple(map(change, self.series)))
+
+    # -- what a fit needs --------------------------------------------------------------
+
+    def noise(self) -> Noise:
+        """Noise of the readings, SI: by the law, or as stated."""
+        if self.law is None:
+            return self.measurement.noise(self.series)
+        return self.law.noise(self.measurement, self.series)
+
+    def prior_root(self) -> Array:
+        """Root (n, r), SI, of the prior covariance over the free parameters."""
+        measurement = self.measurement
+        free = np.flatnonzero(measurement.free)
+        names = [measurement.names[k] for k in free]
+        factor = np.array([self.wider.get(name, 1.0) for name in names])
+        return np.asarray(measurement.prior_root()[:, free] * factor)
 
     # -- words -------------------------------------------------------------------------
 
@@ -124,9 +155,13 @@ class SessionReadings:
         return f"{value / column.factor:.7g}"
 
     def fine(self, channel: str, value: float) -> str:
-        """A difference of readings, SI, in the fine unit of its channel."""
-        unit = units.FINE[self.unit(channel)]
-        return f"{units.number(value, unit):.3g} {unit}"
+        """A difference of readings, SI, in the fine unit of its channel, if it is small."""
+        si = self.unit(channel)
+        number = units.number(value, units.FINE[si])
+        if abs(number) < LARGE:
+            return f"{number:.3g} {units.FINE[si]}"
+        unit = column_name(channel, si).rpartition("_")[2]
+        return f"{units.number(value, unit):.4g} {unit}"
 
 
 def session(

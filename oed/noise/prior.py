@@ -33,6 +33,8 @@ SCALE_SD, HEAVY_FROM = 0.4, 4.0
 ASSUMED_SCALE_SD = float(np.log(10.0))
 #: readings beyond the unknowns, for each group, from which on they tell assumed weights
 LEAST_OF_WEIGHTS = 10
+#: degrees of freedom from which readings tell of their noise law
+LEAST_FREEDOM = 10
 #: distance of the share that is carried along from 0 and 1, for the filter's sake
 LEAST_SHARE = 1e-6
 #: median of the share that is mostly small, and sd of its logit
@@ -186,6 +188,22 @@ def heavy_scale(u: Array) -> Array:
     The upper tail is heavier: noise may be far above a data sheet.
     """
     return np.asarray(u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2))
+
+
+def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
+    """Log density (n,) of scales of the noise, over that of the stated one.
+
+    The inverse of `heavy_scale` is the real root of a cubic.
+    """
+    if is_assumed:
+        return np.asarray(-0.5 * (np.log(scale) / ASSUMED_SCALE_SD) ** 2)
+    half = np.log(scale) / SCALE_SD
+    third = HEAVY_FROM**2 / 3.0
+    root = np.sqrt((0.5 * HEAVY_FROM**2 * half) ** 2 + third**3)
+    shift = 0.5 * HEAVY_FROM**2 * half
+    above = np.cbrt(shift + root) + np.cbrt(shift - root)
+    u = np.where(half > 0.0, above, half)
+    return np.asarray(-0.5 * u**2)
 
 
 def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:

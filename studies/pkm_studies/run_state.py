@@ -17,6 +17,7 @@ from oed.checkpoint import Checkpoint
 from oed.checks import CheckedSession
 from oed.identification import Estimate
 from oed.measurement import Measurement, Series
+from oed.noise.prior import LEAST_FREEDOM
 from oed.posterior import Posterior
 from pkm_studies.progress import Progress
 from pkm_studies.resolve.noise import LEAST_OF_SCALE, noise_is_a_guess
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from oed.correction import CorrectedEstimate
-
-
-#: degrees of freedom from which on readings say something of their noise
-LEAST_FREEDOM = 10
 
 
 class Stream(enum.IntEnum):

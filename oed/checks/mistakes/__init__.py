@@ -1,53 +1,94 @@
 """The usual mistakes of a session, each undone in turn.
 
-A mistake gives variants: sessions as they would be without it. One that fits the model
-within tolerances and noise, where the readings as given do not, explains them.
+A mistake gives trials: sessions as they would be without it, for the file, for each
+set-up, for each run, and for the first or last rows. All are judged alike
+(`oed.checks.explain`), against each other and against no mistake.
 
-variant     a session with one mistake undone, or undone by an unknown amount
-unit        readings in another unit
-deviation   deviations in place of readings, or the reverse
-sign        readings with the sign reversed
-columns     columns of readings exchanged
-order       readings in another order
-setups      readings of another set-up
-pose        commanded poses with wrong signs, columns or offsets
-amounts     other bar length or other tool, an offset of one run
+trial          a session with one mistake undone
+scope          the part of a session that a mistake concerns
+given          the readings as given, with what is predicted of them
+unit           readings in another unit
+deviation      deviations in place of readings, or the reverse
+sign           readings with the sign reversed or lost
+scale          readings that are half of, or twice, what they should be
+columns        columns of readings exchanged, or axes turned
+order          readings in another order, or of another run
+sorting        readings sorted, or in an unknown order
+copied         readings of one run or set-up in another one
+setups         readings of another set-up
+moved, driven  series at other poses
+pose           commanded poses with wrong signs, columns or offsets
+joints         legs numbered otherwise
+reference      readings told against another pose of their run
+amounts        offsets, factors, other tools, set-ups that moved, wrong sizes
+change         two parts of a session that fit alone
+contradiction  a run that contradicts all others for a reason unknown
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Iterator, Sequence
 
 from oed.checks.mistakes import (
     amounts,
+    change,
     columns,
+    contradiction,
+    copied,
     deviation,
+    joints,
     order,
     pose,
+    reference,
+    scale,
     setups,
     sign,
+    sorting,
     unit,
 )
-from oed.checks.mistakes.variant import Alternatives, Variant, VariantOfAmount
-from oed.checks.session import SessionReadings
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import Alternatives, Trial
 
-__all__ = [
-    "Alternatives",
-    "Variant",
-    "VariantOfAmount",
-    "variants",
-    "variants_of_amount",
-]
+__all__ = ["PHYSICAL", "Alternatives", "Given", "Trial", "trials", "trials_near"]
 
-_MISTAKES = (unit, deviation, sign, columns, order, setups, pose)
+_MISTAKES = (
+    unit,
+    deviation,
+    sign,
+    scale,
+    columns,
+    order,
+    sorting,
+    copied,
+    setups,
+    pose,
+    joints,
+    reference,
+    amounts,
+    change,
+    contradiction,
+)
+
+#: kinds that an effect of the machine can mimic: a diagnosis tells them apart
+PHYSICAL = ("offset", "run", "factor", "tool", "size", "change", "contradiction")
 
 
-def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
-    """Every variant of a session without an unknown amount."""
+#: mistakes that may concern the first or last rows of a set-up or run
+_OF_ROWS = (unit, deviation, sign, scale, order, amounts)
+
+
+def trials(given: Given) -> Iterator[Trial]:
+    """Every mistake of a session, undone."""
     for mistake in _MISTAKES:
-        yield from mistake.variants(session, alternatives)
+        yield from mistake.trials(given)
 
 
-def variants_of_amount(session: SessionReadings) -> Iterator[VariantOfAmount]:
-    """Every variant of a session with an unknown amount."""
-    yield from amounts.variants(session)
+def trials_near(given: Given, parts: Sequence[Scope]) -> Iterator[Trial]:
+    """Mistakes of rows that begin or end near those of some parts."""
+    near = dataclasses.replace(given, near=tuple(parts))
+    for mistake in _OF_ROWS:
+        for trial in mistake.trials(near):
+            if trial.scope.level == "rows":
+                yield trial

@@ -1,4 +1,7 @@
-"""Mistakes of an unknown amount: bar length, tool length, offset of one run or pose."""
+"""Mistakes of an unknown amount: offsets, other tools, set-ups that moved, wrong sizes.
+
+An effect of the machine, or a parameter far outside its tolerance, can look the same.
+"""
 
 from __future__ import annotations
 
@@ -8,97 +11,277 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from oed import units
-from oed.arrays import Mask
-from oed.checks.mistakes.order import run_members, run_names
-from oed.checks.mistakes.variant import VariantOfAmount, channel_sets
+from oed.arrays import Array, Index, Mask
+from oed.checks.fit import Fit
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.moved import with_moved
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import Trial
 from oed.checks.session import SessionReadings
+from oed.checks.words import rounded
+from oed.instrument import Setup
+from oed.measurement import Series
 
-#: amount for differences of the tool's length, m
+#: step of the tool's length for differences, m
 STEP = 1e-4
+#: name of a set-up whose unknowns part of the readings have anew
+AGAIN = " again"
+#: log prior of another factor in part of a set-up: it belongs to the instrument
+SELDOM = -3.0
+#: tolerances to which that of a number is widened which may be wrong
+WIDER = 50.0
 
 
-def variants(session: SessionReadings) -> Iterator[VariantOfAmount]:
-    """Offsets of a channel and of a run, and another tool."""
-    for channel, setups in channel_sets(session):
-        groups = [setups] if len(setups) == 1 else [setups, *([s] for s in setups)]
-        for names in groups:
-            members = np.any([session.mask(n, channel) for n in names], axis=0)
-            where = f" in {names[0]}" if len(names) < len(setups) else ""
-            yield _offset(session, channel, members, where, "offset")
-    runs = run_members(session)
-    if len(runs) > 1:
-        reading = session.reading_of_value
-        channels = session.values["channel"].to_numpy()
-        for name, rows in zip(run_names(session), runs, strict=True):
-            of_run = np.isin(reading, rows)
-            for channel in dict.fromkeys(channels[of_run]):
-                members = of_run & (channels == channel)
-                where = f" in run {name}"
-                yield _offset(session, str(channel), members, where, "run")
-    yield from _tools(session)
+def trials(given: Given) -> Iterator[Trial]:
+    """Offsets, scales, tools, set-ups that moved, and sizes far from nominal."""
+    for scope, channel, values in given.channel_scopes():
+        yield _offset(given, scope, channel, values)
+        yield _scale(given, scope, channel, values)
+    yield from _tools(given)
+    yield from _moved_setups(given)
+    yield from _sizes(given)
 
 
-def _offset(
-    session: SessionReadings, channel: str, members: Mask, where: str, kind: str
-) -> VariantOfAmount:
+# -- readings --------------------------------------------------------------------------
+
+
+def _offset(given: Given, scope: Scope, channel: str, values: Mask) -> Trial:
+    session = given.session
     column = session.column(channel).name
     cause = "the bar length or the zero of the instrument is wrong"
-    if kind == "run":
-        cause = "the set-up moved or was zeroed again for this run"
+    if scope.level in ("run", "rows"):
+        cause = "the set-up moved or was zeroed again"
+    alone = len(set(given.channel)) == 1
+    kind = "offset" if scope.level in ("file", "set-up") else "run"
 
-    def what(amount: float, sd: float) -> str:
-        size, error = (session.fine(channel, v) for v in (amount, sd))
+    def words(amounts: Array, sd: Array) -> str:
+        size, error = (session.fine(channel, float(v[0])) for v in (amounts, sd))
         return (
-            f"all readings of {column}{where} are off by {size} (sd {error}): {cause}"
+            f"all readings of {column}{scope.within} are off by {size} (sd {error}):"
+            f" {cause}"
         )
 
-    return VariantOfAmount(
+    return Trial(
         kind=kind,
-        shift=lambda amount: session.with_y(session.y - amount * members),
-        step=STEP,
-        what=what,
-        linear=True,
+        scope=scope,
+        words=words,
+        undo=lambda amounts: [session.with_y(session.y - amounts[0] * values)],
+        amounts=np.zeros(1),
+        steps=np.array([float(given.sigma[values].min())]),
+        family=f"offset {channel} {scope.name}"
+        if not alone
+        else f"offset {scope.name}",
+        columns=np.asarray(values, dtype=float)[:, None],
     )
 
 
-def _tools(session: SessionReadings) -> Iterator[VariantOfAmount]:
+def _scale(given: Given, scope: Scope, channel: str, values: Mask) -> Trial:
+    session = given.session
+    column = session.column(channel).name
+
+    count = int(values.sum())
+
+    def undo(amounts: Array) -> list[SessionReadings]:
+        factor = np.where(values, 1.0 / (1.0 + amounts[0]), 1.0)
+        return [session.with_y(session.y * factor)]
+
+    def words(amounts: Array, sd: Array) -> str:
+        size, error = (100.0 * float(v[0]) for v in (amounts, sd))
+        return (
+            f"all readings of {column}{scope.within} are {rounded(abs(size), error)} %"
+            f" (sd {error:.2g} %) too {'large' if size > 0.0 else 'small'}: the scale or"
+            " conversion factor of the instrument is wrong"
+        )
+
+    return Trial(
+        kind="factor",
+        scope=scope,
+        words=words,
+        undo=undo,
+        amounts=np.zeros(1),
+        steps=np.array([1e-6]),
+        log_prior=0.0 if scope.level in ("file", "set-up") else SELDOM,
+        scaling=lambda amounts: -count * _log_size(1.0 + amounts[0]),
+        linear_scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
+        family=f"factor {channel} {scope.name}",
+        columns=np.where(values, session.y, 0.0)[:, None],
+    )
+
+
+def _log_size(factor: float) -> float:
+    return float(np.log(max(abs(factor), 1e-12)))
+
+
+# -- tools -----------------------------------------------------------------------------
+
+
+def _tools(given: Given) -> Iterator[Trial]:
     """Each set-up with a tool of another length, and all of them."""
-    setups = list(dict.fromkeys(s.setup for s in session.series))
+    session = given.session
     machine = session.measurement.machine
     if not any(c.unit == "rad" for c in machine.command):
         return  # without rotation, the tool moves every reading alike
-    groups = [setups] if len(setups) == 1 else [setups, *([s] for s in setups)]
-    for names in groups:
-        of = f" of {names[0]}" if len(names) < len(setups) or len(setups) == 1 else ""
-
-        def what(amount: float, sd: float, of: str = of) -> str:
-            size, error = (units.number(v, "mm") for v in (amount, sd))
-            return (
-                f"the tool{of} is {abs(size):.4g} mm (sd {error:.2g} mm)"
-                f" {'longer' if size > 0.0 else 'shorter'} than stated"
-            )
-
-        yield VariantOfAmount(
+    setups = [scope for scope in given.scopes if scope.level == "set-up"]
+    names = list(dict.fromkeys(s.setup for s in session.series))
+    choices = [(given.file, names)]
+    choices += [(scope, [name]) for scope, name in zip(setups, names, strict=False)]
+    for scope, members in choices:
+        shift = _with_tool(session, members)
+        at = scope.values(session)
+        yield Trial(
             kind="tool",
-            shift=_with_tool(session, names),
-            step=STEP,
-            what=what,
-            linear=False,
+            scope=scope,
+            words=_tool_words(members if len(members) < len(names) else []),
+            undo=shift,
+            amounts=np.zeros(1),
+            steps=np.array([STEP]),
+            family=f"tool {scope.name}",
+            columns=np.where(at, _tool_slope(given, shift), 0.0)[:, None],
         )
+
+
+def _tool_slope(given: Given, shift: Callable[[Array], list[SessionReadings]]) -> Array:
+    session = given.session
+    longer = shift(np.array([STEP]))[0].measurement
+    y = longer.readings(session.series, longer.nominal)
+    return np.asarray((y - given.predicted) / STEP)
+
+
+def _tool_words(names: list[str]) -> Callable[[Array, Array], str]:
+    of = f" of {names[0]}" if names else ""
+
+    def words(amounts: Array, sd: Array) -> str:
+        size, error = (units.number(float(v[0]), "mm") for v in (amounts, sd))
+        return (
+            f"the tool{of} is {abs(size):.4g} mm (sd {error:.2g} mm)"
+            f" {'longer' if size > 0.0 else 'shorter'} than stated"
+        )
+
+    return words
 
 
 def _with_tool(
     session: SessionReadings, names: list[str]
-) -> Callable[[float], SessionReadings]:
+) -> Callable[[Array], list[SessionReadings]]:
     """The session with tools of these set-ups longer by an amount, m."""
 
-    def shift(amount: float) -> SessionReadings:
+    def shift(amounts: Array) -> list[SessionReadings]:
         setups = []
         for name, setup in session.measurement.setups.items():
             x, y, z = setup.tool
-            longer = dataclasses.replace(setup, tool=(x, y, z + amount))
+            longer = dataclasses.replace(setup, tool=(x, y, z + float(amounts[0])))
             setups.append(longer if name in names else setup)
         measurement = session.measurement.with_setups(setups)
-        return dataclasses.replace(session, measurement=measurement)
+        return [dataclasses.replace(session, measurement=measurement)]
 
     return shift
+
+
+# -- set-ups that moved ----------------------------------------------------------------
+
+
+def _moved_setups(given: Given) -> Iterator[Trial]:
+    """The unknowns of a set-up anew in one run, or in the first or last rows."""
+    session = given.session
+    names = session.values["setup"].to_numpy()
+    for scope in [*given.scopes, *given.parts]:
+        at = scope.values(session)
+        setup = str(names[at][0])
+        others = (names == setup) & ~at
+        if scope.level not in ("run", "rows") or not others.any():
+            continue
+        if (names[at] != setup).any():
+            continue
+        free = _unknowns(given, setup)
+        if 0 < 2 * free.size <= at.sum() and not _is_an_offset(given, free, at):
+            yield _moved_setup(given, scope, setup, free, at)
+
+
+def _unknowns(given: Given, setup: str) -> Index:
+    """Free unknowns of a set-up, among the free parameters."""
+    measurement = given.session.measurement
+    free = [measurement.names[k] for k in np.flatnonzero(measurement.free)]
+    own = [k for k, name in enumerate(free) if name.startswith(f"{setup}.")]
+    return np.array(own, dtype=np.intp)
+
+
+def _is_an_offset(given: Given, free: Index, at: Mask) -> bool:
+    """Whether the only unknown of a set-up moves all its readings alike."""
+    slopes = given.slopes[np.ix_(at, free)]
+    return free.size == 1 and bool(np.ptp(slopes) <= 1e-9 * np.abs(slopes).max())
+
+
+def _moved_setup(
+    given: Given, scope: Scope, setup: str, free: Index, at: Mask
+) -> Trial:
+    session = given.session
+
+    def undo(amounts: Array) -> list[SessionReadings]:
+        return [_set_up_again(session, scope.readings, setup)]
+
+    return Trial(
+        kind="run",
+        scope=scope,
+        words=lambda amounts, sd: (
+            f"what {setup} is set up on stood elsewhere{scope.within}: it moved, or was set"
+            " up again"
+        ),
+        undo=undo,
+        family=f"moved {scope.name}",
+        columns=np.where(at[:, None], given.slopes[:, free], 0.0),
+    )
+
+
+def _set_up_again(
+    session: SessionReadings, readings: Index, setup: str
+) -> SessionReadings:
+    """The session in which some readings have a set-up of their own, with its unknowns."""
+    setups = dict(session.measurement.setups)
+    again: Setup = dataclasses.replace(setups[setup], name=setup + AGAIN)
+    measurement = session.measurement.with_setups([*setups.values(), again])
+    unknowns = {f"{again.name}.{n.name}": WIDER for n in again.nuisances}
+    wider = dataclasses.replace(session, measurement=measurement, wider=unknowns)
+
+    def moved(series: Series) -> Series:
+        return dataclasses.replace(series, setup=again.name)
+
+    return with_moved(wider, readings, moved)
+
+
+# -- sizes far from nominal ------------------------------------------------------------
+
+
+def _sizes(given: Given) -> Iterator[Trial]:
+    """Each free parameter far outside its tolerance."""
+    measurement = given.session.measurement
+    for column, k in enumerate(np.flatnonzero(measurement.free)):
+        if given.slopes[:, column].any():
+            yield _size(given, int(k), column)
+
+
+def _size(given: Given, k: int, column: int) -> Trial:
+    session = given.session
+    parameter = session.measurement.parameters[k]
+    unit = units.display(parameter.unit)
+    wider = dataclasses.replace(session, wider={parameter.name: WIDER})
+
+    def words(amounts: Array, sd: Array) -> str:
+        size, error = (units.number(float(v[0]), unit) for v in (amounts, sd))
+        tolerances = abs(float(amounts[0])) / parameter.tolerance
+        return (
+            f"{parameter.name} is {rounded(size, error)} {unit} from its nominal value,"
+            f" {tolerances:.2g} times its tolerance: a number of the study is wrong"
+        )
+
+    def estimated(solution: Fit) -> tuple[Array, Array]:
+        return solution.parameter(parameter.name)
+
+    return Trial(
+        kind="size",
+        scope=given.file,
+        words=words,
+        undo=lambda amounts: [wider],
+        estimated=estimated,
+        family=f"size {parameter.name}",
+        columns=(WIDER * given.slopes[:, column])[:, None],
+    )

@@ -1,4 +1,4 @@
-"""Columns of readings exchanged: each permutation of channels of one unit."""
+"""Columns of readings exchanged or turned: permutations of channels of one unit."""
 
 from __future__ import annotations
 
@@ -7,41 +7,73 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import SessionReadings
+from oed.arrays import Mask
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import Trial, value_trial
 
 #: channels of one unit that are permuted, at most
-MOST_CHANNELS = 4
+MOST_CHANNELS = 3
 
 
-def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
-    """Every permutation of the columns of one unit that is not the one given."""
-    channels = list(dict.fromkeys(session.values["channel"]))
-    by_unit: dict[str, list[str]] = {}
-    for channel in channels:
-        by_unit.setdefault(session.unit(channel), []).append(channel)
-    for names in by_unit.values():
-        if not 1 < len(names) <= MOST_CHANNELS:
-            continue
-        for permuted in itertools.permutations(names):
-            changes = [(a, b) for a, b in zip(names, permuted, strict=True) if a != b]
-            if changes:
-                exchanged = _exchanged(session, changes)
-                if exchanged is not None:
-                    yield exchanged
+def trials(given: Given) -> Iterator[Trial]:
+    """Every permutation of the columns of one unit, with every choice of signs."""
+    for scope in given.scopes:
+        values = scope.values(given.session) & given.shown
+        by_unit: dict[str, list[str]] = {}
+        for channel in dict.fromkeys(given.channel[values]):
+            by_unit.setdefault(given.session.unit(channel), []).append(str(channel))
+        for names in by_unit.values():
+            for few in _groups(names):
+                yield from _permuted(given, scope, few, values)
+
+
+def _groups(names: list[str]) -> list[list[str]]:
+    """Channels that are permuted together: pairs alone where there are many."""
+    if len(names) <= MOST_CHANNELS:
+        return [names]
+    return [list(pair) for pair in itertools.combinations(names, 2)]
+
+
+def _permuted(
+    given: Given, scope: Scope, names: list[str], values: Mask
+) -> Iterator[Trial]:
+    for order in itertools.permutations(names):
+        if order == tuple(names):
+            continue  # signs alone: see `sign`
+        for signs in itertools.product((1.0, -1.0), repeat=len(names)):
+            yield from _exchanged(given, scope, names, order, signs, values)
 
 
 def _exchanged(
-    session: SessionReadings, changes: list[tuple[str, str]]
-) -> Variant | None:
-    """The session with each first channel taken from the column of the second."""
+    given: Given,
+    scope: Scope,
+    names: list[str],
+    order: tuple[str, ...],
+    signs: tuple[float, ...],
+    values: Mask,
+) -> Iterator[Trial]:
+    """The session with each channel of `names` taken from that of `order`."""
+    session = given.session
     y = session.y.copy()
-    for setup in dict.fromkeys(session.values["setup"]):
-        for target, source in changes:
-            to, given = session.mask(setup, target), session.mask(setup, source)
-            if to.sum() != given.sum():
-                return None
-            y[np.flatnonzero(to)] = session.y[given]
-    columns = [session.column(name).name for name, _ in changes]
-    words = f"{', '.join(columns[:-1])} and {columns[-1]}"
-    return Variant("columns", f"the columns {words} are exchanged", session.with_y(y))
+    for target, source, sign in zip(names, order, signs, strict=True):
+        to = values & (given.channel == target)
+        taken = values & (given.channel == source)
+        if to.sum() != taken.sum():
+            return
+        y[to] = sign * session.y[taken]
+    column = {name: session.column(name).name for name in names}
+    moved = [(a, b) for a, b in zip(names, order, strict=True) if a != b]
+    if min(signs) > 0.0:
+        exchanged = [column[a] for a, _ in moved]
+        words = f"{', '.join(exchanged[:-1])} and {exchanged[-1]}"
+        sentence = f"the columns {words} are exchanged{scope.within}"
+    else:
+        triples = zip(names, order, signs, strict=True)
+        axes = [
+            f"{column[a]} is {'-' if s < 0 else ''}{column[b]}" for a, b, s in triples
+        ]
+        sentence = f"the axes stand otherwise{scope.within}: {', '.join(axes)}"
+    trial = value_trial(session, "columns", scope, sentence, y)
+    if not np.array_equal(y, session.y):
+        yield trial

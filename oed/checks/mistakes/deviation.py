@@ -7,50 +7,58 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed import units
-from oed.arrays import Array
-from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import SessionReadings
+from oed.arrays import Array, Mask
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import Trial, value_trial
 
-#: units in which deviations are written
-SCALES = {"m": (("", 1.0), (" in um", units.UM / units.MM)), "rad": (("", 1.0),)}
-
-
-def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
-    """Readings plus and minus the instrument's length, or what the machine predicts.
-
-    The readings of a machine's own constraints are 0 by definition, and no deviations.
-    """
-    measurement = session.measurement
-    shown = session.shown
-    if not shown.any():
-        return
-    predicted = measurement.readings(session.series, measurement.nominal)
-    predicted = np.where(shown, predicted, 0.0)
-    length = lengths(session)
-    if np.isfinite(length).any():
-        base = np.where(np.isfinite(length), length, 0.0)
-        yield from _about(session, base, "the nominal length")
-    yield from _about(session, predicted, "the readings of the nominal machine")
+#: fine units in which deviations are written, by SI unit
+FINE = {"m": ("um", units.UM), "rad": ("arcsec", units.ARCSEC)}
 
 
-def _about(session: SessionReadings, base: Array, name: str) -> Iterator[Variant]:
-    si = session.unit(str(session.values["channel"].iloc[0]))
-    for words, factor in SCALES.get(si, (("", 1.0),)):
+def trials(given: Given) -> Iterator[Trial]:
+    """Readings plus and minus the instrument's length, or what the machine predicts."""
+    for scope, values in given.shown_scopes():
+        for origin, base in given.bases(values).items():
+            about = values & np.isfinite(base)
+            yield from _about(given, scope, about, base, origin)
+
+
+def _about(
+    given: Given, scope: Scope, values: Mask, base: Array, origin: str
+) -> Iterator[Trial]:
+    session = given.session
+    origin = origin.replace(
+        "the nominal machine", "the readings of the nominal machine"
+    )
+    for words, factor in _scales(given, values).items():
         for sign, reversed_sign in ((1.0, ""), (-1.0, " with the sign reversed")):
-            what = f"the readings are deviations from {name}{words}{reversed_sign}"
-            y = base + sign * factor * session.y
-            scale = len(y) * float(np.log(factor))
-            yield Variant("deviation", what, session.with_y(y), scale)
-    what = f"the readings have {name} added twice: they are no deviations any more"
-    yield Variant("deviation", what, session.with_y(session.y - base))
+            y = np.where(values, base + sign * factor * session.y, session.y)
+            sentence = (
+                f"the readings{scope.of} are deviations from {origin}{words}"
+                f"{reversed_sign}"
+            )
+            log_scale = float(np.log(factor[values]).sum())
+            yield value_trial(session, "deviation", scope, sentence, y, log_scale)
+    y = np.where(values, session.y - base, session.y)
+    sentence = (
+        f"the readings{scope.of} have {origin} added twice: they are no deviations any"
+        " more"
+    )
+    yield value_trial(session, "deviation", scope, sentence, y)
 
 
-def lengths(session: SessionReadings) -> Array:
-    """Reading (N,) that each instrument keeps by design; NaN where there is none."""
-    values = np.full(len(session), np.nan)
-    for name, setup in session.measurement.setups.items():
-        if setup.instrument.fixed_reading is not None:
-            first = setup.instrument.channels[0].name
-            kept_reading = setup.instrument.fixed_reading(setup.settings)
-            values[session.mask(name, first)] = kept_reading
-    return values
+def _scales(given: Given, values: Mask) -> dict[str, Array]:
+    """Factors (N,) on the values as read: 1, and those of fine units, in words."""
+    ones = np.ones(len(values))
+    fine, names = ones.copy(), []
+    for channel in dict.fromkeys(given.channel[values]):
+        column = given.session.column(str(channel))
+        name, factor = FINE.get(column.unit, ("", column.factor))
+        if factor != column.factor:
+            fine[given.channel == channel] = factor / column.factor
+            names.append(name)
+    scales = {"": ones}
+    if names:
+        scales[f" in {' and '.join(dict.fromkeys(names))}"] = fine
+    return scales

@@ -1,80 +1,173 @@
-"""Commanded poses with a wrong sign, exchanged columns, a turned start or another unit."""
+"""Commanded poses with a wrong sign, exchanged columns, another unit or another start."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.checks.mistakes.variant import Alternatives, Variant, recommanded
+from oed.checks.mistakes.driven import (
+    Change,
+    commanded,
+    permuted,
+    scaled,
+    shifted,
+    turns_freely,
+)
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.moved import Moved, moved_trial, pose_table, with_moved
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import PoseTable, Trial, Undo, Words
 from oed.checks.session import SessionReadings
+from oed.checks.words import rounded
 from oed.dataset.columns import column_name
 from oed.machine import Coordinate
 
-#: angles by which a circle may start elsewhere, deg
-TURNS = (90.0, -90.0, 180.0)
+#: where an amount is sought first: shares of a coordinate's range, and steps of a turn
+SHARES, TURNS = (0.003, 0.01, 0.03, 0.1, 0.3), 24
+#: spread of an amount about where it is sought, over its distance from nothing
+NEARBY = 0.5
+#: share of the workspace by which a machine may have stood outside
+SLACK = 0.1
+#: step for differences over an amount, over its spread
+STEP = 1e-3
 
 
-def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
-    """All set-ups' commands with each change undone, those that can be reached."""
-    for what, change in _changes(session.measurement.machine.command):
-        changed: SessionReadings | None = session
-        for setup in dict.fromkeys(s.setup for s in session.series):
-            changed = None if changed is None else recommanded(changed, setup, change)
-        if changed is not None and not _same(session, changed):
-            yield Variant("pose", what, changed)
+def trials(given: Given) -> Iterator[Trial]:
+    """All commands of the file, of a set-up and of a run with each change undone."""
+    measurement = given.session.measurement
+    for sentence, change in _changes(measurement.machine.command):
+        moved = commanded(measurement, change)
+        table = pose_table(given, moved)
+        if table is not None and not _same(given, table):
+            for scope in given.scopes:
+                words = f"{sentence}{scope.within}"
+                yield moved_trial(given, "pose", scope, words, moved, table)
+    for k, coordinate in enumerate(measurement.machine.command):
+        for searched in searched_amounts(coordinate):
+            yield from _displaced(given, k, searched)
 
 
-def _same(session: SessionReadings, changed: SessionReadings) -> bool:
-    """Whether all poses are as given, turns of 360 deg aside."""
-    pairs = zip(session.series, changed.series, strict=True)
-    return all(np.allclose(a.q, b.q, rtol=0.0, atol=1e-12) for a, b in pairs)
+@dataclasses.dataclass(frozen=True)
+class SearchedAmount:
+    """An amount where a displacement is sought first, and how far from there, SI.
+
+    basin  of amounts that lead to the same one
+    """
+
+    amount: float
+    spread: float
+    basin: str
 
 
-def _changes(
-    command: tuple[Coordinate, ...],
-) -> Iterator[tuple[str, Callable[[Array], Array]]]:
+def searched_amounts(coordinate: Coordinate) -> Iterator[SearchedAmount]:
+    """Amounts by which a coordinate is displaced first."""
+    lower, upper = coordinate.lower, coordinate.upper
+    if coordinate.unit == "rad" and turns_freely(lower, upper):
+        step = 2.0 * np.pi / TURNS
+        for k in range(1, TURNS):
+            turn = (k if k <= TURNS // 2 else k - TURNS) * step
+            yield SearchedAmount(turn, NEARBY * step, str(k))
+    elif np.isfinite(upper - lower):
+        for share, sign in itertools.product(SHARES, (1.0, -1.0)):
+            amount = sign * share * (upper - lower)
+            yield SearchedAmount(amount, NEARBY * abs(amount), "")
+
+
+def _changes(command: Sequence[Coordinate]) -> Iterator[tuple[str, Change]]:
     names = [column_name(c.name, c.unit) for c in command]
     for k, coordinate in enumerate(command):
         if coordinate.lower < 0.0 < coordinate.upper or coordinate.unit == "rad":
-            yield f"the sign of {names[k]} is reversed", _scaled(k, -1.0)
+            yield f"the sign of {names[k]} is reversed", scaled(k, -1.0)
         if coordinate.unit == "rad":
-            for turn in TURNS:
-                what = f"{names[k]} starts {turn:.0f} deg from where it should"
-                yield what, _moved(k, -turn * units.DEG)
-            what = f"{names[k]} is in rad, not in deg"
-            yield what, _scaled(k, 1.0 / units.DEG)
+            yield f"{names[k]} is in rad, not in deg", scaled(k, 1.0 / units.DEG)
+            yield f"{names[k]} is in deg of a sheet in rad", scaled(k, units.DEG)
+        for words, factor in (("half of", 2.0), ("twice", 0.5)):
+            yield f"{names[k]} is {words} what it should be", scaled(k, factor)
     for j, k in itertools.combinations(range(len(command)), 2):
         if command[j].unit == command[k].unit:
+            order = list(range(len(command)))
+            order[j], order[k] = k, j
             what = f"the columns {names[j]} and {names[k]} are exchanged"
-            yield what, _exchanged(j, k)
+            yield what, permuted(tuple(order))
 
 
-def _scaled(k: int, factor: float) -> Callable[[Array], Array]:
-    def change(command: Array) -> Array:
-        scale = np.ones(command.shape[1])
-        scale[k] = factor
-        return np.asarray(command * scale)
-
-    return change
+def _same(given: Given, table: PoseTable) -> bool:
+    """Whether nothing is read or known otherwise, as after a turn of 360 deg."""
+    predicted = np.allclose(table.predicted, given.predicted, rtol=0.0, atol=1e-12)
+    return predicted and np.allclose(table.slopes, given.slopes, rtol=1e-9, atol=1e-15)
 
 
-def _moved(k: int, amount: float) -> Callable[[Array], Array]:
-    def change(command: Array) -> Array:
-        shift = np.zeros(command.shape[1])
-        shift[k] = amount
-        return np.asarray(command + shift)
+def _displaced(given: Given, k: int, searched: SearchedAmount) -> Iterator[Trial]:
+    """One coordinate of the file's rows, of the teach poses, or of all, by an amount."""
+    amount, spread = searched.amount, searched.spread
+    measurement = given.session.measurement
+    coordinate = measurement.machine.command[k]
+    taught = any(measurement.setups[s.setup].teach for s in given.session.series)
+    for rows in _rows(given, k, spread) if taught else ("file",):
 
-    return change
+        def moved(by: float, rows: str = rows) -> Moved:
+            return commanded(measurement, shifted(k, -by), rows=rows, slack=SLACK)
+
+        near = moved(amount + STEP * spread)
+        table = pose_table(given, moved(amount), [near], [1.0 / STEP])
+        if table is None or _same(given, table):
+            continue
+        for scope in given.scopes:
+            if rows != "file" and scope.level == "run":
+                continue
+            yield Trial(
+                kind="pose" if rows == "file" else "teach",
+                scope=scope,
+                words=_displacement_words(coordinate, rows, scope),
+                undo=_undo(given.session, scope, moved),
+                amounts=np.array([amount]),
+                steps=np.array([STEP * spread]),
+                family=f"{k} {rows} {scope.name} {searched.basin}",
+                table=table,
+                mask=scope.values(given.session),
+            )
 
 
-def _exchanged(j: int, k: int) -> Callable[[Array], Array]:
-    def change(command: Array) -> Array:
-        changed = command.copy()
-        changed[:, [j, k]] = command[:, [k, j]]
-        return changed
+def _rows(given: Given, k: int, spread: float) -> tuple[str, ...]:
+    """Which commands may be displaced; not the teach pose where nothing depends on it."""
+    change = shifted(k, spread)
+    moved = commanded(given.session.measurement, change, rows="teach", slack=SLACK)
+    table = pose_table(given, moved)
+    is_used = table is None or not _same(given, table)
+    return ("file", "teach", "all") if is_used else ("file",)
 
-    return change
+
+def _undo(
+    session: SessionReadings, scope: Scope, moved: Callable[[float], Moved]
+) -> Undo:
+    def undo(amounts: Array) -> list[SessionReadings]:
+        return [with_moved(session, scope.readings, moved(float(amounts[0])))]
+
+    return undo
+
+
+def _displacement_words(coordinate: Coordinate, rows: str, scope: Scope) -> Words:
+    name = column_name(coordinate.name, coordinate.unit)
+    unit = "deg" if coordinate.unit == "rad" else "mm"
+    turns = coordinate.unit == "rad" and turns_freely(
+        coordinate.lower, coordinate.upper
+    )
+
+    def words(amounts: Array, sd: Array) -> str:
+        size, error = (units.number(float(v[0]), unit) for v in (amounts, sd))
+        if turns and rows == "file":
+            degrees = rounded(size, error)
+            return f"{name} starts {degrees} deg from where it should{scope.within}"
+        way = "high" if size > 0.0 else "low"
+        number = f"{rounded(abs(size), error)} {unit} too {way}"
+        if rows == "teach":
+            return f"{name} of the teach pose{scope.of} is {number}"
+        with_teach = ", and that of the teach pose," if rows == "all" else ""
+        return f"{name}{scope.within}{with_teach} is {number}"
+
+    return words

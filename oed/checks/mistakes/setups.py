@@ -8,26 +8,36 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import SessionReadings
-from oed.kinematics import AssemblyError
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.moved import Moved, moved_trial, pose_table
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import Trial
 from oed.measurement import Measurement, Series
 
 
-def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
-    """Each set-up taken for each other one with the same channels, and exchanged."""
-    setups = alternatives.measurement.setups
-    used = list(dict.fromkeys(s.setup for s in session.series))
-    for name, other in itertools.product(used, setups):
-        if name == other or not _alike(alternatives.measurement, name, other):
+def trials(given: Given) -> Iterator[Trial]:
+    """Each set-up, or run, taken for each other one with the same channels."""
+    measurement = given.session.measurement
+    used = list(dict.fromkeys(s.setup for s in given.session.series))
+    for name, other in itertools.product(used, measurement.setups):
+        if name == other or not _alike(measurement, name, other):
             continue
-        what = f"the readings of {name} are of set-up {other}"
-        yield from _renamed(session, alternatives, {name: other}, what)
+        for scope in given.scopes:
+            if _is_of(given, scope, name):
+                whose = scope.of if scope.level == "run" else f" of {name}"
+                sentence = f"the readings{whose} are of set-up {other}"
+                yield from _renamed(given, scope, {name: other}, sentence)
     for name, other in itertools.combinations(used, 2):
-        if _alike(alternatives.measurement, name, other):
-            what = f"the set-ups {name} and {other} are exchanged"
+        if _alike(measurement, name, other):
+            sentence = f"the set-ups {name} and {other} are exchanged"
             names = {name: other, other: name}
-            yield from _renamed(session, alternatives, names, what)
+            yield from _renamed(given, given.file, names, sentence)
+
+
+def _is_of(given: Given, scope: Scope, setup: str) -> bool:
+    """Whether a scope is a set-up, or one of its runs; the file where it is alone."""
+    values = scope.values(given.session)
+    return bool((given.session.values["setup"][values] == setup).all())
 
 
 def _alike(measurement: Measurement, name: str, other: str) -> bool:
@@ -41,32 +51,29 @@ def _alike(measurement: Measurement, name: str, other: str) -> bool:
 
 
 def _renamed(
-    session: SessionReadings,
-    alternatives: Alternatives,
-    names: Mapping[str, str],
-    what: str,
-) -> Iterator[Variant]:
-    measurement = alternatives.measurement
-    try:
-        series = [_in_setup(measurement, s, names.get(s.setup)) for s in session.series]
-    except (AssemblyError, ArithmeticError, ValueError):
-        return
-    values = session.values.assign(setup=session.values["setup"].replace(dict(names)))
-    changed = dataclasses.replace(
-        session, measurement=measurement, series=tuple(series), values=values
-    )
-    yield Variant("setups", what, changed)
+    given: Given, scope: Scope, names: Mapping[str, str], sentence: str
+) -> Iterator[Trial]:
+    moved = in_other_setup(given.session.measurement, names)
+    table = pose_table(given, moved)
+    if table is not None:
+        yield moved_trial(given, "setups", scope, sentence, moved, table)
 
 
-def _in_setup(measurement: Measurement, series: Series, setup: str | None) -> Series:
-    """The poses of a series as commanded in another set-up."""
-    if setup is None:
-        return series
-    mounted, tool = measurement.setups[setup], np.array(measurement.setups[setup].tool)
-    command = series.command.copy()
-    if mounted.teach is not None:
-        command[-1] = mounted.teach
-    if not np.isfinite(command).all():
-        return dataclasses.replace(series, setup=setup)
-    x, q = measurement.kinematics.inverse(command, None, tool)
-    return dataclasses.replace(series, setup=setup, q=q, start=x, command=command)
+def in_other_setup(measurement: Measurement, names: Mapping[str, str]) -> Moved:
+    """The poses of a series as commanded in the set-up of another name."""
+
+    def moved(series: Series) -> Series:
+        if series.setup not in names:
+            return series
+        other = names[series.setup]
+        mounted = measurement.setups[other]
+        command = series.command.copy()
+        if mounted.teach is not None:
+            command[-1] = mounted.teach
+        if not np.isfinite(command).all():
+            return dataclasses.replace(series, setup=other)
+        tool = np.array(mounted.tool)
+        x, q = measurement.kinematics.inverse(command, None, tool)
+        return dataclasses.replace(series, setup=other, q=q, start=x, command=command)
+
+    return moved

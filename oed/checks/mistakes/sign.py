@@ -1,4 +1,4 @@
-"""Readings, or their deviations from what is nominal, with the sign reversed."""
+"""Readings, or their deviations from what is nominal, with the sign reversed or lost."""
 
 from __future__ import annotations
 
@@ -6,35 +6,42 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.checks.mistakes.deviation import lengths
-from oed.checks.mistakes.variant import Alternatives, Variant, channel_sets
-from oed.checks.session import SessionReadings
+from oed.arrays import Mask
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import Trial, value_trial
 
 
-def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
+def trials(given: Given) -> Iterator[Trial]:
     """Each channel with the other sign, and with deviations of the other sign."""
-    measurement = session.measurement
-    predicted = measurement.readings(session.series, measurement.nominal)
-    length = lengths(session)
-    for channel, setups in channel_sets(session):
-        groups = [setups] if len(setups) == 1 else [setups, *([s] for s in setups)]
-        column = session.column(channel).name
-        for names in groups:
-            members = np.any([session.mask(n, channel) for n in names], axis=0)
-            of = f"{column}" if len(names) == len(setups) else f"{column} in {names[0]}"
-            y = np.where(members, -session.y, session.y)
-            yield Variant("sign", f"the sign of {of} is reversed", session.with_y(y))
-            about = members & np.isfinite(length)
-            if about.any():
-                y = np.where(about, 2.0 * length - session.y, session.y)
-                what = (
-                    f"the sign of the deviations of {of} from the nominal length is"
-                    " reversed"
-                )
-                yield Variant("sign", what, session.with_y(y))
-            y = np.where(members, 2.0 * predicted - session.y, session.y)
-            what = (
-                f"the sign of the deviations of {of} from the nominal machine is"
-                " reversed"
-            )
-            yield Variant("sign", what, session.with_y(y))
+    for scope, channel, values in given.channel_scopes():
+        column = given.session.column(channel).name
+        yield from _reversed(given, scope, f"{column}{scope.within}", values)
+        yield from _lost(given, scope, f"{column}{scope.within}", values)
+    for scope, values in given.shown_scopes():
+        if len(dict.fromkeys(given.channel[values])) > 1:
+            y = np.where(values, -given.session.y, given.session.y)
+            sentence = f"the sign of all readings{scope.of} is reversed"
+            yield value_trial(given.session, "sign", scope, sentence, y)
+
+
+def _reversed(given: Given, scope: Scope, of: str, values: Mask) -> Iterator[Trial]:
+    session, y = given.session, given.session.y
+    bases = {f"the sign of {of} is reversed": 0.0 * y}
+    for origin, base in given.bases(values).items():
+        bases[f"the sign of the deviations of {of} from {origin} is reversed"] = base
+    for sentence, base in bases.items():
+        about = values & np.isfinite(base)
+        changed = np.where(about, 2.0 * base - y, y)
+        yield value_trial(session, "sign", scope, sentence, changed)
+
+
+def _lost(given: Given, scope: Scope, of: str, values: Mask) -> Iterator[Trial]:
+    """Readings that are all positive, or all negative, where some should not be."""
+    y, sign = given.session.y, np.sign(given.predicted)
+    if not (np.all(y[values] >= 0.0) or np.all(y[values] <= 0.0)):
+        return
+    changed = np.where(values, sign * np.abs(y), y)
+    if (changed != y).any() and (changed != -y)[values].any():
+        sentence = f"the sign of {of} is lost: all readings have one sign"
+        yield value_trial(given.session, "sign", scope, sentence, changed)

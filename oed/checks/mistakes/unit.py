@@ -7,34 +7,54 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed import units
-from oed.checks.mistakes.variant import Alternatives, Variant
-from oed.checks.session import SessionReadings
+from oed.arrays import Mask
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import Trial, value_trial
 
 #: units that a file's readings may be in, beside those of a column
 OTHERS = {"m": {"inch": units.INCH}, "rad": {}, "1": {}}
 
 
-def variants(session: SessionReadings, alternatives: Alternatives) -> Iterator[Variant]:
-    """The readings of a kind, all and by set-up, in each other unit of that kind."""
-    channels = session.values["channel"].to_numpy()
-    kind = np.array([session.unit(c) for c in channels])
-    setups = session.values["setup"].to_numpy()
-    names = list(dict.fromkeys(setups))
-    for si in dict.fromkeys(kind):
-        of_kind = kind == si
-        stated = session.column(channels[of_kind][0])
-        word = stated.name.rpartition("_")[2]
-        for name, factor in _factors(str(si)).items():
-            if factor == stated.factor:
+def trials(given: Given) -> Iterator[Trial]:
+    """The readings of a kind, and of a column, in each other unit of that kind."""
+    for scope, values in given.shown_scopes():
+        kinds = list(dict.fromkeys(given.unit[values]))
+        for si in kinds:
+            of_kind = values & (given.unit == si)
+            channels = list(dict.fromkeys(given.channel[of_kind]))
+            whose = (
+                scope.of
+                if len(kinds) == 1
+                else f" ({_names(given, channels)}){scope.of}"
+            )
+            yield from _in_units(given, scope, f"the readings{whose} are", of_kind)
+            if len(channels) == 1:
                 continue
-            groups = [("", of_kind)]
-            if len(names) > 1:
-                groups += [(f" of {n}", of_kind & (setups == n)) for n in names]
-            for whose, members in groups:
-                scale = np.where(members, factor / stated.factor, 1.0)
-                what = f"the readings{whose} are in {name}, not in {word}"
-                changed = session.with_y(session.y * scale)
-                yield Variant("unit", what, changed, float(np.log(scale).sum()))
+            for channel in channels:
+                subject = f"{_names(given, [channel])}{scope.within} is"
+                of_channel = of_kind & (given.channel == channel)
+                yield from _in_units(given, scope, subject, of_channel)
+
+
+def _names(given: Given, channels: list[str]) -> str:
+    return ", ".join(given.session.column(c).name for c in channels)
+
+
+def _in_units(
+    given: Given, scope: Scope, subject: str, values: Mask
+) -> Iterator[Trial]:
+    session = given.session
+    stated = session.column(str(given.channel[values][0]))
+    word = stated.name.rpartition("_")[2]
+    for name, factor in _factors(stated.unit).items():
+        if factor == stated.factor:
+            continue
+        ratio = factor / stated.factor
+        y = np.where(values, session.y * ratio, session.y)
+        log_scale = float(values.sum() * np.log(ratio))
+        sentence = f"{subject} in {name}, not in {word}"
+        yield value_trial(session, "unit", scope, sentence, y, log_scale)
 
 
 def _factors(si: str) -> dict[str, float]:

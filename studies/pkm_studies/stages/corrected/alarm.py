@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import msgspec
 
 from oed.checks import CheckFinding, Severity
-from oed.checks.explain import PHYSICAL
+from oed.checks.mistakes import PHYSICAL
 from oed.correction import TurnedRuns
 from oed.result import CorrectedSection, GoodnessSection, MistakeRecord, trust
 

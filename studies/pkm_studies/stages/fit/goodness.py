@@ -7,10 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import checks
+from oed import checks, text
 from oed.checks import CheckedSession
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading
+from oed.checks.sentences import misfits
 from oed.dataset import Dataset
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 from pkm_studies.resolve.noise import noise_is_a_guess
@@ -30,7 +31,13 @@ def check_dataset(
     )
     alternatives = checks.Alternatives(resolved.measurement_with(resolved.setups))
     guess = noise_is_a_guess(resolved.study, session.measurement, len(session.y))
-    checked = checks.check_session(session, alternatives, rng, noise_is_a_guess=guess)
+    checked = checks.check_session(
+        session,
+        alternatives,
+        rng,
+        noise_is_a_guess=guess,
+        noise_is_estimated=resolved.study.noise.estimate is not False,
+    )
     if not resolved.study.noise.assumed:
         return checked
     # smaller residuals than an assumption say nothing of the readings
@@ -60,10 +67,9 @@ def goodness_section(checked: CheckedSession) -> GoodnessSection:
 
 
 def _evidence(explanation: Explanation) -> str:
-    after = f"{explanation.after:.3g} times the stated noise with this undone"
-    if not np.isfinite(explanation.before):
-        return f"no fit as given, residuals {after}"
-    return f"residuals {explanation.before:.3g} times as given, {after}"
+    probability = text.percent(explanation.probability)
+    compared = misfits(explanation.before, explanation.after)
+    return f"probability {probability}; {compared}"
 
 
 def _unlocated_rows(checked: CheckedSession) -> list[int]:

@@ -1,0 +1,147 @@
+"""Log evidence of readings: parameters, noise law and unmodelled effects integrated out.
+
+At the most probable parameters the readings are linear in them. Their density is that of
+normal errors of each of a grid of laws (a scale, an error of a run, one that is carried
+along it), with the prior of the laws as weight, and of rivals that no law holds: a drift
+through the session, a smooth error over the poses, tolerances that are too narrow.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+from scipy import special
+
+from oed.arrays import Array
+from oed.checks.effects import Rival, rivals
+from oed.checks.fit import Fit
+from oed.checks.screening import scales_of_noise
+from oed.checks.session import SessionReadings
+from oed.noise.prior import CARRIED, REACH, RUN, log_prior_of_scale, noise_prior
+from oed.noise.process import Laws, Whitening
+from oed.noise.structure import ReadingStructure, reading_structure
+
+#: coordinates of the laws that are looked at: error of a run, carried share and reach
+LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)
+#: share of the prior of no effect, and of each rival
+PLAIN, UNUSUAL = 0.6, 0.1
+#: factor between sizes of an effect
+SIZE_STEP = 4.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LinearReadings:
+    """N readings linear in r parameters z ~ N(0, I), in units of the stated noise.
+
+    structure  of the readings
+    residual   (N,) about the prior's middle
+    slopes     (N, r)
+    log_unit   sum of the logs of the units, SI
+    """
+
+    structure: ReadingStructure
+    residual: Array
+    slopes: Array
+    log_unit: float
+
+
+def linear_readings(solution: Fit) -> LinearReadings:
+    """Readings linear at a fit."""
+    session = solution.session
+    measurement, series = session.measurement, session.series
+    structure = reading_structure(measurement, series, solution.theta)
+    jacobian = measurement.jacobian(series, solution.theta)
+    slopes = structure.standardise(jacobian @ session.prior_root())
+    y = session.y - measurement.readings(series, solution.theta)
+    residual = structure.standardise(y) + slopes @ solution.departure
+    return LinearReadings(structure, residual, slopes, _log_unit(structure))
+
+
+def _log_unit(structure: ReadingStructure) -> float:
+    if structure.decouple is None:
+        return float(np.log(structure.unit).sum())
+    return -float(np.log(structure.decouple.diagonal()).sum())
+
+
+def log_evidence(
+    linear: LinearReadings, session: SessionReadings, *, with_effects: bool
+) -> float:
+    """Log density of the readings, SI; with effects that no law holds, or without."""
+    structure = linear.structure
+    laws, weights = law_grid(structure)
+    scales = scales_of_noise(linear.residual)
+    alone = _log_marginal(linear, linear.slopes, laws, weights, scales)
+    terms = [float(np.log(PLAIN)) + alone]
+    few = _few(laws, weights)
+    rivalling = rivals(session, linear.slopes) if with_effects else []
+    for rival in rivalling:
+        terms.append(float(np.log(UNUSUAL)) + _with_rival(linear, rival, *few, scales))
+    constant = linear.log_unit + 0.5 * len(structure) * float(np.log(2.0 * np.pi))
+    return float(special.logsumexp(terms)) - constant
+
+
+def _with_rival(
+    linear: LinearReadings, rival: Rival, laws: Laws, weights: Array, scales: Array
+) -> float:
+    """Log density with an effect of unknown size."""
+    largest = 3.0 * float(np.sqrt(np.mean(linear.residual**2))) + SIZE_STEP
+    if rival.is_factor:
+        largest = 100.0
+    count = max(1, int(np.log(largest) / np.log(SIZE_STEP)))
+    sizes = SIZE_STEP ** np.arange(1, count + 1)
+    values = [
+        _log_marginal(
+            linear,
+            rival.slopes(linear.slopes, size, linear.structure),
+            laws,
+            weights,
+            scales,
+        )
+        for size in sizes
+    ]
+    return float(special.logsumexp(values)) - float(np.log(len(values)))
+
+
+def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
+    """Laws (L,) of unit scale, and log prior weights (L,)."""
+    prior = noise_prior(structure)
+    axes: list[tuple[float, ...]] = [(0.0,)] * prior.dimensions
+    for name, values in ((RUN, LEVELS), (CARRIED, SHARES), (REACH, REACHES)):
+        if name in prior.names:
+            axes[prior.names.index(name)] = values
+    u = np.array(list(itertools.product(*axes)))
+    log_prior = -0.5 * (u**2).sum(axis=1)
+    return prior.laws(u), log_prior - special.logsumexp(log_prior)
+
+
+def _few(laws: Laws, weights: Array) -> tuple[Laws, Array]:
+    """The likeliest of some laws: an effect stands for what the others hold."""
+    best = np.argsort(-weights)[:4]
+    some = laws.take([int(k) for k in best])
+    return some, weights[best] - special.logsumexp(weights[best])
+
+
+def _log_marginal(
+    linear: LinearReadings, slopes: Array, laws: Laws, weights: Array, scales: Array
+) -> float:
+    """Log density over the unit, by laws of every scale."""
+    whitening = Whitening(linear.structure, laws)
+    gram = whitening.gram(np.column_stack([linear.residual, slopes]))
+    values, vectors = np.linalg.eigh(gram[:, 1:, 1:])
+    values = np.maximum(values, 0.0)[:, None]
+    part = np.einsum("lij,li->lj", vectors, gram[:, 1:, 0])[:, None] ** 2
+    square = (scales**2)[None, :, None]
+    misfit = gram[:, :1, 0] - (part / (values + square)).sum(axis=2)
+    misfit = misfit / square[..., 0]
+    log_size = (
+        np.log1p(values / square).sum(axis=2) + whitening.log_determinant[:, None]
+    )
+    log_size = log_size + len(linear.residual) * np.log(square[..., 0])
+    is_assumed = linear.structure.statement.is_assumed
+    prior = log_prior_of_scale(scales, is_assumed=is_assumed)
+    prior = prior - special.logsumexp(prior)
+    return float(
+        special.logsumexp(weights[:, None] + prior - 0.5 * (log_size + misfit))
+    )

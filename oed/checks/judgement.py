@@ -1,0 +1,167 @@
+"""How readings fit: by the stated noise, or by the law that a fit estimates.
+
+Errors that the readings of a run share, errors that are carried along it, and heavy tails
+are noise and no misfit: they are estimated, with the prior that an identification has.
+Whether single readings scatter as stated is judged after them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy import linalg, special
+
+from oed.arrays import Array, Index
+from oed.checks.evidence import LinearReadings, linear_readings
+from oed.checks.fit import Fit, residual_weights
+from oed.checks.goodness import Goodness, goodness, goodness_of
+from oed.checks.law import CheckedLaw
+from oed.checks.outliers import OutlierSearch, find_outliers
+from oed.checks.session import SessionReadings
+from oed.noise.marginal import ResidualModel, most_probable
+from oed.noise.prior import LEAST_FREEDOM, SCALE_SD, noise_prior
+from oed.noise.process import Laws, Whitening, stated_laws
+from oed.noise.robust import robust_residuals
+from oed.result.trust import ALARM, GUESS
+
+#: factor to which a stated noise is known: one standard deviation of its prior
+KNOWN_TO = float(np.exp(SCALE_SD))
+#: rounds of tails and law
+ROUNDS = 3
+
+
+@dataclasses.dataclass(frozen=True)
+class Judgement:
+    """How the readings of a session fit.
+
+    outliers  readings far from what all others predict; None where there is no fit
+    fitted    residuals of the others against the noise
+    strained  whether parameters are farther outside their tolerances than chance takes
+              them: they may have taken a mistake in
+    sound     whether nothing asks for an explanation, by the law
+    stated    the same by the stated noise
+    """
+
+    outliers: OutlierSearch | None
+    fitted: Goodness | None
+    strained: bool
+    sound: bool
+    stated: bool
+
+
+def judge(
+    session: SessionReadings, suspects: Index, *, estimated: bool, robust: bool
+) -> Judgement:
+    """Judge the readings of a session.
+
+    suspects   readings, by number, to leave out of the first fit
+    estimated  whether the noise law is estimated
+    robust     see `find_outliers`
+    """
+    search = find_outliers(session, suspects, robust=robust)
+    if search is None:
+        return Judgement(None, None, strained=True, sound=False, stated=False)
+    solution = search.rest
+    fitted = goodness(solution)
+    p_strain = probability_of_strain(solution.slopes, solution.linear_residual())
+    stated = _judgement(search, fitted, p_strain)
+    fits = not (fitted.too_large or fitted.too_small or stated.strained)
+    ratio = fitted.ratio
+    if not estimated or ratio is None or fitted.dof < LEAST_FREEDOM:
+        return stated
+    is_tiny = fitted.too_small and ratio < KNOWN_TO**-2
+    fits = (fits and not search.exhausted) or is_tiny
+    if fits or ratio > GUESS:
+        return stated
+    suspects = np.union1d(suspects, np.array(search.readings, dtype=np.intp))
+    by_law = _by_law(session, suspects, solution, robust=robust)
+    return (
+        stated if by_law is None else dataclasses.replace(by_law, stated=stated.sound)
+    )
+
+
+def _by_law(
+    session: SessionReadings, suspects: Index, solution: Fit, *, robust: bool
+) -> Judgement | None:
+    """The same by the law that is estimated at a fit.
+
+    None where the law would have more noise than a stated one is good for.
+    """
+    law, _ = estimated_law(linear_readings(solution), solution)
+    ruled = dataclasses.replace(session, law=law.with_scale(1.0, np.inf))
+    search = find_outliers(ruled, suspects, robust=robust)
+    if search is None:
+        return None
+    linear = linear_readings(search.rest)
+    law, model = estimated_law(linear, search.rest)
+    if law.size(linear.structure) > GUESS:
+        return None
+    fitted, p_strain = _goodness_under(law, model)
+    return _judgement(search, fitted, p_strain)
+
+
+def _judgement(search: OutlierSearch, fitted: Goodness, p_strain: float) -> Judgement:
+    strained = p_strain < ALARM
+    few = len(search.readings) < 2 and not search.exhausted
+    sound = few and not fitted.too_large and not strained
+    return Judgement(search, fitted, strained=strained, sound=sound, stated=sound)
+
+
+def probability_of_strain(slopes: Array, residual: Array) -> float:
+    """Probability that correct parameters leave their tolerances as far.
+
+    slopes, residual  (N, r) and (N,), whitened, about the nominal machine
+
+    The components of the residual along the slopes have the variances 1 + s^2, s the
+    singular values.
+    """
+    directions, singular, _ = linalg.svd(slopes, full_matrices=False)
+    scaled = (directions.T @ residual) / np.hypot(1.0, singular)
+    return float(special.chdtrc(len(singular), float(scaled @ scaled)))
+
+
+def estimated_law(
+    linear: LinearReadings, solution: Fit
+) -> tuple[CheckedLaw, ResidualModel]:
+    """The most probable law of readings linear at a fit, and these without their tails."""
+    structure = linear.structure
+    prior = noise_prior(structure, len(structure) - linear.slopes.shape[1])
+    laws: Laws = stated_laws(structure)
+    z, mode = solution.departure, None
+    for _ in range(ROUNDS):
+        clean = robust_residuals(structure, laws, linear.residual, linear.slopes)
+        model = ResidualModel(structure, clean - linear.slopes @ z, linear.slopes, z)
+        mode = most_probable(model, prior, mode)
+        laws = prior.laws(mode[None])
+        z = model.solve(laws).mean[0]
+    scale = dict(zip(structure.names, laws.scale[0].tolist(), strict=True))
+    return CheckedLaw(scale, laws, solution.theta), model
+
+
+def _goodness_under(law: CheckedLaw, model: ResidualModel) -> tuple[Goodness, float]:
+    """Goodness under a law, and the probability of its strain.
+
+    chi2 is that of the stated scale. Too large are residuals that are so for the largest
+    scale which a stated one is good for, too small those for the least.
+    """
+    stated, p_stated = _under_scale(law, model, 1.0)
+    large, p_large = _under_scale(law, model, KNOWN_TO)
+    small, _ = _under_scale(law, model, 1.0 / KNOWN_TO)
+    p_low, p_high = max(stated.p_low, small.p_low), max(stated.p_high, large.p_high)
+    fitted = dataclasses.replace(stated, p_low=p_low, p_high=p_high)
+    return fitted, max(p_stated, p_large)
+
+
+def _under_scale(
+    law: CheckedLaw, model: ResidualModel, scale: float
+) -> tuple[Goodness, float]:
+    """The same where single readings scatter by a factor on the stated noise."""
+    structure = model.structure
+    laws = law.with_scale(scale, scale).laws(structure)
+    misfit = float(model.solve(laws).misfit[0])
+    about_nominal = model.residual + model.slopes @ model.centre
+    both = np.column_stack([about_nominal, model.slopes])
+    white = Whitening(structure, laws).whiten(both)[0]
+    p_strain = probability_of_strain(white[:, 1:], white[:, 0])
+    return goodness_of(misfit, residual_weights(white[:, 1:])), p_strain

@@ -1,0 +1,49 @@
+"""A change between two parts of a session, each of which fits the model alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from oed.arrays import Array
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.trial import Trial, plain
+from oed.checks.session import SessionReadings
+
+#: readings that a part has at least
+LEAST = 6
+#: readings of a session up to which it is divided at every one
+MOST_CUT = 300
+
+
+def trials(given: Given) -> Iterator[Trial]:
+    """The session divided at every reading, or at the ends of runs where it is long."""
+    count = 1 + int(given.session.reading_of_value[-1])
+    places = list(range(LEAST, count - LEAST + 1))
+    if count > MOST_CUT:
+        ends = [int(run.readings[0]) for run in given.runs]
+        places = [k for k in ends if LEAST <= k <= count - LEAST]
+    for place in places:
+        yield _divided(given, place, count)
+
+
+def _divided(given: Given, place: int, count: int) -> Trial:
+    session, every = given.session, np.arange(count, dtype=np.intp)
+    last, first = session.rows(every[place - 1 : place + 1])
+    sentence = (
+        f"the readings up to row {last} and those from row {first} fit alone but not"
+        " together: another machine, or something moved between them"
+    )
+
+    def undo(amounts: Array) -> list[SessionReadings]:
+        return [session.take(every[:place]), session.take(every[place:])]
+
+    return Trial(
+        kind="change",
+        scope=given.file,
+        words=plain(sentence),
+        undo=undo,
+        family="change",
+        parts=session.reading_of_value >= place,
+    )

@@ -1,0 +1,124 @@
+"""Series driven to other poses: other commands in the file's rows, other joints."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from oed.arrays import Array, Mask
+from oed.checks.mistakes.moved import Moved
+from oed.machine import RANGE_SLACK, Machine, Tool
+from oed.measurement import Measurement, Series
+
+#: a full turn, rad
+TURN = 2.0 * np.pi
+#: commands or joints (n, k) in place of others
+Change = Callable[[Array], Array]
+
+
+def commanded(
+    measurement: Measurement, change: Change, *, rows: str = "file", slack: float = 0.0
+) -> Moved:
+    """Series whose commands (n, n_dof) are changed; None where they were not recorded.
+
+    rows   `file` for those in the file's rows, `teach` for the teach pose, `all`
+    slack  share of a coordinate's range by which it may be exceeded; commands outside
+           the workspace were never given, but a machine may have stood there
+    """
+    machine = measurement.machine
+
+    def moved(series: Series) -> Series | None:
+        setup = measurement.setups[series.setup]
+        if not np.isfinite(series.command).all():
+            return None
+        changed = _rows(series, rows, is_taught=setup.teach is not None)
+        if not changed.any():
+            return None
+        command = series.command.copy()
+        command[changed] = wrapped(change(command[changed]), machine)
+        if _exceeds(command[changed], machine, setup.tool, slack):
+            return None
+        x, q = measurement.kinematics.inverse(command, None, np.array(setup.tool))
+        return dataclasses.replace(series, q=q, start=x, command=command)
+
+    return moved
+
+
+def _exceeds(command: Array, machine: Machine, tool: Tool, slack: float) -> bool:
+    """Whether a command is outside the workspace by more than a share of it."""
+    for value, coordinate in zip(command.T, machine.workspace(tool), strict=True):
+        span = coordinate.upper - coordinate.lower
+        room = (slack + RANGE_SLACK) * span if np.isfinite(span) else 0.0
+        below, above = coordinate.lower - value.min(), value.max() - coordinate.upper
+        if max(below, above) > room:
+            return True
+    return False
+
+
+def _rows(series: Series, rows: str, *, is_taught: bool) -> Mask:
+    """Poses (m,) that are commanded in the file's rows, the teach pose, or all."""
+    in_file = np.ones(len(series.command), dtype=bool)
+    if is_taught:
+        in_file[:] = False
+        in_file[series.index[:, 0]] = True
+    if rows == "teach":
+        return ~in_file
+    return in_file if rows == "file" else np.ones_like(in_file)
+
+
+def jointed(measurement: Measurement, change: Change) -> Moved:
+    """Series whose joints (m, nq) are changed; their poses are followed from home."""
+    kinematics = measurement.kinematics
+
+    def moved(series: Series) -> Series | None:
+        q = change(series.q)
+        x = kinematics.start_poses(q, patient=False)
+        return dataclasses.replace(series, q=q, start=x)
+
+    return moved
+
+
+def wrapped(command: Array, machine: Machine) -> Array:
+    """Commands (n, n_dof) with angles that turn freely brought into their range."""
+    turned = command.copy()
+    for k, coordinate in enumerate(machine.command):
+        if coordinate.unit == "rad" and turns_freely(
+            coordinate.lower, coordinate.upper
+        ):
+            turned[:, k] -= TURN * np.floor((turned[:, k] - coordinate.lower) / TURN)
+    return turned
+
+
+def turns_freely(lower: float, upper: float) -> bool:
+    """Whether an angle's range is a full turn."""
+    span = upper - lower
+    return bool(np.isfinite(span) and span >= TURN * (1.0 - RANGE_SLACK))
+
+
+def scaled(k: int, factor: float) -> Change:
+    """Column k times a factor."""
+
+    def change(values: Array) -> Array:
+        scale = np.ones(values.shape[1])
+        scale[k] = factor
+        return np.asarray(values * scale)
+
+    return change
+
+
+def shifted(k: int, amount: float) -> Change:
+    """Column k plus an amount, SI."""
+
+    def change(values: Array) -> Array:
+        shift = np.zeros(values.shape[1])
+        shift[k] = amount
+        return np.asarray(values + shift)
+
+    return change
+
+
+def permuted(order: tuple[int, ...]) -> Change:
+    """Columns in another order."""
+    return lambda values: values[:, list(order)]

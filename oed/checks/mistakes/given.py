@@ -1,0 +1,128 @@
+"""Readings as given, with what the nominal machine predicts of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterator
+
+import numpy as np
+
+from oed.arrays import Array, Mask
+from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
+from oed.checks.session import SessionReadings
+
+#: noise within which two readings are the same
+SAME = 0.2
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Given:
+    """A session whose mistakes are looked for; its measurement has all set-ups.
+
+    near  parts near whose ends others are looked for
+
+    Raises AssemblyError where the nominal machine cannot be read.
+    """
+
+    session: SessionReadings
+    near: tuple[Scope, ...] = ()
+
+    @functools.cached_property
+    def predicted(self) -> Array:
+        """Readings (N,) of the nominal machine, SI."""
+        measurement = self.session.measurement
+        return measurement.readings(self.session.series, measurement.nominal)
+
+    @functools.cached_property
+    def slopes(self) -> Array:
+        """Slopes (N, r) over the free parameters in their tolerances, SI."""
+        measurement = self.session.measurement
+        jacobian = measurement.jacobian(self.session.series, measurement.nominal)
+        scaled = measurement.in_prior_units(jacobian)
+        return np.asarray(scaled[:, measurement.free])
+
+    @functools.cached_property
+    def sigma(self) -> Array:
+        """Stated noise (N,), SI."""
+        return self.session.measurement.sigma(self.session.series)
+
+    @functools.cached_property
+    def spread(self) -> Array:
+        """Standard deviation (N,) of the prediction by tolerances and noise, SI."""
+        by_tolerance = np.linalg.norm(self.slopes, axis=1)
+        return np.asarray(np.hypot(by_tolerance, self.sigma))
+
+    @functools.cached_property
+    def channel(self) -> Array:
+        """Channel (N,) of each value, by name."""
+        return np.asarray(self.session.values["channel"].to_numpy())
+
+    @functools.cached_property
+    def unit(self) -> Array:
+        """SI unit (N,) of each value."""
+        units = {c: self.session.unit(c) for c in dict.fromkeys(self.channel)}
+        return np.asarray([units[c] for c in self.channel])
+
+    @functools.cached_property
+    def length(self) -> Array:
+        """Reading (N,) that each instrument keeps by design; NaN where there is none."""
+        session = self.session
+        values = np.full(len(session), np.nan)
+        for name, setup in session.measurement.setups.items():
+            if setup.instrument.fixed_reading is not None:
+                first = setup.instrument.channels[0].name
+                fixed = setup.instrument.fixed_reading(setup.settings)
+                values[session.mask(name, first)] = fixed
+        return values
+
+    def bases(self, values: Mask) -> dict[str, Array]:
+        """Readings (N,) that some values may be deviations from, in words; NaN for none.
+
+        The nominal machine's where they are not those of the instrument's length.
+        """
+        bases = {}
+        if np.isfinite(self.length[values]).any():
+            bases["the nominal length"] = self.length
+        apart = np.abs(self.predicted - self.length)[values]
+        if not (apart < SAME * self.sigma[values]).all():
+            bases["the nominal machine"] = self.predicted
+        return bases
+
+    @functools.cached_property
+    def shown(self) -> Mask:
+        """Values (N,) that a display showed: not those that a pose implies."""
+        return self.session.shown
+
+    @functools.cached_property
+    def scopes(self) -> list[Scope]:
+        """The file, set-ups and runs."""
+        return whole_scopes(self.session)
+
+    @property
+    def file(self) -> Scope:
+        """The whole file."""
+        return self.scopes[0]
+
+    @functools.cached_property
+    def parts(self) -> list[Scope]:
+        """The first and the last rows of set-ups and runs."""
+        return part_scopes(self.session, self.near or None)
+
+    @functools.cached_property
+    def runs(self) -> list[Scope]:
+        """Each run."""
+        return run_scopes(self.session)
+
+    def shown_scopes(self) -> Iterator[tuple[Scope, Mask]]:
+        """Every scope with the values (N,) in it that an instrument showed."""
+        for scope in [*self.scopes, *self.parts]:
+            values = scope.values(self.session) & self.shown
+            if values.any():
+                yield scope, values
+
+    def channel_scopes(self) -> Iterator[tuple[Scope, str, Mask]]:
+        """Every scope with each channel of it, and these values (N,)."""
+        for scope, values in self.shown_scopes():
+            for channel in dict.fromkeys(self.channel[values]):
+                yield scope, str(channel), values & (self.channel == channel)

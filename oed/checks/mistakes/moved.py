@@ -1,0 +1,167 @@
+"""Sessions whose readings were taken at other poses, in other set-ups, or otherwise."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pandas as pd
+
+from oed.arrays import Array, Index
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import PoseTable, Trial, plain
+from oed.checks.session import SessionReadings
+from oed.kinematics import AssemblyError
+from oed.measurement import Series
+
+#: a series as it was read; None where it cannot have been
+Moved = Callable[[Series], Series | None]
+
+#: errors of poses that cannot be reached
+CANNOT_BE = (AssemblyError, ArithmeticError, ValueError, np.linalg.LinAlgError)
+
+
+def moved_trial(
+    given: Given,
+    kind: str,
+    scope: Scope,
+    sentence: str,
+    moved: Moved,
+    table: PoseTable,
+    log_prior: float = 0.0,
+) -> Trial:
+    """A trial whose readings of a scope were taken at moved poses."""
+    session = given.session
+    return Trial(
+        kind=kind,
+        scope=scope,
+        words=plain(sentence),
+        undo=lambda amounts: [with_moved(session, scope.readings, moved)],
+        log_prior=log_prior,
+        table=table,
+        mask=scope.values(session),
+    )
+
+
+def by_run(series: Series) -> list[Index]:
+    """Readings of each run of a series, by number in it."""
+    return [np.flatnonzero(series.run == name) for name in dict.fromkeys(series.run)]
+
+
+def moved_rows(series: Series, moved: Moved) -> tuple[Index, Series] | None:
+    """The readings of a series that can be moved, by number, as moved; None for none.
+
+    Runs with a pose that cannot be reached are left out.
+    """
+    every = np.arange(len(series), dtype=np.intp)
+    try:
+        whole = moved(series)
+    except AssemblyError as error:
+        rows = _reached(series, error.indices)
+        part = _try(series.take(rows), moved) if rows.size else None
+        return None if part is None else (rows, part)
+    except CANNOT_BE:
+        return None
+    return None if whole is None else (every, whole)
+
+
+def _reached(series: Series, lost: Index) -> Index:
+    """Readings of the runs in which no pose is lost."""
+    is_lost = np.isin(series.index, lost)
+    runs = [rows for rows in by_run(series) if not is_lost[rows].any()]
+    return np.concatenate(runs) if runs else np.zeros(0, dtype=np.intp)
+
+
+def _try(series: Series, moved: Moved) -> Series | None:
+    try:
+        return moved(series)
+    except CANNOT_BE:
+        return None
+
+
+def pose_table(
+    given: Given,
+    moved: Moved,
+    nearby: Sequence[Moved] = (),
+    spread: Sequence[float] = (),
+) -> PoseTable | None:
+    """What the nominal machine reads of moved series; None where no pose is reached.
+
+    nearby  series moved by a little of an amount more, as much as `spread` says
+    """
+    session, measurement = given.session, given.session.measurement
+    predicted = np.full(len(session), np.nan)
+    slopes = np.full(given.slopes.shape, np.nan)
+    by_amount = np.zeros((len(session), len(nearby)))
+    for series, span in zip(session.series, session.spans, strict=True):
+        count = session.channel_count(series.setup)
+        reached = moved_rows(series, moved)
+        values = None if reached is None else _nominal(given, reached[1])
+        if reached is None or values is None:
+            continue
+        rows = reached[0]
+        places = span.start + (rows[:, None] * count + np.arange(count)).ravel()
+        predicted[places], slopes[places] = values
+        for k, near in enumerate(nearby):
+            other = _try(series.take(rows), near)
+            if other is not None:
+                y = measurement.try_readings([other], measurement.nominal)
+                change = np.nan_to_num(y - predicted[places])
+                by_amount[places, k] = change * spread[k]
+    if np.isnan(predicted).all():
+        return None
+    return PoseTable(predicted, slopes, by_amount)
+
+
+def _nominal(given: Given, series: Series) -> tuple[Array, Array] | None:
+    """Readings and slopes of the nominal machine, SI and in tolerances."""
+    measurement = given.session.measurement
+    try:
+        y = measurement.readings([series], measurement.nominal)
+        jacobian = measurement.jacobian([series], measurement.nominal)
+    except CANNOT_BE:
+        return None
+    return y, measurement.in_prior_units(jacobian)[:, measurement.free]
+
+
+def with_moved(
+    session: SessionReadings, readings: Index, moved: Moved
+) -> SessionReadings:
+    """The session with the series of some readings moved.
+
+    Raises AssemblyError where they cannot be.
+    """
+    parts: list[tuple[Series, Index]] = []
+    first = 0
+    for series in session.series:
+        numbers = first + np.arange(len(series), dtype=np.intp)
+        first += len(series)
+        is_moved = np.isin(numbers, readings)
+        if not is_moved.all():
+            parts.append((series.take(np.flatnonzero(~is_moved)), numbers[~is_moved]))
+        if is_moved.any():
+            taken = series if is_moved.all() else series.take(np.flatnonzero(is_moved))
+            changed = moved(taken)
+            if changed is None:
+                raise AssemblyError("a pose cannot be reached", numbers[is_moved])
+            parts.append((changed, numbers[is_moved]))
+    return _of_parts(session, parts)
+
+
+def _of_parts(
+    session: SessionReadings, parts: list[tuple[Series, Index]]
+) -> SessionReadings:
+    """A session of series with the numbers of their readings in another one."""
+    number = session.reading_of_value
+    places = [np.flatnonzero(np.isin(number, numbers)) for _, numbers in parts]
+    frames = []
+    for (series, _), place in zip(parts, places, strict=True):
+        frames.append(session.values.iloc[place].assign(setup=series.setup))
+    return dataclasses.replace(
+        session,
+        series=tuple(series for series, _ in parts),
+        y=session.y[np.concatenate(places)],
+        values=pd.concat(frames, ignore_index=True),
+    )

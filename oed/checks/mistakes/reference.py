@@ -1,0 +1,55 @@
+"""Readings told against another pose of their run than its first."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from oed.arrays import Index
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.moved import Moved, by_run, moved_trial, pose_table
+from oed.checks.mistakes.trial import Trial
+from oed.measurement import Series
+
+#: readings of a run whose pose may be the reference, of so many
+PLACES: dict[str, Callable[[int], int]] = {
+    "last": lambda count: count - 1,
+    "middle": lambda count: (count - 1) // 2,
+    "second": lambda count: 0,
+}
+
+
+def trials(given: Given) -> Iterator[Trial]:
+    """The last, middle and second pose of each run as its reference."""
+    session = given.session
+    setups = session.measurement.setups
+    if all(setups[s.setup].instrument.reference != "run" for s in session.series):
+        return
+    for name, place in PLACES.items():
+        moved = _told_against(given, place)
+        table = pose_table(given, moved)
+        if table is None:
+            continue
+        for scope in given.scopes:
+            sentence = (
+                f"the readings{scope.of} are told against the {name} pose of each run"
+            )
+            yield moved_trial(given, "reference", scope, sentence, moved, table)
+
+
+def _told_against(given: Given, place: Callable[[int], int]) -> Moved:
+    setups = given.session.measurement.setups
+
+    def moved(series: Series) -> Series | None:
+        if setups[series.setup].instrument.reference != "run":
+            return series
+        index: Index = series.index.copy()
+        for rows in by_run(series):
+            index[rows, 1] = series.index[rows[place(len(rows))], 0]
+        if np.array_equal(index, series.index):
+            return None
+        return dataclasses.replace(series, index=index)
+
+    return moved

@@ -1,0 +1,131 @@
+"""A mistake that readings may have, and the session as it would be without it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from oed.arrays import Array, Index, Mask
+from oed.checks.fit import Fit
+from oed.checks.mistakes.scope import Scope
+from oed.checks.session import SessionReadings
+from oed.measurement import Measurement
+
+#: sessions without a mistake of some amounts (k,): one, or several of machines apart
+Undo = Callable[[Array], Sequence[SessionReadings]]
+#: the mistake of amounts (k,) with standard deviations (k,), without a full stop
+Words = Callable[[Array, Array], str]
+
+NO_AMOUNTS: Array = np.zeros(0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Alternatives:
+    """What else a session could have been.
+
+    measurement  the machine with all set-ups of the study
+    """
+
+    measurement: Measurement
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PoseTable:
+    """What the nominal machine reads at poses other than those of the file.
+
+    predicted  (N,) readings, SI; NaN where a pose cannot be reached
+    slopes     (N, r) over the free parameters in their tolerances, SI
+    by_amount  (N, k) slopes over the amounts of the change times their spread, SI
+    """
+
+    predicted: Array
+    slopes: Array
+    by_amount: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Trial:
+    """A mistake, undone.
+
+    kind       of mistake: the module that makes the trial
+    scope      the part of the session that it concerns
+    words      the mistake in words
+    undo       the session without it
+    amounts    (k,) where the search of its unknown amounts begins, SI
+    steps      (k,) for differences over them
+    estimated  amounts and standard deviations that a fit has, where it is not searched
+    log_scale  sum over the values of the log of the factor on them: readings that a trial
+               makes small fit easily, and their density pays for it
+    scaling    the same of amounts, where it follows from them
+    linear_scaling  the same of amounts in the linear model
+    log_prior  of the trial among those of its kind and level, beyond an equal share
+    family     trials of which the likeliest alone is fitted
+    missing    values, by mask (N,), of which the trial does not say where they belong
+    log_missing  log density of these, SI; None for that of any value
+
+    How it is judged in the linear model, where it differs from the readings as given:
+
+    y          (N,) values
+    made       (N,) values with the mistake made, where it is not its own inverse
+    table      readings at other poses, for the values `mask`
+    columns    (N, k) slopes of the values over the amounts; those whose size is not
+               known are scaled to what they explain
+    parts      values, by mask (N,), that a machine of their own gives
+    """
+
+    kind: str
+    scope: Scope
+    words: Words
+    undo: Undo
+    amounts: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
+    steps: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
+    estimated: Callable[[Fit], tuple[Array, Array]] | None = None
+    log_scale: float = 0.0
+    scaling: Callable[[Array], float] = lambda amounts: 0.0
+    linear_scaling: Callable[[Array], float] = lambda amounts: 0.0
+    log_prior: float = 0.0
+    family: str = ""
+    missing: Mask | None = None
+    log_missing: float | None = None
+    y: Array | None = None
+    made: Array | None = None
+    table: PoseTable | None = None
+    mask: Mask | None = None
+    columns: Array | None = None
+    parts: Mask | None = None
+
+
+def plain(sentence: str) -> Words:
+    """The words of a mistake without amounts."""
+    return lambda amounts, sd: sentence
+
+
+def value_trial(
+    session: SessionReadings,
+    kind: str,
+    scope: Scope,
+    sentence: str,
+    y: Array,
+    log_scale: float = 0.0,
+    made: Array | None = None,
+) -> Trial:
+    """A trial with other values y (N,) at the same poses."""
+    return Trial(
+        kind=kind,
+        scope=scope,
+        words=plain(sentence),
+        undo=lambda amounts: [session.with_y(y)],
+        log_scale=log_scale,
+        y=y,
+        made=made,
+    )
+
+
+def members(session: SessionReadings, readings: Index) -> Index:
+    """Values (k,) of readings in the order in which these are given."""
+    counts = np.bincount(session.reading_of_value)
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    parts = [np.arange(starts[k], starts[k + 1]) for k in readings]
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)

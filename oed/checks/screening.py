@@ -1,0 +1,233 @@
+"""Likelihood of every mistake in the linear model: which of them are worth a fit.
+
+Readings are linear about the nominal machine, y = f + H z + s e, with z ~ N(0, I), e of
+the stated noise, and a scale s of it that is free. The log evidence of residuals r and
+whitened slopes H is
+
+    -1/2 [ N log s^2 + sum log(1 + l_i / s^2) + (r^T r - sum b_i^2 / (l_i + s^2)) / s^2 ],
+
+l_i the eigenvalues of H^T H, b the components of H^T r; its maximum over s counts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.arrays import Array, Index, Mask
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.trial import Trial
+from oed.noise.covariance import Noise
+from oed.noise.prior import log_prior_of_scale
+
+#: least scale of the noise over the stated one, and factor between scales
+LEAST_SCALE, SCALE_STEP = 0.5, 1.5
+#: scale over the largest one that sums of squares resolve
+RESOLVED = 1e-6
+#: log of the range of sizes that an amount may have: a factor of 10^5 is as good as all
+LOG_SIZES = float(np.log(np.log(1e5)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Slopes H (N, r) by eigenvalues of H^T H.
+
+    slopes   (N, r) whitened
+    values   (r,) eigenvalues
+    vectors  (r, r)
+    """
+
+    slopes: Array
+    values: Array
+    vectors: Array
+
+    def components(self, white: Array) -> Array:
+        """Components (r, m) of whitened values (N, m) along the eigenvectors."""
+        return np.asarray(self.vectors.T @ (self.slopes.T @ white))
+
+
+def spectrum(slopes: Array) -> Spectrum:
+    """The spectrum of whitened slopes (N, r)."""
+    values, vectors = np.linalg.eigh(slopes.T @ slopes)
+    return Spectrum(slopes, np.maximum(values, 0.0), vectors)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Score:
+    """Log evidence in the linear model, and the scale of the noise that goes with it."""
+
+    log_evidence: float
+    scale: float
+
+    def plus(self, log_factor: float) -> Score:
+        """The score with a factor on the density."""
+        return Score(self.log_evidence + log_factor, self.scale)
+
+
+#: of what cannot be
+IMPOSSIBLE = Score(-np.inf, 1.0)
+
+
+class Screening:
+    """Log evidences of trials in the linear model, up to a common constant."""
+
+    def __init__(self, given: Given) -> None:
+        session = given.session
+        self.given = given
+        self.noise: Noise = session.measurement.noise(session.series)
+        self._white = spectrum(self.noise.whiten(given.slopes))
+        self._residual = self.noise.whiten(session.y - given.predicted)
+        self.scales = scales_of_noise(self._residual)
+        setups = session.measurement.setups.values()
+        is_assumed = all(setup.statement.is_assumed for setup in setups)
+        self._prior = log_prior_of_scale(self.scales, is_assumed=is_assumed)
+
+    def as_given(self) -> Score:
+        """Score of the readings as given."""
+        return self._scores_of(self._residual[:, None])[0]
+
+    def scores(self, trials: Sequence[Trial]) -> list[Score]:
+        """Score of each trial."""
+        result = [IMPOSSIBLE] * len(trials)
+        alone = [k for k, t in enumerate(trials) if _is_of_values(t)]
+        if alone:
+            values = np.column_stack([_values(trials[k]) for k in alone])
+            white = self.noise.whiten(values - self.given.predicted[:, None])
+            for k, score in zip(alone, self._scores_of(white), strict=True):
+                result[k] = score
+        for k in sorted(set(range(len(trials))) - set(alone)):
+            one = trials[k]
+            of_columns = one.columns is not None
+            result[k] = self._with_columns(one) if of_columns else self._of_any(one)
+        return [s.plus(t.log_scale) for s, t in zip(result, trials, strict=True)]
+
+    # -- one residual under all scales -------------------------------------------------
+
+    def _scores_of(self, white: Array) -> list[Score]:
+        """Scores of whitened residuals (N, m) with the slopes as given."""
+        by_scale = self._by_scale(self._white, white, len(white))
+        return [self._best(column) for column in by_scale.T]
+
+    def _best(self, by_scale: Array) -> Score:
+        k = int(np.argmax(by_scale))
+        return Score(float(by_scale[k]), float(self.scales[k]))
+
+    def _by_scale(self, of: Spectrum, white: Array, count: int) -> Array:
+        """Log evidences (S, m), by scale, of whitened residuals (N, m) of `count` values."""
+        square = self.scales[:, None] ** 2
+        components = of.components(white) ** 2
+        used = (1.0 / (of.values + square)) @ components
+        misfit = ((white**2).sum(axis=0) - used) / square
+        log_size = count * np.log(square) + np.log1p(of.values / square).sum(
+            axis=1, keepdims=True
+        )
+        return np.asarray(self._prior[:, None] - 0.5 * (log_size + misfit))
+
+    # -- amounts in the readings -------------------------------------------------------
+
+    def _with_columns(self, trial: Trial) -> Score:
+        """Score with amounts of unknown size, of columns (N, k)."""
+        assert trial.columns is not None
+        columns = self.noise.whiten(trial.columns)
+        both = np.column_stack([self._residual, columns])
+        components = self._white.components(both)
+        whole = both.T @ both
+        gains = []
+        alone = self._by_scale(self._white, self._residual[:, None], len(both))[:, 0]
+        for scale in self.scales:
+            weight = 1.0 / (self._white.values + scale**2)
+            gram = (whole - (components.T * weight) @ components) / scale**2
+            gain, amounts = gain_of_amounts(gram)
+            gains.append(gain + trial.linear_scaling(amounts))
+        return self._best(alone + np.array(gains))
+
+    # -- other poses, missing values, several machines ---------------------------------
+
+    def _of_any(self, trial: Trial) -> Score:
+        given = self.given
+        y = given.session.y if trial.y is None else trial.y
+        predicted, slopes = given.predicted, given.slopes
+        if trial.table is not None and trial.mask is not None:
+            at = trial.mask
+            predicted = np.where(at, trial.table.predicted, predicted)
+            slopes = np.where(at[:, None], trial.table.slopes, slopes)
+            amount = np.where(at[:, None], trial.table.by_amount, 0.0)
+            slopes = np.hstack([slopes, amount])
+        if not (np.isfinite(predicted).all() and np.isfinite(slopes).all()):
+            return IMPOSSIBLE
+        white = self.noise.whiten(y - predicted)
+        slopes = self.noise.whiten(slopes)
+        if trial.parts is not None:
+            sides = (trial.parts, ~trial.parts)
+            one, other = (self._of_rows(white, slopes, side) for side in sides)
+            return dataclasses.replace(one, scale=other.scale).plus(other.log_evidence)
+        if trial.missing is None:
+            return self._of_rows(white, slopes, np.ones(len(y), dtype=bool))
+        missing = trial.missing
+        log_density = trial.log_missing
+        if log_density is None:
+            log_density = log_density_of_any(given, np.flatnonzero(missing))
+        # the evidence leaves out the constants that the density has
+        constants = np.log(given.sigma[missing]) + 0.5 * np.log(2.0 * np.pi)
+        score = self._of_rows(white, slopes, ~missing)
+        return score.plus(log_density + float(constants.sum()))
+
+    def _of_rows(self, white: Array, slopes: Array, rows: Mask) -> Score:
+        """Score of some rows; 0 for none."""
+        count = int(rows.sum())
+        if not count:
+            return Score(0.0, 1.0)
+        part = spectrum(slopes[rows])
+        return self._best(self._by_scale(part, white[rows, None], count)[:, 0])
+
+
+def scales_of_noise(residual: Array) -> Array:
+    """Scales of the noise that residuals (N,), over the stated noise, may have.
+
+    Sums of squares are known to rounding alone: smaller scales cannot be told.
+    """
+    largest = 2.0 * float(np.sqrt(np.mean(residual**2))) + 2.0
+    least = max(LEAST_SCALE, RESOLVED * largest)
+    count = int(np.ceil(np.log(largest / least) / np.log(SCALE_STEP)))
+    return np.asarray(least * SCALE_STEP ** np.arange(max(count, 4)))
+
+
+def gain_of_amounts(gram: Array) -> tuple[float, Array]:
+    """Log evidence that amounts of unknown size add, and the amounts (k,).
+
+    gram  products (1 + k, 1 + k) under the precision of the readings: of the residual,
+          then of the columns
+
+    Their prior sd is what the readings say of their size, at the cost of that choice.
+    """
+    precision, slope = gram[1:, 1:], gram[1:, 0]
+    unit = np.sqrt(np.maximum(np.diag(precision), 1e-300))
+    scaled, part = precision / np.outer(unit, unit), slope / unit
+    amounts = np.linalg.lstsq(scaled, part, rcond=1e-9)[0]
+    size = float(np.mean(amounts**2))
+    if size <= 1.0:
+        return -LOG_SIZES, 0.0 * amounts
+    inner = np.eye(len(part)) + size * scaled
+    gain = 0.5 * size * float(part @ np.linalg.solve(inner, part))
+    gain -= 0.5 * float(np.linalg.slogdet(inner)[1]) + LOG_SIZES
+    return gain, amounts / unit
+
+
+def log_density_of_any(given: Given, values: Index) -> float:
+    """Log density, SI, of values that may be anything: heavy-tailed about nominal."""
+    width = 3.0 * given.spread[values]
+    away = (given.session.y[values] - given.predicted[values]) / width
+    return float(-(np.log(np.pi * width) + np.log1p(away**2)).sum())
+
+
+def _is_of_values(trial: Trial) -> bool:
+    """Whether a trial changes values alone."""
+    others = (trial.table, trial.missing, trial.columns, trial.parts)
+    return trial.y is not None and all(one is None for one in others)
+
+
+def _values(trial: Trial) -> Array:
+    assert trial.y is not None
+    return trial.y
