@@ -5,20 +5,38 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import blunders
+import blunder_machines as machines
 import numpy as np
 import pytest
-from blunders import BLUNDERS, Blunder
+from blunder_table import BLUNDERS
+from blunder_tables import LAWS
+from blunders import SIGMA, Blunder
+
+from oed.checks import Severity
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "blunders.md"
 #: blunders that the default suite executes; the nightly one executes all
 QUICK = {
     "um in a column of mm",
-    "columns exchanged",
+    "columns of one line exchanged",
     "readings one row late",
     "two rows exchanged",
     "one reading off by 50 sigma",
     "computed, not measured",
+    "a circle at another height",
+    "one circle starts 30 deg late",
+    "one run in um of deviation",
+    "reversed deviations in one run",
+    "one run scaled by a half",
+    "sorted by a spreadsheet",
+    "one run sorted",
+    "one set-up's readings in both",
+    "run labels exchanged",
+    "z 10 mm low",
+    "legs turned by one",
+    "heights of one level sorted",
+    "tilts exchanged",
+    "sign of x",
 }
 CASES = [
     pytest.param(b, marks=() if b.name in QUICK else pytest.mark.slow, id=b.name)
@@ -26,52 +44,78 @@ CASES = [
 ]
 
 
-def readings_of(machine: str, seed: int) -> blunders.Readings:
-    if machine == "a3":
-        return blunders.a3_readings(seed)
-    return blunders.planar_readings(seed)
-
-
 @pytest.mark.parametrize("blunder", CASES)
 def test_blunder(blunder: Blunder) -> None:
-    readings = blunder.make(readings_of(blunder.machine, 0))
-    checked = blunders.check(blunder.machine, readings)
+    law = "smoothed" if blunder.name == "smoothed readings" else "white"
+    rows = machines.readings(blunder.machine, 0, law)
+    checked = machines.check(blunder.machine, blunder.make(rows))
+    sentences = [f.sentence for f in checked.findings]
     if not blunder.sentence:
-        assert not checked.findings
+        assert not sentences
         return
-    named = [f for f in checked.findings if blunder.sentence in f.sentence]
-    assert named, [f.sentence for f in checked.findings]
-    rows = {row for finding in checked.findings for row in finding.rows}
-    assert set(blunder.rows) <= rows
+    assert blunder.is_named(sentences), sentences
+    named = {row for finding in checked.findings for row in finding.rows}
+    assert set(blunder.rows) <= named
 
 
-@pytest.mark.parametrize("machine", ["a3", "planar"])
-@pytest.mark.parametrize(
-    "seeds",
-    [range(2), pytest.param(range(2, 100), marks=pytest.mark.slow, id="nightly")],
-)
-def test_no_false_alarm(machine: str, seeds: range) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["run offsets", "t4", "ar1"])
+def test_blunders_are_named_under_other_noise(law: str) -> None:
+    """In nine of ten; a far reading may drown in heavy tails."""
+    missed = []
+    for blunder in BLUNDERS:
+        if not blunder.sentence or blunder.name == "smoothed readings":
+            continue
+        rows = machines.readings(blunder.machine, 1, law)
+        checked = machines.check(blunder.machine, blunder.make(rows))
+        sentences = [f.sentence for f in checked.findings]
+        if not blunder.is_named(sentences):
+            missed.append((blunder.name, sentences[:1]))
+    assert len(missed) <= 0.1 * len(BLUNDERS), missed
+
+
+NIGHTLY = pytest.param(range(10, 50), marks=pytest.mark.slow, id="nightly")
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("machine", machines.MACHINES)
+@pytest.mark.parametrize("seeds", [range(1), NIGHTLY])
+def test_no_false_alarm(machine: str, law: str, seeds: range) -> None:
+    """Of heavy tails, a remark may name a far reading; it is no alarm."""
     for seed in seeds:
-        checked = blunders.check(machine, readings_of(machine, seed))
-        assert not checked.findings, (seed, [f.sentence for f in checked.findings])
+        checked = machines.check(machine, machines.readings(machine, seed, law))
+        alarms = [f for f in checked.findings if f.severity < Severity.REMARK]
+        assert not alarms, (seed, [f.sentence for f in alarms])
+        assert law == "t4" or not checked.findings
 
 
 def test_the_page_lists_every_blunder() -> None:
     text = PAGE.read_text(encoding="utf-8")
-    rows = re.findall(r"^\| (\d+) \| (.+?) \| (.+?) \|", text, re.MULTILINE)
-    assert [name for _, name, _ in rows] == [b.name for b in BLUNDERS]
-    shown = [sentence for _, _, sentence in rows]
+    rows = re.findall(r"^\| (\d+) \| (.+?) \| (.+?) \| (.+?) \|", text, re.MULTILINE)
+    assert [int(number) for number, *_ in rows] == list(range(1, len(BLUNDERS) + 1))
+    assert [name for _, name, _, _ in rows] == [b.name for b in BLUNDERS]
+    assert [machine for *_, machine, _ in rows] == [b.machine for b in BLUNDERS]
+    shown = [sentence for *_, sentence in rows]
     assert shown == [b.sentence or "nothing: it cannot be seen" for b in BLUNDERS]
-    assert len(rows) == 24
 
 
 def test_an_outlier_leaves_the_other_readings() -> None:
     """The pull of a reading is its error over what the others predict it to."""
-    readings = blunders.a3_readings(3)
-    y = readings.y.copy()
-    y[17] += 50 * blunders.SIGMA
-    checked = blunders.check("a3", readings.with_y(y))
+    rows = machines.readings("a3", 3)
+    rows.loc[17, "length_mm"] += 50 * SIGMA
+    checked = machines.check("a3", rows)
     assert checked.set_aside == (17,)
     assert checked.outliers is not None
     assert checked.outliers.errors[0] == pytest.approx(25e-6, abs=3e-6)
     assert not np.isin(17, checked.outliers.solution.session.values["row"] - 2)
+
+
+def test_misfits_that_are_no_noise_are_not_blamed_on_it() -> None:
+    """Readings of another machine: 600 times the noise and more."""
+    rng = np.random.default_rng(5)
+    rows = machines.readings("delta", 0)
+    heights = rows["setup"] == "probe"
+    rows.loc[heights, "height_mm"] += rng.uniform(-20.0, 20.0, heights.sum())
+    checked = machines.check("delta", rows)
+    assert checked.bad_fit
+    assert all("understated" not in f.sentence for f in checked.findings)

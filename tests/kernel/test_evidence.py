@@ -1,0 +1,201 @@
+"""Evidence of readings and of mistakes against densities written out."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from kernel.dense_noise import dense_covariance
+from oed import checks
+from oed.arrays import Array
+from oed.checks import evidence, law, screening
+from oed.checks.fit import fit
+from oed.checks.fit_amounts import fit_amounts
+from oed.checks.mistakes import Given, trials
+from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
+from oed.instrument import mount
+from oed.measurement import Measurement
+from oed.noise import prior
+from oed.noise.process import Laws
+from oed.noise.structure import ReadingStructure, reading_structure
+from pkm_models.instruments import ball_bar, laser_ball_bar
+from pkm_models.machines import a3_head, prs_spindle
+
+GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
+ONE = Laws(
+    scale=np.array([[1.3]]),
+    carried=np.array([0.4]),
+    reach=np.array([3.0]),
+    level=np.array([0.7]),
+    seat=np.array([0.5]),
+)
+
+
+def circles(runs: int = 3, count: int = 12) -> checks.SessionReadings:
+    """Circles of a ball bar in one set-up, read on a drawn machine."""
+    setup = mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0), sigma=[0.5e-6])
+    m = Measurement(a3_head.machine, [setup])
+    psi = np.linspace(-3.0, 3.0, count)
+    heights = np.repeat(np.linspace(1.15, 1.25, runs), count)
+    tilt = np.full(len(heights), 0.4)
+    command = np.column_stack([heights, np.tile(psi, runs), tilt])
+    series = [m.series("bar", command, run=[f"z {z:.3f}" for z in heights])]
+    rng = np.random.default_rng(3)
+    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
+    y = m.readings(series, truth)
+    return checks.session(m, series, y + 0.5e-6 * rng.standard_normal(len(y)))
+
+
+@pytest.fixture(scope="module")
+def bar() -> checks.SessionReadings:
+    return circles()
+
+
+@pytest.fixture(scope="module")
+def laser() -> ReadingStructure:
+    """Two runs by a laser ball bar, whose channels have common sources."""
+    setup = mount(laser_ball_bar.instrument, "laser", **GIMBAL)
+    m = Measurement(prs_spindle.machine, [setup])
+    rng = np.random.default_rng(4)
+    command = rng.uniform([0.1, -0.3, -0.3], [0.3, 0.3, 0.3], (10, 3))
+    series = m.series("laser", command, run=["a"] * 4 + ["b"] * 6)
+    return reading_structure(m, [series], m.nominal)
+
+
+def structure_of(session: checks.SessionReadings) -> ReadingStructure:
+    m = session.measurement
+    return reading_structure(m, session.series, m.nominal)
+
+
+def in_si(structure: ReadingStructure, laws: Laws) -> Array:
+    """Covariance (N, N) of readings, SI."""
+    covariance = dense_covariance(structure, laws)
+    if structure.decouple is None:
+        return covariance * np.outer(structure.unit, structure.unit)
+    mix = np.linalg.inv(structure.decouple.toarray())
+    return np.asarray(mix @ covariance @ mix.T)
+
+
+@pytest.mark.parametrize("kind", ["bar", "laser"])
+def test_noise_of_a_law_has_its_covariance(
+    kind: str, request: pytest.FixtureRequest
+) -> None:
+    one = request.getfixturevalue(kind)
+    structure = one if kind == "laser" else structure_of(one)
+    groups = len(structure.names)
+    laws = dataclasses.replace(ONE, scale=np.full((1, groups), 1.3))
+    noise = law.noise_under(structure, laws)
+    precision = np.linalg.inv(in_si(structure, laws))
+    values = np.random.default_rng(1).standard_normal((len(structure), 2))
+    scale = np.abs(precision @ values).max()
+    assert np.abs(noise.precision(values) - precision @ values).max() < 1e-9 * scale
+    white = noise.whiten(values)
+    assert white.T @ white == pytest.approx(values.T @ precision @ values, rel=1e-9)
+    diagonal = np.diag(precision)
+    assert noise.precision_diagonal() == pytest.approx(diagonal, rel=1e-9)
+
+
+def test_the_log_marginal_is_that_of_a_normal_density(
+    bar: checks.SessionReadings,
+) -> None:
+    solution = fit(bar)
+    assert solution is not None
+    linear = evidence.linear_readings(solution)
+    unit = dataclasses.replace(ONE, scale=np.ones((1, 1)))
+    scale = 1.7
+    one = evidence._log_marginal(
+        linear, linear.slopes, unit, np.zeros(1), np.array([scale])
+    )
+    covariance = scale**2 * dense_covariance(linear.structure, unit)
+    covariance = covariance + linear.slopes @ linear.slopes.T
+    expected = stats.multivariate_normal.logpdf(
+        linear.residual, np.zeros(len(covariance)), covariance
+    )
+    normalisation = 0.5 * len(linear.residual) * np.log(2.0 * np.pi)
+    assert one == pytest.approx(expected + normalisation, abs=1e-5)
+    about = linear.residual - linear.slopes @ solution.departure
+    predicted = bar.measurement.readings(bar.series, solution.theta)
+    assert about * 0.5e-6 == pytest.approx(bar.y - predicted, abs=1e-15)
+
+
+def test_the_screening_maximises_a_normal_density(bar: checks.SessionReadings) -> None:
+    given = Given(bar)
+    screen = screening.Screening(given)
+    slopes = given.slopes / 0.5e-6
+    residual = (bar.y - given.predicted) / 0.5e-6
+
+    def best(r: Array, h: Array) -> float:
+        values = []
+        for scale in screen.scales:
+            covariance = scale**2 * np.eye(len(r)) + h @ h.T
+            density = stats.multivariate_normal.logpdf(r, np.zeros(len(r)), covariance)
+            weight = prior.log_prior_of_scale(np.array([scale]), is_assumed=False)[0]
+            values.append(density + weight + 0.5 * len(r) * np.log(2.0 * np.pi))
+        return float(max(values))
+
+    assert screen.as_given().log_evidence == pytest.approx(
+        best(residual, slopes), abs=1e-4
+    )
+    every = list(trials(given))
+    of_values = next(t for t in every if t.kind == "sign")
+    of_poses = next(t for t in every if t.kind == "pose" and t.table is not None)
+    scores = screen.scores([of_values, of_poses])
+    assert of_values.y is not None
+    moved = (of_values.y - given.predicted) / 0.5e-6
+    assert scores[0].log_evidence == pytest.approx(best(moved, slopes), rel=1e-6)
+    assert of_poses.table is not None
+    elsewhere = (bar.y - of_poses.table.predicted) / 0.5e-6
+    there = of_poses.table.slopes / 0.5e-6
+    assert scores[1].log_evidence == pytest.approx(best(elsewhere, there), rel=1e-6)
+
+
+def test_scales_have_the_prior_of_their_coordinate() -> None:
+    u = np.array([-3.0, -0.5, 0.0, 0.7, 3.0, 6.0])
+    scale = np.exp(prior.SCALE_SD * prior.heavy_scale(u))
+    density = prior.log_prior_of_scale(scale, is_assumed=False)
+    assert density == pytest.approx(-0.5 * u**2, abs=1e-9)
+    decades = prior.log_prior_of_scale(10.0**u, is_assumed=True)
+    assert decades == pytest.approx(-0.5 * u**2, abs=1e-9)
+
+
+def test_an_offset_is_estimated_as_by_generalised_least_squares(
+    bar: checks.SessionReadings,
+) -> None:
+    moved = bar.with_y(bar.y + 3e-4)
+    every = trials(Given(moved))
+    offset = next(t for t in every if t.kind == "offset" and t.scope.level == "file")
+    fitted = fit_amounts(offset, 1.0)
+    assert fitted is not None
+    m = bar.measurement
+    h = m.jacobian(bar.series, fitted.solution.theta) * m.tolerance
+    covariance = h @ h.T + (0.5e-6) ** 2 * np.eye(len(bar))
+    ones = np.ones(len(bar))
+    precision = float(ones @ np.linalg.solve(covariance, ones))
+    assert fitted.sd[0] == pytest.approx(precision**-0.5, rel=1e-3)
+    assert abs(fitted.amounts[0] - 3e-4) < 4.0 * fitted.sd[0]
+
+
+def test_long_sessions_are_cut_where_a_mistake_begins() -> None:
+    """The likeliest coarse part leads to the row; 4 circles of 60 readings."""
+    session = circles(4, 60)
+    assert cuts_are_coarse(session)
+    assert len(part_scopes(session)) < 300
+    y = session.y.copy()
+    y[137:180] *= 1e3
+    checked = checks.check_session(
+        session.with_y(y),
+        checks.Alternatives(session.measurement),
+        np.random.default_rng(0),
+    )
+    first = checked.findings[0].sentence
+    assert "the readings of rows 139 to 181 are in um, not in mm" in first
+
+
+def test_scopes_are_the_file_its_setups_and_runs(bar: checks.SessionReadings) -> None:
+    levels = [scope.level for scope in whole_scopes(bar)]
+    assert levels == ["file", "run", "run", "run"]
+    one = whole_scopes(bar.take(np.arange(12)))
+    assert [scope.level for scope in one] == ["file"]
