@@ -120,6 +120,7 @@ def redriven_a3(
     setup_of_rows: str = "",
     setup: str = "",
     dz: float = 0.0,
+    own_tilts: bool = False,
     cup: tuple[float, float, float] = (0.0, 0.0, 0.0),
     longer: float = 0.0,
 ) -> pd.DataFrame:
@@ -128,6 +129,7 @@ def redriven_a3(
     run, setup_of_rows  which rows; all by default
     setup               in which set-up they were taken; their own by default
     dz, cup, longer     how much higher (mm), cup elsewhere and tool longer (m)
+    own_tilts           whether the tilts are those of the circle at that height
     """
     changed = rows.copy()
     for name in BARS:
@@ -138,6 +140,8 @@ def redriven_a3(
         used = setup or name
         command = rows.loc[at, ["z_mm", "psi_deg", "theta_deg"]].to_numpy()
         command = (command + np.array([dz, 0.0, 0.0])) * [MM, DEG, DEG]
+        if own_tilts:
+            command = a3_circle(used, command[0, 0])
         place = rows.attrs["cups"][used] + np.array(cup)
         y = a3_lengths(rows.attrs["p"], used, place, command, longer)
         changed.loc[at, "length_mm"] = y / MM + rows.attrs["noise"][at]

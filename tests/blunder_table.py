@@ -175,6 +175,17 @@ OF_PARTS = [
         "z_mm in run cup 2 is ... mm too low",
     ),
     a3(
+        "the circle of another height",
+        driven(run="cup 2", dz=10.0, own_tilts=True),
+        "z_mm in run cup 2 is ... mm too low, with theta_deg as this program has it",
+    ),
+    a3(
+        "one run rounded to 0.01 mm",
+        lengths(lambda v: np.round(v, 2), run="cup 2"),
+        "All readings of length_mm in run cup 2 are multiples of 0.01",
+        tuple(range(14, 26)),
+    ),
+    a3(
         "one circle starts 30 deg late",
         edit("psi_deg", turned(30.0), run="cup 2"),
         "psi_deg starts 30 deg from where it should in run cup 2",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import blunders
+import bar_readings
 import numpy as np
 import pytest
 
@@ -48,22 +48,24 @@ pdf = false
 """
 
 
-def write(folder: Path, readings: blunders.Readings) -> tuple[Path, Path]:
+def write(folder: Path, readings: bar_readings.Readings) -> tuple[Path, Path]:
     """The study, and the readings as their file."""
     rows = ["setup,run,order,z_mm,psi_deg,theta_deg,length_mm"]
     y = iter(1e3 * readings.y)
     for setup, command in readings.command.items():
         for k, (z, psi, theta) in enumerate(command):
-            run = f"{setup} {k // blunders.POINTS + 1}"
+            run = f"{setup} {k // bar_readings.POINTS + 1}"
             pose = f"{1e3 * z:.9g},{np.rad2deg(psi):.12g},{np.rad2deg(theta):.12g}"
-            rows.append(f"{setup},{run},{k % blunders.POINTS + 1},{pose},{next(y):.9g}")
+            rows.append(
+                f"{setup},{run},{k % bar_readings.POINTS + 1},{pose},{next(y):.9g}"
+            )
     study, table = folder / "loud.study.toml", folder / "r.csv"
     study.write_text(STUDY, encoding="utf-8")
     table.write_text("\n".join([*rows, ""]), encoding="utf-8")
     return study, table
 
 
-def identify(folder: Path, readings: blunders.Readings) -> int:
+def identify(folder: Path, readings: bar_readings.Readings) -> int:
     study, table = write(folder, readings)
     out = str(folder / "fit")
     return cli.main(["identify", str(study), "--readings", str(table), "--out", out])
@@ -72,8 +74,8 @@ def identify(folder: Path, readings: blunders.Readings) -> int:
 def test_a_mistake_is_the_first_line_and_predicts_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    readings = blunders.a3_readings(0)
-    turned = readings.with_y(2.0 * blunders.LENGTH - readings.y)
+    readings = bar_readings.a3_readings(0)
+    turned = readings.with_y(2.0 * bar_readings.LENGTH - readings.y)
     assert identify(tmp_path, turned) == 1
     out = capsys.readouterr().out
     first = "The readings look mistaken: the sign of the deviations of length_mm"
@@ -92,9 +94,9 @@ def test_a_mistake_is_the_first_line_and_predicts_nothing(
 def test_an_outlier_is_named_and_set_aside(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    readings = blunders.a3_readings(0)
+    readings = bar_readings.a3_readings(0)
     y = readings.y.copy()
-    y[17] += 50 * blunders.SIGMA
+    y[17] += 50 * bar_readings.SIGMA
     assert identify(tmp_path, readings.with_y(y)) == 0
     assert "Row 19, column length_mm" in capsys.readouterr().out
     result = json.loads((tmp_path / "fit/result.json").read_text())

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import blunders
+import bar_readings
 import numpy as np
 import pytest
 from test_bad_fit import write
@@ -107,18 +107,18 @@ def assert_refused(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
 # -- figures with and without ----------------------------------------------------------
 
 
-def with_effect(place: int | None = None) -> blunders.Readings:
+def with_effect(place: int | None = None) -> bar_readings.Readings:
     """48 readings of an A3 head with an effect of 1.4 to 2 sigma, one row off by 48."""
-    readings = blunders.a3_readings(2)
-    phase = 2.0 * np.pi * np.arange(len(readings.y)) / blunders.POINTS
-    y = readings.y + EFFECT * blunders.SIGMA * np.cos(HARMONIC * phase)
+    readings = bar_readings.a3_readings(2)
+    phase = 2.0 * np.pi * np.arange(len(readings.y)) / bar_readings.POINTS
+    y = readings.y + EFFECT * bar_readings.SIGMA * np.cos(HARMONIC * phase)
     if place is not None:
-        y[place] += 48.0 * blunders.SIGMA
+        y[place] += 48.0 * bar_readings.SIGMA
     return readings.with_y(y)
 
 
 def identified(
-    folder: Path, readings: blunders.Readings, drop: int | None = None
+    folder: Path, readings: bar_readings.Readings, drop: int | None = None
 ) -> Any:
     """result.json of the readings; with `drop`, the file lacks this row."""
     folder.mkdir()
@@ -169,11 +169,11 @@ def test_neighbours_off_the_same_way_stay_for_the_diagnosis(
     rows: Sequence[int],
 ) -> None:
     """A local bump is no three typing errors; a typing error beside it is one."""
-    readings = blunders.a3_readings(4)
+    readings = bar_readings.a3_readings(4)
     y = readings.y.copy()
-    y[list(rows)] += 25.0 * blunders.SIGMA
-    y[40] -= 300.0 * blunders.SIGMA
-    checked = blunders.check("a3", readings.with_y(y))
+    y[list(rows)] += 25.0 * bar_readings.SIGMA
+    y[40] -= 300.0 * bar_readings.SIGMA
+    checked = bar_readings.check(readings.with_y(y))
     assert checked.set_aside == (40,)
     assert checked.bad_fit
     named = [f for f in checked.findings if "are off the same way" in f.sentence]
@@ -184,7 +184,7 @@ def test_neighbours_off_the_same_way_stay_for_the_diagnosis(
 
 
 def test_without_freedom_no_multiple_of_the_noise_is_stated() -> None:
-    readings = blunders.a3_readings(0)
+    readings = bar_readings.a3_readings(0)
     found = find_outliers(session_of(readings), np.empty(0, dtype=np.intp))
     assert found is not None
     fitted = Goodness(chi2=14.5, dof=0.04, p_low=1.0, p_high=1e-9)
@@ -195,5 +195,5 @@ def test_without_freedom_no_multiple_of_the_noise_is_stated() -> None:
     assert "degrees of freedom" not in sentence
 
 
-def session_of(readings: blunders.Readings) -> checks.SessionReadings:
-    return blunders.session("a3", readings)
+def session_of(readings: bar_readings.Readings) -> checks.SessionReadings:
+    return bar_readings.session(readings)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import blunders
+import bar_readings
 import numpy as np
 import pytest
 import sample
@@ -19,7 +19,7 @@ ESTIMATED = sample.changed(
 )
 
 
-def fit(folder: Path, readings: blunders.Readings, study: str) -> dict:
+def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
     """The section `goodness` of an identification."""
     path, table = test_bad_fit.write(folder, readings)
     path.write_text(study, encoding="utf-8")
@@ -33,7 +33,7 @@ def test_noise_above_the_stated_one_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Readings scatter by 1.25 um, stated are 0.5 um."""
-    goodness = fit(tmp_path, blunders.a3_readings(1, noise=1.25e-6), ESTIMATED)
+    goodness = fit(tmp_path, bar_readings.a3_readings(1, noise=1.25e-6), ESTIMATED)
     names = ["cup.length", "long_tool.length"]
     for name in names:
         record = goodness["noise"][f"reading {name}"]
@@ -51,8 +51,8 @@ def test_noise_above_the_stated_one_is_reported(
 
 def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     """Circles shifted by 4 um: an error of the run, not of single readings."""
-    readings = blunders.a3_readings(2)
-    shift = np.repeat([4e-6, -4e-6, 3e-6, -3e-6], blunders.POINTS)
+    readings = bar_readings.a3_readings(2)
+    shift = np.repeat([4e-6, -4e-6, 3e-6, -3e-6], bar_readings.POINTS)
     noise = fit(tmp_path, readings.with_y(readings.y + shift), ESTIMATED)["noise"]
     shared = noise["run cup.length"]
     assert shared["value"] > noise["reading cup.length"]["value"]
@@ -60,7 +60,7 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
 
 
 def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
-    goodness = fit(tmp_path, blunders.a3_readings(0), ESTIMATED)
+    goodness = fit(tmp_path, bar_readings.a3_readings(0), ESTIMATED)
     assert not goodness["noise_words"]
     assert not any(record["departs"] for record in goodness["noise"].values())
     assert 1e-3 < goodness["p_low"] < 1.0 - 1e-3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import blunders
+import bar_readings
 import numpy as np
 import pytest
 import test_bad_fit
@@ -21,7 +21,7 @@ from pkm_studies.steps import prediction
 def fitted(tmp_path_factory: pytest.TempPathFactory) -> oed.EstimateView:
     """Circles with two tools: one direction of the A3 head stays undetermined."""
     folder: Path = tmp_path_factory.mktemp("fit")
-    path, table = test_bad_fit.write(folder, blunders.a3_readings(0))
+    path, table = test_bad_fit.write(folder, bar_readings.a3_readings(0))
     study = oed.load_study(path)
     return oed.identify(oed.read_readings(study, table))
 
@@ -78,7 +78,7 @@ def test_held_out_readings_are_predicted_as_by_the_posterior(tmp_path: Path) -> 
     for name in ("false", "true"):
         folder = tmp_path / name
         folder.mkdir()
-        path, table = test_bad_fit.write(folder, blunders.a3_readings(0))
+        path, table = test_bad_fit.write(folder, bar_readings.a3_readings(0))
         text = path.read_text(encoding="utf-8")
         text = text.replace("enabled = false", f"enabled = {name}\ness = 1500")
         options = f'[readings]\nfiles = ["{table.name}"]\npredict = ["long_tool"]\n'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import blunders
+import bar_readings
 import pytest
 import sample
 import test_bad_fit
@@ -71,7 +71,7 @@ def test_seating_is_refused_where_nothing_is_seated() -> None:
 
 def test_a_stated_law_is_narrower_and_reported(tmp_path: Path) -> None:
     """Intervals of a bar whose cup stays, and the numbers of the law that are left."""
-    readings, results = blunders.a3_readings(0), {}
+    readings, results = bar_readings.a3_readings(0), {}
     stated = ("seating_um = 0", "length_run_um = 0", "carried = 0", "outlier_share = 0")
     for name, lines in (("wide", ()), ("stated", stated)):
         study = sample.changed(

@@ -115,3 +115,12 @@ def test_a_drift_is_no_other_bar(size: float) -> None:
         rows["length_mm"] += size * np.linspace(0.0, 1.0, len(rows))
         checked = machines.check("a3", rows.round(4))
         assert not checked.explanations
+
+
+def test_no_sign_is_lost_where_none_is_known() -> None:
+    """Heights of a nominal machine are zero: its noise does not tell their sign."""
+    rows = machines.readings("delta", 0)
+    probe = rows["setup"] == "probe"
+    rows.loc[probe, "height_mm"] = rows.loc[probe, "height_mm"].abs().round(0)
+    checked = machines.check("delta", rows)
+    assert all("is lost" not in one.what for one in checked.explanations)

@@ -165,8 +165,9 @@ def _copies(session: SessionReadings, ranges: Ranges) -> list[CheckFinding]:
         equal = copies.equal_readings(session)
         if equal:
             findings.append(sentences.doubled(session, equal))
-    for channel, step in copies.coarse_columns(session):
-        findings.append(sentences.coarse(session, channel, step))
+    findings += [
+        sentences.coarse(session, one) for one in copies.coarse_columns(session)
+    ]
     return findings
 
 

@@ -159,20 +159,60 @@ def _rounding(session: SessionReadings) -> Array:
     return half
 
 
-def coarse_columns(session: SessionReadings) -> list[tuple[str, float]]:
-    """Channels whose rounding step exceeds the stated noise by far, with the step, SI.
+@dataclasses.dataclass(frozen=True)
+class CoarseReadings:
+    """Readings of a channel that are multiples of a step, SI, above their noise.
+
+    readings  their numbers
+    run       in which they are; empty for all of the file
+    """
+
+    channel: str
+    step: float
+    readings: tuple[int, ...]
+    run: str = ""
+
+
+def coarse_columns(session: SessionReadings) -> list[CoarseReadings]:
+    """Channels whose rounding step exceeds the stated noise by far; runs of the others.
 
     A step that a set-up states is part of its noise.
     """
-    sigma = session.measurement.sigma(session.series)
     coarse = []
     for channel, rows in session.values.groupby("channel", sort=False).indices.items():
-        step = resolution(session, rows)
-        if step <= _stated_resolution(session, str(channel)):
-            continue
-        if step > COARSE * float(np.median(sigma[rows])):
-            coarse.append((str(channel), step))
+        whole = _coarse(session, str(channel), rows)
+        coarse += [whole] if whole else _coarse_runs(session, str(channel), rows)
     return coarse
+
+
+def _coarse_runs(
+    session: SessionReadings, channel: str, rows: Index
+) -> list[CoarseReadings]:
+    """Runs whose values chance does not make as round as they are."""
+    usual = resolution(session, rows)
+    runs = session.values.iloc[rows].groupby(["setup", "run"], sort=False).indices
+    coarse = []
+    for (_, run), places in runs.items():
+        members = rows[places]
+        one = _coarse(session, channel, members)
+        if one is None or usual <= 0.0:
+            continue
+        if len(runs) * (usual / one.step) ** len(members) < FALSE_ALARM:
+            coarse.append(dataclasses.replace(one, run=str(run)))
+    return coarse
+
+
+def _coarse(
+    session: SessionReadings, channel: str, rows: Index
+) -> CoarseReadings | None:
+    """Values of a channel, where their step exceeds what is stated; None otherwise."""
+    step = resolution(session, rows)
+    sigma = session.measurement.sigma(session.series)[rows]
+    is_stated = step <= _stated_resolution(session, channel)
+    if is_stated or step <= COARSE * float(np.median(sigma)):
+        return None
+    numbers = np.unique(session.reading_of_value[rows]).tolist()
+    return CoarseReadings(channel, step, tuple(numbers))
 
 
 def _stated_resolution(session: SessionReadings, channel: str) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, optimize
 
 from oed.arrays import Array
-from oed.checks.fit import UNREACHABLE, Fit
+from oed.checks.fit import UNREACHABLE, Fit, fit
 from oed.checks.large_misfit import at_scale_of_misfit
 from oed.checks.mistakes.moved import CANNOT_BE
 from oed.checks.mistakes.trial import Trial
@@ -50,6 +50,10 @@ def _at_scale(
     if before is not None:
         steps = before.amounts / trial.steps
         first = np.concatenate([before.solution.departure, steps])
+    elif trial.is_blind:
+        other = fit(trial.undo(trial.amounts)[0], scale=scale)
+        if other is not None:
+            first[: problem.count] = other.departure
     try:
         solution = optimize.least_squares(
             problem.residuals,

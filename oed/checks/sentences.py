@@ -8,7 +8,7 @@ import numpy as np
 
 from oed import text
 from oed.arrays import Index
-from oed.checks.copies import EqualReadings
+from oed.checks.copies import CoarseReadings, EqualReadings
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading
 from oed.checks.findings import CheckFinding, Severity
@@ -174,14 +174,16 @@ def doubled(session: SessionReadings, groups: Sequence[EqualReadings]) -> CheckF
     return CheckFinding(Severity.COPIES, "doubled", sentence, rows)
 
 
-def coarse(session: SessionReadings, channel: str, step: float) -> CheckFinding:
-    """A column rounded more coarsely than its noise."""
-    column = session.column(channel)
+def coarse(session: SessionReadings, one: CoarseReadings) -> CheckFinding:
+    """Readings rounded more coarsely than their noise."""
+    column = session.column(one.channel)
+    where = f" in run {one.run}" if one.run else ""
     sentence = (
-        f"All readings of {column.name} are multiples of {step / column.factor:.6g}:"
-        " rounding exceeds the stated noise."
+        f"All readings of {column.name}{where} are multiples of"
+        f" {one.step / column.factor:.6g}: rounding exceeds the stated noise."
     )
-    return CheckFinding(Severity.REMARK, "coarse", sentence)
+    rows = session.rows(one.readings) if one.run else ()
+    return CheckFinding(Severity.REMARK, "coarse", sentence, rows)
 
 
 def contradicting(pairs: Sequence[Contradiction]) -> CheckFinding:

@@ -18,6 +18,7 @@ copied         readings of one run or set-up in another one
 setups         readings of another set-up
 moved, driven  series at other poses
 pose           commanded poses with wrong signs, columns or offsets
+program        another program of a fixed length: a circle at another height
 joints         legs numbered otherwise
 reference      readings told against another pose of their run
 amounts        offsets, factors, other tools, set-ups that moved, wrong sizes
@@ -40,6 +41,7 @@ from oed.checks.mistakes import (
     joints,
     order,
     pose,
+    program,
     reference,
     scale,
     setups,
@@ -64,6 +66,7 @@ _MISTAKES = (
     copied,
     setups,
     pose,
+    program,
     joints,
     reference,
     amounts,

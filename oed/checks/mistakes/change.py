@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.trial import Trial, plain
 from oed.checks.session import SessionReadings
@@ -31,9 +31,10 @@ def trials(given: Given) -> Iterator[Trial]:
 def _divided(given: Given, place: int, count: int) -> Trial:
     session, every = given.session, np.arange(count, dtype=np.intp)
     last, first = session.rows(every[place - 1 : place + 1])
+    before, after = (_of_run(given, part) for part in (every[:place], every[place:]))
     sentence = (
-        f"the readings up to row {last} and those from row {first} fit alone but not"
-        " together: another machine, or something moved between them"
+        f"the readings up to row {last}{before} and those from row {first}{after} fit"
+        " alone but not together: another machine, or something moved between them"
     )
 
     def undo(amounts: Array) -> list[SessionReadings]:
@@ -47,3 +48,11 @@ def _divided(given: Given, place: int, count: int) -> Trial:
         family="change",
         parts=session.reading_of_value >= place,
     )
+
+
+def _of_run(given: Given, readings: Index) -> str:
+    """The run whose readings these are, in brackets; empty where they are of several."""
+    for run in given.runs:
+        if np.array_equal(run.readings, readings):
+            return f" ({run.name})"
+    return ""

@@ -38,7 +38,7 @@ def commanded(
             return None
         command = series.command.copy()
         command[changed] = wrapped(change(command[changed]), machine)
-        if _exceeds(command[changed], machine, setup.tool, slack):
+        if not inside(command[changed], machine, setup.tool, slack):
             return None
         x, q = measurement.kinematics.inverse(command, None, np.array(setup.tool))
         return dataclasses.replace(series, q=q, start=x, command=command)
@@ -46,26 +46,32 @@ def commanded(
     return moved
 
 
-def _exceeds(command: Array, machine: Machine, tool: Tool, slack: float) -> bool:
-    """Whether a command is outside the workspace by more than a share of it."""
+def inside(command: Array, machine: Machine, tool: Tool, slack: float) -> bool:
+    """Whether no command is outside the workspace by more than a share of it."""
     for value, coordinate in zip(command.T, machine.workspace(tool), strict=True):
         span = coordinate.upper - coordinate.lower
         room = (slack + RANGE_SLACK) * span if np.isfinite(span) else 0.0
         below, above = coordinate.lower - value.min(), value.max() - coordinate.upper
         if max(below, above) > room:
-            return True
-    return False
+            return False
+    return True
 
 
 def _rows(series: Series, rows: str, *, is_taught: bool) -> Mask:
     """Poses (m,) that are commanded in the file's rows, the teach pose, or all."""
-    in_file = np.ones(len(series.command), dtype=bool)
-    if is_taught:
-        in_file[:] = False
-        in_file[series.index[:, 0]] = True
+    of_file = in_file(series, is_taught=is_taught)
     if rows == "teach":
-        return ~in_file
-    return in_file if rows == "file" else np.ones_like(in_file)
+        return ~of_file
+    return of_file if rows == "file" else np.ones_like(of_file)
+
+
+def in_file(series: Series, *, is_taught: bool) -> Mask:
+    """Poses (m,) that are commanded in the file's rows."""
+    of_file = np.ones(len(series.command), dtype=bool)
+    if is_taught:
+        of_file[:] = False
+        of_file[series.index[:, 0]] = True
+    return of_file
 
 
 def jointed(measurement: Measurement, change: Change) -> Moved:

@@ -11,6 +11,9 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import Trial, value_trial
 
+#: standard deviations of a prediction from zero from which on its sign is known
+SURE = 3.0
+
 
 def trials(given: Given) -> Iterator[Trial]:
     """Each channel with the other sign, and with deviations of the other sign."""
@@ -37,11 +40,15 @@ def _reversed(given: Given, scope: Scope, of: str, values: Mask) -> Iterator[Tri
 
 
 def _lost(given: Given, scope: Scope, of: str, values: Mask) -> Iterator[Trial]:
-    """Readings that are all positive, or all negative, where some should not be."""
+    """Readings that are all positive, or all negative, where some should not be.
+
+    A reading has a sign to lose where its prediction is surely above or below zero.
+    """
     y, sign = given.session.y, np.sign(given.predicted)
     if not (np.all(y[values] >= 0.0) or np.all(y[values] <= 0.0)):
         return
-    changed = np.where(values, sign * np.abs(y), y)
+    is_known = np.abs(given.predicted) > SURE * given.spread
+    changed = np.where(values & is_known, sign * np.abs(y), y)
     if (changed != y).any() and (changed != -y)[values].any():
         sentence = f"the sign of {of} is lost: all readings have one sign"
         yield value_trial(given.session, "sign", scope, sentence, changed)

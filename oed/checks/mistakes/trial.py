@@ -56,6 +56,8 @@ class Trial:
     amounts    (k,) where the search of its unknown amounts begins, SI
     steps      (k,) for differences over them
     estimated  amounts and standard deviations that a fit has, where it is not searched
+    is_blind   whether the nominal machine reads the same at any amounts: their search
+               begins at fitted parameters
     log_scale  sum over the values of the log of the factor on them: readings that a trial
                makes small fit easily, and their density pays for it
     scaling    the same of amounts, where it follows from them
@@ -82,6 +84,7 @@ class Trial:
     amounts: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
     steps: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
     estimated: Callable[[Fit], tuple[Array, Array]] | None = None
+    is_blind: bool = False
     log_scale: float = 0.0
     scaling: Callable[[Array], float] = lambda amounts: 0.0
     linear_scaling: Callable[[Array], float] = lambda amounts: 0.0

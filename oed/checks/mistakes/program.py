@@ -1,0 +1,153 @@
+"""Another program of a fixed length: one coordinate displaced, another one following.
+
+A ball bar lets a machine move only where its length hardly changes. A circle at another
+height was driven with tilts of its own, and the file has the commands of the planned one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from oed import units
+from oed.arrays import Array, Mask
+from oed.checks.mistakes.driven import in_file, inside, turns_freely
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.moved import Moved, pose_table, with_moved
+from oed.checks.mistakes.pose import SLACK, STEP, searched_amounts
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import Trial, Words
+from oed.checks.session import SessionReadings
+from oed.checks.words import rounded
+from oed.dataset.columns import column_name
+from oed.machine import Coordinate
+from oed.measurement import Measurement, Series
+
+#: commands of a machine from which on a length leaves many programs open
+MOST_COMMANDS = 3
+#: Newton steps to the pose with the same reading, step for differences, closeness, SI
+ROUNDS, DIFFERENCE, CLOSE = 12, 1e-5, 1e-10
+
+
+def trials(given: Given) -> Iterator[Trial]:
+    """Each coordinate displaced in the file, a set-up and a run, with each that follows."""
+    command = given.session.measurement.machine.command
+    if len(command) > MOST_COMMANDS or not np.isfinite(given.length).any():
+        return
+    straight = [k for k, c in enumerate(command) if not turns_freely(c.lower, c.upper)]
+    for k in straight:
+        for follower in straight:
+            if follower != k:
+                yield from _displaced(given, k, follower)
+
+
+def _displaced(given: Given, k: int, follower: int) -> Iterator[Trial]:
+    measurement = given.session.measurement
+    displaced, following = (measurement.machine.command[i] for i in (k, follower))
+
+    def moved(by: float) -> Moved:
+        return program(measurement, k, follower, -by)
+
+    for searched in searched_amounts(displaced):
+        amount, step = searched.amount, STEP * searched.spread
+        table = pose_table(given, moved(amount), [moved(amount + step)], [1.0 / STEP])
+        if table is None:
+            continue
+        for scope in given.scopes:
+            yield Trial(
+                kind="pose",
+                scope=scope,
+                words=_words(displaced, following, scope),
+                undo=_undo(given.session, scope, moved),
+                amounts=np.array([amount]),
+                steps=np.array([step]),
+                is_blind=True,
+                family=f"{k} with {follower} {scope.name}",
+                table=table,
+                mask=scope.values(given.session),
+            )
+
+
+def _undo(
+    session: SessionReadings, scope: Scope, moved: Callable[[float], Moved]
+) -> Callable[[Array], list[SessionReadings]]:
+    return lambda amounts: [
+        with_moved(session, scope.readings, moved(float(amounts[0])))
+    ]
+
+
+def _words(displaced: Coordinate, following: Coordinate, scope: Scope) -> Words:
+    name, other = (column_name(c.name, c.unit) for c in (displaced, following))
+    unit = "deg" if displaced.unit == "rad" else "mm"
+
+    def words(amounts: Array, sd: Array) -> str:
+        size, error = (units.number(float(v[0]), unit) for v in (amounts, sd))
+        way = "high" if size > 0.0 else "low"
+        return (
+            f"{name}{scope.within} is {rounded(abs(size), error)} {unit} too {way}, with"
+            f" {other} as this program has it: another one was driven"
+        )
+
+    return words
+
+
+def program(measurement: Measurement, k: int, follower: int, amount: float) -> Moved:
+    """Series with one coordinate displaced by an amount, SI, and another that follows.
+
+    The nominal machine reads the same as at the commands of the file.
+    """
+
+    def moved(series: Series) -> Series | None:
+        setup = measurement.setups[series.setup]
+        has_length = setup.instrument.fixed_reading is not None
+        if not has_length or not np.isfinite(series.command).all():
+            return None
+        return _solved(measurement, series, k, follower, amount)
+
+    return moved
+
+
+def _solved(
+    measurement: Measurement, series: Series, k: int, follower: int, amount: float
+) -> Series | None:
+    setup = measurement.setups[series.setup]
+    rows = in_file(series, is_taught=setup.teach is not None)
+    goal = _first_channel(measurement, series)
+    command = series.command.copy()
+    command[rows, k] += amount
+    place = _place_of_rows(series, rows)
+    for _ in range(ROUNDS):
+        here = _first_channel(measurement, _at(measurement, series, command)) - goal
+        if np.abs(here).max() < CLOSE:
+            break
+        nearby = command.copy()
+        nearby[rows, follower] += DIFFERENCE
+        there = _first_channel(measurement, _at(measurement, series, nearby)) - goal
+        step = -here * DIFFERENCE / (there - here)
+        command[rows, follower] += step[place]
+    else:
+        return None
+    if not inside(command[rows], measurement.machine, setup.tool, SLACK):
+        return None
+    return _at(measurement, series, command)
+
+
+def _place_of_rows(series: Series, rows: Mask) -> Array:
+    """Number of the reading that each commanded row of the file has."""
+    reading = np.zeros(len(series.command), dtype=np.intp)
+    reading[series.index[:, 0]] = np.arange(len(series))
+    return np.asarray(reading[rows])
+
+
+def _at(measurement: Measurement, series: Series, command: Array) -> Series:
+    tool = np.array(measurement.setups[series.setup].tool)
+    x, q = measurement.kinematics.inverse(command, None, tool)
+    return dataclasses.replace(series, q=q, start=x, command=command)
+
+
+def _first_channel(measurement: Measurement, series: Series) -> Array:
+    count = len(measurement.setups[series.setup].instrument.channels)
+    y = measurement.readings([series], measurement.nominal)
+    return np.asarray(y[::count])
