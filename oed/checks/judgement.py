@@ -76,9 +76,9 @@ def judge(
         return stated
     suspects = np.union1d(suspects, np.array(search.readings, dtype=np.intp))
     by_law = _by_law(session, suspects, solution, robust=robust)
-    return (
-        stated if by_law is None else dataclasses.replace(by_law, stated=stated.sound)
-    )
+    if by_law is None:
+        return stated
+    return dataclasses.replace(by_law, stated=stated.sound)
 
 
 def _by_law(
@@ -86,7 +86,8 @@ def _by_law(
 ) -> Judgement | None:
     """The same by the law that is estimated at a fit.
 
-    None where the law would have more noise than a stated one is good for.
+    None where the law would have more noise than a stated one is good for, or does not
+    explain the readings either.
     """
     law, _ = estimated_law(linear_readings(solution), solution)
     ruled = dataclasses.replace(session, law=law.with_scale(1.0, np.inf))
@@ -98,6 +99,8 @@ def _by_law(
     if law.size(linear.structure) > GUESS:
         return None
     fitted, p_strain = _goodness_under(law, model)
+    if fitted.too_large:
+        return None
     return _judgement(search, fitted, p_strain)
 
 
