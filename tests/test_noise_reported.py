@@ -56,7 +56,7 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     noise = fit(tmp_path, readings.with_y(readings.y + shift), ESTIMATED)["noise"]
     shared = noise["run cup.length"]
     assert shared["value"] > noise["reading cup.length"]["value"]
-    assert 0.0 < noise["reach"]["value"] <= blunders.POINTS
+    assert 0.0 < noise["reach"]["value"] <= bar_readings.POINTS
 
 
 def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
