@@ -25,7 +25,6 @@ QUICK = {
     "computed, not measured",
     "a circle at another height",
     "the circle of another height",
-    "one run rounded to 0.01 mm",
     "one circle starts 30 deg late",
     "one run in um of deviation",
     "reversed deviations in one run",
