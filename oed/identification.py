@@ -25,7 +25,7 @@ from oed.noise.prior import noise_prior
 from oed.noise.process import stated_laws
 from oed.noise.process_noise import process_noise
 from oed.noise.robust import robust_residuals
-from oed.noise.structure import reading_structure
+from oed.reading_structure import reading_structure
 
 __all__ = ["Estimate", "IdentificationError", "identify"]
 

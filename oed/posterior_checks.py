@@ -17,8 +17,9 @@ from oed.arrays import Array
 from oed.estimate import Estimate
 from oed.measurement import Measurement, Series
 from oed.noise.process import Whitening, stated_laws
-from oed.noise.structure import ReadingStructure, reading_structure
+from oed.noise.structure import ReadingStructure
 from oed.posterior import Posterior
+from oed.reading_structure import reading_structure
 
 #: draws that are compared
 DRAWS = 400

@@ -14,7 +14,7 @@ import numpy as np
 from oed.arrays import Array
 from oed.measurement import Measurement, Series
 from oed.noise.process import Whitening, stated_laws
-from oed.noise.structure import common_statement, reading_structure
+from oed.reading_structure import common_statement, reading_structure
 
 #: draws of a machine at most, until it keeps to the bounds of its parameters
 MOST_DRAWS = 1000

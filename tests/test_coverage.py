@@ -14,7 +14,7 @@ from oed import laplace, prediction
 from oed.error_draws import compensated_errors
 from oed.identification import identify
 from oed.noise.prior import noise_prior
-from oed.noise.structure import reading_structure
+from oed.reading_structure import reading_structure
 from pkm_studies import cli
 
 ROOT = Path(__file__).resolve().parents[1]

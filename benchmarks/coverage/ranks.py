@@ -25,7 +25,7 @@ from oed.estimate import Estimate
 from oed.identification import identify
 from oed.noise.prior import noise_prior
 from oed.noise.process import Whitening
-from oed.noise.structure import reading_structure
+from oed.reading_structure import reading_structure
 
 Sampler = Literal["laplace", "emcee"]
 #: draws that a rank is among

@@ -31,7 +31,8 @@ from oed.budget.noise_parts import (
 )
 from oed.measurement import Measurement, Series
 from oed.noise.process import Laws, stated_laws
-from oed.noise.structure import ReadingStructure, reading_structure
+from oed.noise.structure import ReadingStructure
+from oed.reading_structure import reading_structure
 
 Kind = Literal["instrument", "run", "noise law", "set-up", "effects", "prior"]
 SETUP = "unknown set-up"

@@ -25,7 +25,7 @@ from oed.identification import identify
 from oed.instrument import mount
 from oed.measurement import Measurement, Series
 from oed.noise.process import Laws
-from oed.noise.structure import reading_structure
+from oed.reading_structure import reading_structure
 from pkm_models.machines import planar_2dof
 
 

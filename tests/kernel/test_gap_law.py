@@ -17,7 +17,7 @@ from oed.gap.data.metric import Metric
 from oed.noise.law import NoiseLaw, describe, law_of
 from oed.noise.process import Laws
 from oed.noise.stated import StatedErrors
-from oed.noise.structure import reading_structure
+from oed.reading_structure import reading_structure
 
 LAW = NoiseLaw(
     0.7, 0.9, 6.0, np.ones(1), level=1.3, channel_ratio=np.ones(1), seat_sd=0.4

@@ -11,7 +11,8 @@ from oed.noise.marginal import ResidualModel, integrate
 from oed.noise.outliers import Precision, detect
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening, stated_laws
-from oed.noise.structure import ReadingStructure, reading_structure
+from oed.noise.structure import ReadingStructure
+from oed.reading_structure import reading_structure
 from pkm_models.instruments import ball_bar, laser_ball_bar
 from pkm_models.machines import a3_head, prs_spindle
 

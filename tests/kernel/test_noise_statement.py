@@ -28,7 +28,7 @@ from oed.noise.covariance import SeveralNoises
 from oed.noise.outliers import Precision, StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
-from oed.noise.structure import reading_structure
+from oed.reading_structure import reading_structure
 
 SIGMA, SEATING, SHARE, REACH, RUN = 0.5e-6, 0.8e-6, 0.4, 3.0, 0.7e-6
 STATED = NoiseStatement(seating=SEATING, carried=SHARE, reach=REACH)

@@ -26,7 +26,7 @@ from oed.gap.data.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series
 from oed.noise.runs import Runs
 from oed.noise.statement import NoiseStatement
-from oed.noise.structure import common_statement, renewed_slopes, stated_errors
+from oed.reading_structure import common_statement, renewed_slopes, stated_errors
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,7 @@ from oed.instrument import Channel
 from oed.laplace import ApproximateDraws
 from oed.measurement import Measurement, Series
 from oed.noise.process import Whitening, stated_laws
-from oed.noise.structure import reading_structure
+from oed.reading_structure import reading_structure
 from oed.result import HeldOutSection
 
 #: posterior draws used for predictive intervals
