@@ -11,9 +11,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oed.arrays import Array
-from oed.compensate import NO_TOOL
 from oed.kinematics import AssemblyError, Kinematics
 from oed.nearby_poses import NearbyPoses
+from oed.pose_errors import NO_TOOL
 
 
 def compensated_errors(

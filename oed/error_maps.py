@@ -15,8 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oed.arrays import Array
-from oed.compensate import NO_TOOL, ErrorModel, error_model
+from oed.error_model import ErrorModel, error_model
 from oed.kinematics import Kinematics
+from oed.pose_errors import NO_TOOL
 
 Reference = Literal["home", "absolute", "best_fit"]
 

@@ -13,10 +13,10 @@ import numpy as np
 from oed import simulation
 from oed.arrays import Array
 from oed.budget.model import budget_model
-from oed.compensate import NO_TOOL
 from oed.error_maps import Reference, maps_by_reference
 from oed.kinematics import AssemblyError
 from oed.measurement import Measurement, Series
+from oed.pose_errors import NO_TOOL
 
 #: machines drawn
 MACHINES = 48

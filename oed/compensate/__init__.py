@@ -26,14 +26,8 @@ from oed.compensate.forecast import (
 )
 from oed.compensate.further_axes import FurtherAxes, FurtherAxis, further_axes
 from oed.compensate.grid_design import GridDesign, design_grid, expected_kernel
-from oed.compensate.linear import ErrorModel, LinearCompensator, error_model
+from oed.compensate.linear import LinearCompensator
 from oed.compensate.parameters import ParameterCompensator
-from oed.compensate.pose_errors import (
-    NO_TOOL,
-    component_errors,
-    pose_error,
-    twist_between,
-)
 from oed.compensate.sequence import CompensatorSequence
 from oed.compensate.setpoint import (
     Compensator,
@@ -43,6 +37,13 @@ from oed.compensate.setpoint import (
 )
 from oed.compensate.states import StateCompensator
 from oed.compensate.table import InterpolationTable
+from oed.error_model import ErrorModel, error_model
+from oed.pose_errors import (
+    NO_TOOL,
+    component_errors,
+    pose_error,
+    twist_between,
+)
 
 __all__ = [
     "NO_TOOL",

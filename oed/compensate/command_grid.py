@@ -18,11 +18,11 @@ import numpy as np
 
 from oed.arrays import Array, Mask
 from oed.batch import BatchedFunction
-from oed.compensate.pose_errors import NO_TOOL
 from oed.compensate.table import grid_nodes
 from oed.expressions import machine_expressions
 from oed.kinematics import Kinematics
 from oed.machine import Machine
+from oed.pose_errors import NO_TOOL
 
 FULL_TURN = 2.0 * math.pi
 #: fewest nodes along an axis, and round a full turn: one at each quarter

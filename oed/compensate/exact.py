@@ -9,10 +9,10 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.batch import BatchedFunction
-from oed.compensate.pose_errors import NO_TOOL, component_errors
 from oed.compensate.setpoint import Conditions, Setpoint, undriven_components
 from oed.expressions import machine_expressions
 from oed.kinematics import Kinematics
+from oed.pose_errors import NO_TOOL, component_errors
 
 #: Gauss-Newton steps from a command to a corrected one, and the step that ends them
 STEPS, STEP_TOLERANCE = 20, 1e-12

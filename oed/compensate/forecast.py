@@ -14,11 +14,11 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.compensate.error_field import ErrorField, Motion
-from oed.compensate.pose_errors import NO_TOOL
 from oed.compensate.setpoint import Conditions, Setpoint
 from oed.compensate.table import InterpolationTable, grid_nodes
 from oed.kinematics import Kinematics
 from oed.machine import Machine
+from oed.pose_errors import NO_TOOL
 from oed.text import quantity
 
 #: intervals of the finest grid along an axis, by the number of axes

@@ -14,10 +14,10 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.compensate.exact import compensated_joints
-from oed.compensate.linear import error_model
-from oed.compensate.pose_errors import NO_TOOL, pose_error
+from oed.error_model import error_model
 from oed.kinematics import Kinematics
 from oed.machine import Component
+from oed.pose_errors import NO_TOOL, pose_error
 
 #: name of the offset about the tool axis
 TURN = "turn"

@@ -16,60 +16,11 @@ import dataclasses
 import numpy as np
 
 from oed.arrays import Array
-from oed.compensate.pose_errors import NO_TOOL, component_errors
 from oed.compensate.setpoint import Conditions, Setpoint, undriven_components
+from oed.error_model import error_model
 from oed.kinematics import Kinematics
+from oed.pose_errors import NO_TOOL, component_errors
 from oed.text import quantity
-
-
-@dataclasses.dataclass(frozen=True)
-class ErrorModel:
-    """Linear pose error of a machine at n commands, as slopes over np parameters; SI.
-
-    command    (n, n_dof)
-    rotation   (n, 3, 3) nominal orientation
-    point      (n, 3) nominal tool point
-    joints     (n, nq, np) compensating joint correction, dq_m = joints @ dp, Eq. (24)
-    raw        (n, 6, np) twist error [tool point, rotation vector] without compensation
-    remaining  (n, 6, np) twist error with the compensatable components nulled, Eq. (25)
-    """
-
-    command: Array
-    rotation: Array
-    point: Array
-    joints: Array
-    raw: Array
-    remaining: Array
-
-
-def error_model(
-    kinematics: Kinematics,
-    command: Array,
-    tool: Array = NO_TOOL,
-    parameters: Array | None = None,
-) -> ErrorModel:
-    """Error model at commands (n, n_dof), SI.
-
-    parameters  (np,) of the machine about which it holds; nominal by default
-
-    Raises AssemblyError for commands out of reach.
-    """
-    p = kinematics.machine.nominal if parameters is None else parameters
-    x, q = kinematics.inverse(command, p, tool)
-    by_joint = kinematics.joint_sensitivity(x, q, p)
-    by_parameter = kinematics.parameter_sensitivity(x, q, p)
-    commanded = kinematics.commanded_jacobian(x, tool)
-    inverse = np.linalg.pinv(commanded @ by_joint)
-    joints = -inverse @ (commanded @ by_parameter)
-    rotation, point, twist = kinematics.frames(x, tool)
-    return ErrorModel(
-        command=command,
-        rotation=rotation,
-        point=point,
-        joints=joints,
-        raw=twist @ by_parameter,
-        remaining=twist @ (by_parameter + by_joint @ joints),
-    )
 
 
 @dataclasses.dataclass(frozen=True)

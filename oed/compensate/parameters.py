@@ -8,9 +8,9 @@ import numpy as np
 
 from oed.arrays import Array
 from oed.compensate.exact import compensated_joints
-from oed.compensate.pose_errors import NO_TOOL, component_errors
 from oed.compensate.setpoint import Conditions, Setpoint, undriven_components
 from oed.kinematics import Kinematics
+from oed.pose_errors import NO_TOOL, component_errors
 from oed.text import quantity
 
 

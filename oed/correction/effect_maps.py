@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed.arrays import Array
-from oed.compensate import ErrorModel, error_model
 from oed.effect import Column, Effect, State
 from oed.error_maps import ErrorMaps, Reference, error_maps
+from oed.error_model import ErrorModel, error_model
 from oed.gap.data import state as states_of
 from oed.kinematics import Kinematics
 from oed.machine import Machine

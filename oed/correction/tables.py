@@ -15,12 +15,12 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from oed.arrays import Array
-from oed.compensate import ErrorModel, error_model
 from oed.correction.effect_maps import SessionStates, workspace_state
 from oed.correction.effect_measurement import SEPARATOR
 from oed.correction.fit import CorrectedEstimate
 from oed.correction.forms import ChosenForm
 from oed.effect import State
+from oed.error_model import ErrorModel, error_model
 
 #: axis of what depends on the pose alone
 POSE, DIRECTION, PAYLOAD, TEMPERATURE = "pose", "direction", "payload", "temp_"

@@ -6,11 +6,12 @@ import dataclasses
 
 import numpy as np
 
-from oed import compensate, prediction
+from oed import prediction
 from oed.arrays import Array
-from oed.compensate import NO_TOOL, ErrorModel
+from oed.error_model import ErrorModel, error_model
 from oed.kinematics import Kinematics
 from oed.measurement import Measurement
+from oed.pose_errors import NO_TOOL, twist_between
 
 #: standard deviations to either side of a 95 % interval
 HALF_WIDTH = 1.959964
@@ -61,8 +62,8 @@ class WorkspaceErrors:
             kinematics=kinematics,
             tolerance=measurement.tolerance[: len(machine.parameters)],
             maps=prediction.error_maps(kinematics, command, reference),
-            model=compensate.error_model(kinematics, command),
-            home=compensate.error_model(kinematics, machine.home_command[None]),
+            model=error_model(kinematics, command),
+            home=error_model(kinematics, machine.home_command[None]),
             reference=reference,
         )
 
@@ -149,7 +150,7 @@ class WorkspaceErrors:
         start, q = self.kinematics.inverse(command, np.repeat(controller, n, axis=0))
         rotation, point = self._frames(q, np.repeat(believed, n, axis=0), start)
         true = self._frames(q, np.repeat(truth, n, axis=0), start)
-        twist = compensate.twist_between(rotation, point, *true)
+        twist = twist_between(rotation, point, *true)
         return [
             (
                 twist[part],

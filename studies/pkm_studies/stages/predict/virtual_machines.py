@@ -8,10 +8,10 @@ import numpy as np
 
 from oed import compensate, prediction, simulation
 from oed.arrays import Array
-from oed.compensate.pose_errors import NO_TOOL
 from oed.kinematics import Kinematics
 from oed.machine_fits import fit_machines
 from oed.measurement import Measurement, Series
+from oed.pose_errors import NO_TOOL
 from oed.prediction import Reference, Spread
 
 #: machines that go through the check together
