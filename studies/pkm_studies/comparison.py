@@ -17,7 +17,7 @@ from oed.result import (
     trust,
 )
 from oed.session_change import CombinationChange, Session, SessionChange, SingleCause
-from pkm_studies import result_folder
+from pkm_studies import stored_result
 from pkm_studies.errors import InputError
 
 #: a section with parameters, their covariance and chi2
@@ -45,7 +45,7 @@ def compare(before: Path, after: Path) -> SessionReport:
     where both hold one session.
     """
     folders = (before, after)
-    results = [result_folder.load_result(folder) for folder in folders]
+    results = [stored_result.load_result(folder) for folder in folders]
     refuse_same_sessions(results, folders)
     estimates = [_estimate(r, f) for r, f in zip(results, folders, strict=True)]
     tables = [

@@ -16,9 +16,9 @@ from oed.kinematics import AssemblyError, Kinematics
 from oed.machine import Component, Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
 from pkm_studies.compensation import identified
-from pkm_studies.compensation.build import regular_commands
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.study import Study
 
 #: standard uncertainty of the acceptance measurement, as a share of the promise, where

@@ -10,9 +10,8 @@ import numpy as np
 
 from oed import units
 from oed.arrays import Array
-from oed.compensate.command_grid import GridAxis, box_axes
-from oed.compensate.table import grid_nodes
-from oed.kinematics import AssemblyError, Kinematics
+from oed.compensate.command_grid import GridAxis
+from oed.kinematics import Kinematics
 from oed.machine import Machine
 from oed.result import StudyResult
 from pkm_studies.compensation import identified, table_grid
@@ -24,11 +23,8 @@ from pkm_studies.compensation.content import (
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.quantities import column
-from pkm_studies.resolve.resolved import prediction_commands
+from pkm_studies.resolve.workspace import workspace_axes, workspace_commands
 from pkm_studies.study import Study
-
-#: places along a coordinate of the workspace where the study names none
-PLACES = 5
 
 
 def compensation(
@@ -96,62 +92,6 @@ def _with_grid(
             "the table is narrower than the workspace: its corners are out of reach",
         )
     return dataclasses.replace(content, grid=grid, notes=notes)
-
-
-def workspace_axes(study: Study, machine: Machine) -> tuple[GridAxis, ...]:
-    """Axes of the box of the commands of [prediction], or of the workspace.
-
-    Accuracy that is zeroed at home needs the corrections of home: the box reaches it.
-    """
-    command = prediction_commands(study, machine)
-    if study.prediction is None or command is None:
-        return box_axes(machine, _lattice(machine))
-    axes = box_axes(machine, command)
-    if study.prediction.reference != "home":
-        return axes
-    pairs = zip(axes, machine.home_command, strict=True)
-    return tuple(axis.reaching(float(place)) for axis, place in pairs)
-
-
-def _lattice(machine: Machine) -> Array:
-    """Commands (n, n_dof) over the workspace, whether in reach or not."""
-    knots = tuple(np.linspace(c.lower, c.upper, PLACES) for c in machine.command)
-    return grid_nodes(knots)
-
-
-def workspace_commands(study: Study, kinematics: Kinematics) -> Array:
-    """Commands (n, n_dof): those of [prediction], or a grid over the workspace."""
-    machine = kinematics.machine
-    command = prediction_commands(study, machine)
-    if command is not None:
-        return command
-    return _reachable(kinematics, _lattice(machine))
-
-
-def regular_commands(study: Study, kinematics: Kinematics) -> Array:
-    """Those of `workspace_commands` at which every pose component has an error."""
-    return regular(kinematics, workspace_commands(study, kinematics))
-
-
-def regular(kinematics: Kinematics, command: Array) -> Array:
-    """Those commands (n, n_dof) at which every pose component has an error.
-
-    Where a tilt is zero, its direction has none.
-    """
-    slopes = kinematics.error_components_jacobian(command)
-    is_regular = np.isfinite(slopes).all(axis=(1, 2))
-    return np.asarray(command[is_regular])
-
-
-def _reachable(kinematics: Kinematics, command: Array) -> Array:
-    while len(command):
-        try:
-            kinematics.inverse(command)
-        except AssemblyError as error:
-            command = np.delete(command, error.indices, axis=0)
-        else:
-            return command
-    return kinematics.machine.home_command[None]
 
 
 def _poses(result: StudyResult, machine: Machine) -> tuple[MeasuringPose, ...]:

@@ -19,6 +19,7 @@ from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.table_grid import COMMANDS
 from pkm_studies.errors import InputError
+from pkm_studies.resolve.workspace import regular
 from pkm_studies.stored_study import result_study
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
@@ -136,7 +137,7 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
     Both hold at the commands of the workspace, as if the file had these.
     """
     kinematics, values = content.kinematics, content.identified.values
-    command = build.regular(kinematics, content.command)
+    command = regular(kinematics, content.command)
     if not len(command):
         return ()
     remaining = ParameterCompensator(kinematics, values, values).limits(command)[1:]

@@ -23,9 +23,9 @@ from oed.correction import (
 from oed.effect import Effect
 from oed.gap.data.signature import untestable
 from pkm_studies import catalogue
-from pkm_studies.compensation.build import regular_commands, workspace_axes
 from pkm_studies.resolve.effect_sizes import sized
 from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.resolve.workspace import regular_commands, workspace_axes
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.corrected import alarm, coefficients
 from pkm_studies.stages.corrected import section as sections
