@@ -68,9 +68,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     )
     (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
     monkeypatch.syspath_prepend(str(tmp_path))
-    catalogue._items.cache_clear()
+    catalogue.named_items.cache_clear()
     yield
-    catalogue._items.cache_clear()
+    catalogue.named_items.cache_clear()
 
 
 @pytest.mark.usefixtures("installed")

@@ -63,22 +63,9 @@ def listing(kind: str) -> list[CatalogueEntry]:
             for c in _criteria().values()
         ]
     return [
-        _entry(kind, name, where, item)
-        for name, (where, item) in sorted(_items(kind).items())
+        CatalogueEntry(name, item.about, item.source, where)
+        for name, (where, item) in sorted(named_items(kind).items())
     ]
-
-
-def _entry(kind: str, name: str, where: str, item: Any) -> CatalogueEntry:
-    from pkm_studies import conventions
-
-    frames, columns = [], []
-    if kind == "machines":
-        frames = conventions.machine_frames(item)
-        columns = conventions.machine_columns(item)
-    if kind == "instruments":
-        columns = conventions.instrument_columns(item)
-    tables = [dataclasses.asdict(c) for c in columns]
-    return CatalogueEntry(name, item.about, item.source, where, frames, tables)
 
 
 def machine(
@@ -156,7 +143,7 @@ def _criteria() -> Mapping[str, Any]:
 
 
 @functools.cache
-def _items(kind: str) -> dict[str, tuple[str, Any]]:
+def named_items(kind: str) -> dict[str, tuple[str, Any]]:
     """Machines, instruments, effects or formats by name, each with its long name."""
     from oed.effect import Effect
     from oed.instrument import Instrument
@@ -224,7 +211,7 @@ def _lookup(
 
 
 def _by_short_name(name: str, kind: str, place: Place) -> Any:
-    items = _items(kind)
+    items = named_items(kind)
     if name not in items:
         remedy = (
             suggest(name, sorted(items), "known")

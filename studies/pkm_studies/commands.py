@@ -318,9 +318,9 @@ def list_entries(
         return _list_importers(as_json)
     import dataclasses
 
-    from pkm_studies import catalogue
+    from pkm_studies import conventions
 
-    entries = catalogue.listing(kind.value)
+    entries = conventions.listing(kind.value)
     if as_json:
         console.print_json([dataclasses.asdict(entry) for entry in entries])
         return DONE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from oed import units
 from oed.dataset.columns import parse_column
@@ -12,6 +13,7 @@ from oed.machine import Component, Coordinate, Machine
 from oed.measurement import Measurement
 from oed.units import UnitError
 from pkm_studies import catalogue
+from pkm_studies.catalogue import CatalogueEntry
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.quantities import column
 from pkm_studies.study import Study
@@ -62,6 +64,25 @@ def machine_frames(machine: Machine) -> list[str]:
             f" {machine.orientation.formula}{_explained(machine)}"
         )
     return sentences
+
+
+def listing(kind: str) -> list[CatalogueEntry]:
+    """The catalogue of a kind, with the frames and columns of each entry."""
+    entries = catalogue.listing(kind)
+    if kind not in ("machines", "instruments"):
+        return entries
+    items = catalogue.named_items(kind)
+    return [_with_conventions(kind, entry, items[entry.name][1]) for entry in entries]
+
+
+def _with_conventions(kind: str, entry: CatalogueEntry, item: Any) -> CatalogueEntry:
+    is_machine = kind == "machines"
+    columns = machine_columns(item) if is_machine else instrument_columns(item)
+    return dataclasses.replace(
+        entry,
+        frames=machine_frames(item) if is_machine else [],
+        columns=[dataclasses.asdict(column) for column in columns],
+    )
 
 
 def readings_comments(
