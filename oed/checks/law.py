@@ -17,7 +17,8 @@ from oed.noise.covariance import Noise
 from oed.noise.factor import LinearFactor
 from oed.noise.process import Laws
 from oed.noise.process_noise import errors_of
-from oed.noise.structure import ReadingStructure, reading_structure
+from oed.noise.structure import ReadingStructure
+from oed.reading_structure import reading_structure
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

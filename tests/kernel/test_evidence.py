@@ -20,7 +20,8 @@ from oed.instrument import mount
 from oed.measurement import Measurement
 from oed.noise import prior
 from oed.noise.process import Laws
-from oed.noise.structure import ReadingStructure, reading_structure
+from oed.noise.structure import ReadingStructure
+from oed.reading_structure import reading_structure
 from pkm_models.instruments import ball_bar, laser_ball_bar
 from pkm_models.machines import a3_head, prs_spindle
 
