@@ -16,6 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from oed.compensate import compensated_joints
 from oed.kinematics import Kinematics
 from oed.result import BudgetLine, BudgetSection, PredictionSection
+from oed.result.prediction import ComponentAccuracy, SpreadRecord
 from pkm_models.machines import a3_head
 from pkm_studies import cli
 
@@ -34,7 +35,7 @@ z_mm = [1066.0, 1166.0, 1266.0]
 psi_deg = { from = 0.0, to = 360.0, count = 12, endpoint = false }
 theta_deg = [5.0, 15.0, 25.0, 35.0]
 """
-NAMES = ("z", "psi", "theta")
+NAMES, UNITS = ("z", "psi", "theta"), ("um", "arcsec", "arcsec")
 #: SI values of mm and degrees
 FACTORS = np.array([1e-3, np.pi / 180.0, np.pi / 180.0])
 ARCSEC = np.pi / 648000.0
@@ -93,10 +94,17 @@ def exported(
     """The budget that the command writes, of a machine predicted to err by `base`."""
     predicted = dict(zip(NAMES, base.tolist(), strict=True))
     line = BudgetLine("readings", "instrument", dict.fromkeys(NAMES, 1.0), predicted)
+    spreads = {
+        name: SpreadRecord(value, 2.0 * value, 3.0 * value, unit)
+        for (name, value), unit in zip(predicted.items(), UNITS, strict=True)
+    }
     section = PredictionSection(
         reference=reference,
-        components={},
-        unit={},
+        components={
+            name: ComponentAccuracy(True, spread, spread, spread, {})
+            for name, spread in spreads.items()
+        },
+        unit=dict(zip(NAMES, UNITS, strict=True)),
         poses=0,
         map=[],
         mode="identified",

@@ -36,7 +36,9 @@ def test_a_huge_reading_is_named(
     readings.write_text(text, encoding="utf-8")
     assert cli.main(["check", str(study), str(readings)]) == 2
     error = capsys.readouterr().err
-    assert "row 3, column length_mm = 1e300: no number of a session is so large" in error
+    assert (
+        "row 3, column length_mm = 1e300: no number of a session is so large" in error
+    )
 
 
 @pytest.mark.slow
