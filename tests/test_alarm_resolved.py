@@ -38,8 +38,8 @@ def test_the_first_line_is_true_of_the_corrected_fit(
     assert run("identify", study, "--readings", readings, *options) == 0
     printed = capsys.readouterr()
     lines = printed.out.splitlines()
-    first = lines[lines.index("report") + 1]
-    assert first.startswith("With gravity and frame_bending in the model the residuals")
+    model = "With gravity and frame_bending in the model the residuals"
+    (first,) = (line for line in lines if line.startswith(model))
     assert "Without: the " in first
     assert "the fit is bad" not in printed.err
     assert not any(line.startswith("The fit is bad") for line in lines)

@@ -9,7 +9,9 @@ import sample
 
 from oed.result import CoefficientRecord, StudyResult
 from pkm_studies import cli, outcome, result_folder
+from pkm_studies.accuracy_table import shown_components
 from pkm_studies.stages.gap import implausible
+from pkm_studies.stages.predict.budget import improvements
 
 
 def run(*arguments: str | Path) -> int:
@@ -199,7 +201,13 @@ def test_the_terminal_says_what_to_improve_first(
     assert budget is not None
     assert budget.advice
     outcome.report_outcome(result, folder / "out", quiet=False)
-    assert "Improve first" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "effects compensated too" in printed
+    units = shown_components(result.corrected.prediction)
+    better = improvements(budget.lines, budget.predicted, units)
+    assert better
+    for words, _ in better:
+        assert f"with {words}" in printed
     for name, rms in budget.predicted.items():
         total = sum(line.share[name] for line in budget.lines)
         assert total == pytest.approx(1.0, abs=0.01)

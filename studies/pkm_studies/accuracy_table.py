@@ -34,8 +34,8 @@ def print_accuracy(result: StudyResult) -> None:
 
     units = shown_components(prediction)
     reference = REFERENCES[prediction.reference]
-    title = f"Predicted rms error over the workspace, {reference}"
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    print(f"Predicted rms error over the workspace, {reference}:")
+    table = Table(box=box.SIMPLE_HEAD)
     table.add_column("")
     for name, unit in units.items():
         table.add_column(f"{name} [{unit}]", justify="right")
