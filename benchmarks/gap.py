@@ -45,7 +45,6 @@ from benchmarks.blind.generator import (
 )
 from benchmarks.blind.generator.effects.thermal import climate
 from benchmarks.blind.stepwise import stepwise
-from oed.effect import Effect
 from oed.gap import diagnose
 from oed.gap.cause.compare import compare
 from oed.gap.cause.search import Search
@@ -53,6 +52,7 @@ from oed.gap.cause.searches import searches
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
+from oed.model.effect import Effect
 
 
 @dataclasses.dataclass(frozen=True)

@@ -31,10 +31,10 @@ import numpy as np
 import pandas as pd
 
 from oed import dataset
-from oed.effect import Effect
 from oed.gap.data import problem as problem_of
 from oed.gap.data.problem import GapProblem
 from oed.gap.diagnose import diagnose
+from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from pkm_studies import pipeline, study
 from pkm_studies.resolve import gap as resolve_gap

@@ -28,10 +28,10 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.coverage import table
-from oed import simulation
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design import candidates
-from oed.measurement import Series
+from oed.measurement import simulation
+from oed.measurement.measurement import Series
 from pkm_studies import shipped
 from pkm_studies.next_reading import AS_PLANNED, Advice, Adviser
 from pkm_studies.study import load

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.newton import MAX_ITERATIONS, STEP_TOLERANCE
+from oed.mechanism.newton import MAX_ITERATIONS, STEP_TOLERANCE
 from pkm_models.machines import a3_head, hexapod
 
 HEXAPOD_BASE = np.array(list(hexapod.B.values()))

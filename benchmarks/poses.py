@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from numpy_poses import a3_poses, a3_readings, hexapod_poses
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines.hexapod import machine
 from readings import plan
 

@@ -19,7 +19,7 @@ import tomllib
 from pathlib import Path
 
 import oed
-from oed.posterior import import_samplers
+from oed.posterior.posterior import import_samplers
 from pkm_studies import shipped
 
 READINGS, REPEATS = 60, 3

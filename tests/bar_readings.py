@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from oracles import a3_geometry as a3
 
 from oed import checks
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
 

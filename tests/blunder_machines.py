@@ -25,8 +25,8 @@ from oracles import a3_geometry as a3
 from oracles import planar_geometry as planar
 
 from oed import checks, dataset
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, relative
 from pkm_models.machines import a3_head, planar_2dof
 

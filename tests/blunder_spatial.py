@@ -11,8 +11,8 @@ from oracles import delta_trilateration as trilateration
 from oracles import hexapod_geometry as gough
 from oracles import prs_geometry as prs
 
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import calliper, height_probe, laser_ball_bar, pose_tracker
 from pkm_models.machines import hexapod, linear_delta, prs_spindle
 

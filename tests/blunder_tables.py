@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
 
 Array = NDArray[np.float64]
 MM, UM, DEG, ARCSEC = 1e-3, 1e-6, np.pi / 180.0, np.pi / 648000.0

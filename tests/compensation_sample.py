@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.machine import Machine
+from oed.base import units
+from oed.model.machine import Machine
 from oed.result import (
     SCHEMA,
     DesignSection,

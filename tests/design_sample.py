@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import sample
 
-from oed.assessment import assess
+from oed.identifiability.assessment import assess
 from oed.result import DesignSection
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.section import design_section

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from kernel.cases import CASES
 
-from oed.effect import Column, Effect, State
 from oed.gap.data.state import states
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.effect import Column, Effect, State
 from pkm_studies import catalogue
 from pkm_studies.errors import Place
 from pkm_studies.user_code import Origin

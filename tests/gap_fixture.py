@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.effect import Column, Effect, State
+from oed.base.arrays import Array
 from oed.gap.data.diagnosis import Answer, Block, Closure, Coefficient, Diagnosis, Size
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import signature
+from oed.model.effect import Column, Effect, State
 from oed.noise.law import stated_law
 
 STUDY = """\
@@ -82,7 +82,7 @@ size = 1.5
 EFFECTS = '''\
 """Effects of one's own."""
 
-from oed.effect import Column, Effect
+from oed.model.effect import Column, Effect
 
 
 def _backlash(state, reach=1.0):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import oed
-from oed import units
+from oed.base import units
 from pkm_studies.cli import main
 from pkm_studies.importers import session
 from pkm_studies.importers.base import ImportedSession

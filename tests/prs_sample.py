@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 from oracles import prs_geometry as oracle
 
-from oed.instrument import Instrument, mount
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import Instrument, mount
+from oed.model.machine import Machine
 from pkm_models.machines import prs_spindle, prs_spindle_struts
 
 FULL, STRUTS = prs_spindle.machine, prs_spindle_struts.machine

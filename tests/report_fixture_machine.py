@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 
 #: radius of the base and the platform, length of the tool axis and home height, m
 RADIUS, TOOL, HEIGHT = 0.250, 0.526, 0.540

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed.orientation import Orientation
+from oed.base.orientation import Orientation
 
 
 def rotation(stated: Orientation, angles: dict[str, float]) -> np.ndarray:

@@ -10,11 +10,11 @@ from kernel import a3_plans
 from kernel.a3_machines import Realised, against_home, measured, realise
 from reference import tian_2016 as paper
 
-from oed import prediction
+from oed.accuracy import prediction
+from oed.accuracy.prediction import Prediction
 from oed.design import exchange
-from oed.identification import Estimate, identify
-from oed.measurement import Measurement, Series
-from oed.prediction import Prediction
+from oed.estimation.identification import Estimate, identify
+from oed.measurement.measurement import Measurement, Series
 
 #: virtual machines of a test; the slow tests take the larger number
 MACHINES = pytest.mark.parametrize(

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 from oracles import cable_geometry as oracle
 
-from oed import identification
-from oed.arrays import Array
-from oed.identification import Estimate
-from oed.instrument import mount
-from oed.kinematics import Kinematics
-from oed.measurement import Measurement, Series
+from oed.base.arrays import Array
+from oed.estimation import identification
+from oed.estimation.identification import Estimate
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import mount
 from pkm_models.instruments import camera, redundancy
 from pkm_models.machines import a3_head, cable_robot
 

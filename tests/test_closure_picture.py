@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed.closest_closure import closest_closure
-from oed.machine import Machine
+from oed.mechanism.closest_closure import closest_closure
+from oed.model.machine import Machine
 from pkm_models.machines import cable_robot, hexapod, tripod_passive_leg
 from pkm_reports import style
 from pkm_reports.figures import closure as figures

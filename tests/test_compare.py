@@ -11,8 +11,8 @@ import pytest
 import sample
 from scipy import stats
 
-from oed import session_change, session_drift
-from oed.session_change import Session
+from oed.estimation import session_change, session_drift
+from oed.estimation.session_change import Session
 from pkm_studies import cli, comparison
 
 N, SETUP = 5, 2

@@ -15,7 +15,7 @@ import pytest
 from oracles import delta_trilateration as delta
 
 from oed.compensate import compensated_joints
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from oed.result import GoodnessSection, NoiseRecord, StudyResult
 from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
 from pkm_studies import cli

@@ -14,7 +14,7 @@ from oracles.firmware.geometry import Firmware
 from oracles.firmware.klipper import Klipper, example
 
 from oed.compensate import compensated_joints
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import delta as delta_family
 from pkm_models.machines import linear_delta
 from pkm_studies import cli

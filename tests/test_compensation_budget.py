@@ -14,7 +14,7 @@ from oracles import a3_geometry as a3
 from scipy.interpolate import RegularGridInterpolator
 
 from oed.compensate import compensated_joints
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from oed.result import BudgetLine, BudgetSection, PredictionSection
 from oed.result.prediction import ComponentAccuracy, SpreadRecord
 from pkm_models.machines import a3_head

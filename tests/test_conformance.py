@@ -8,9 +8,9 @@ import pytest
 from kernel.cases import CASES, PAIRS, Case, reading_series
 from reference import parameter_names
 
-from oed import units
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Coordinate
+from oed.base import units
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Coordinate
 
 STEP = 2e-4  # m, rad or 1: finite differences
 

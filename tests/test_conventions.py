@@ -17,11 +17,11 @@ import pytest
 import stated_order
 from scipy.spatial.transform import Rotation
 
-from oed import units
-from oed.instrument import Instrument, mount
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.measurement import Measurement
+from oed.base import units
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import Instrument, mount
+from oed.model.machine import Machine
 from pkm_models.machines import (
     a3_head,
     cables_spatial,

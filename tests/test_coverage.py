@@ -10,11 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oed import laplace, prediction
-from oed.error_draws import compensated_errors
-from oed.identification import identify
+from oed.accuracy import prediction
+from oed.accuracy.error_draws import compensated_errors
+from oed.estimation.identification import identify
+from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import noise_prior
-from oed.reading_structure import reading_structure
+from oed.posterior import laplace
 from pkm_studies import cli
 
 ROOT = Path(__file__).resolve().parents[1]

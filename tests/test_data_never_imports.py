@@ -26,7 +26,7 @@ import sample
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from oed import checkpoint
+from oed.posterior import checkpoint
 from pkm_models.machines import linear_delta
 from pkm_studies import cli, stored_result
 from pkm_studies.errors import InputError

@@ -17,9 +17,10 @@ import sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from oed import csv_text, dataset, units
+from oed import dataset
+from oed.base import csv_text, units
 from oed.dataset import Dataset, ReadingsError, columns, table
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 from oracles.firmware.klipper import Klipper, example
 from test_delta_real import Session, fitted, heights_of, measurement, sessions
 
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
 from pkm_models.machines.linear_delta import machine
 from pkm_studies import cli
 

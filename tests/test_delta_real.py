@@ -12,10 +12,11 @@ import pytest
 from oracles import delta_trilateration as delta
 from reference import delta_v400 as published
 
-from oed import identifiability, posterior
-from oed.identification import Estimate, identify
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.estimation.identification import Estimate, identify
+from oed.identifiability import identifiability
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
+from oed.posterior import posterior
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines.linear_delta import machine
 from pkm_studies import study

@@ -18,8 +18,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from oed import information
 from oed.design import exchange, relaxation
+from oed.identifiability import information
 from pkm_studies import study
 from pkm_studies.resolve.resolved import resolve
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from oracles import a3_geometry
 
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import a3_head, delta, hexapod
 from pkm_reports.figures import machine
 from pkm_studies.progress import Silent

@@ -6,8 +6,8 @@ import effects_sample
 import numpy as np
 import pytest
 
-from oed.effect import Effect
-from oed.expected_size import with_expected_size
+from oed.model.effect import Effect
+from oed.model.expected_size import with_expected_size
 from pkm_models.effects import backlash, friction, servo_lag
 
 

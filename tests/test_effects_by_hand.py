@@ -11,7 +11,7 @@ from effects_sample import columns, effect_of, session, small
 from kernel.cases import CASES
 
 from oed.gap.data.state import states
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
 from pkm_models.effects import terms
 
 

@@ -4,7 +4,7 @@ import effects_sample
 import pytest
 import sample
 
-from oed.effect import Effect
+from oed.model.effect import Effect
 from pkm_studies.errors import InputError
 
 

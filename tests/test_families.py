@@ -12,9 +12,9 @@ import pytest
 from oracles import machine_shapes
 from sample import refused, resolved
 
-from oed.error_maps import error_maps
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Family
+from oed.accuracy.error_maps import error_maps
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Family
 
 #: relative to the machine's size
 CLOSURE = 1e-12

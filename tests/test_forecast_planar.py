@@ -23,7 +23,7 @@ from oed.compensate import (
     strut_motion,
     uncompensated,
 )
-from oed.identification import identify
+from oed.estimation.identification import identify
 from pkm_models.machines.planar_2dof import machine
 
 BOX = Box(("y", "z"), np.array([-1.5, 0.0]), np.array([1.5, 1.5]))

@@ -16,7 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from oed.compensate import compensated_joints, further_axes
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from oed.result import StudyResult
 from pkm_models.machines import (
     hexapod,

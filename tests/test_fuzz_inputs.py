@@ -15,8 +15,8 @@ import sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from oed.kinematics import AssemblyError
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import AssemblyError
 from pkm_studies import sources
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.resolved import resolve

@@ -13,14 +13,14 @@ import pytest
 from effects_sample import NAMES, effect_of
 from scipy import linalg
 
-from oed.effect import Effect
 from oed.gap.data import state as states_of
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem, assemble, prepare
 from oed.gap.data.signature import exact_readings, signature
 from oed.gap.diagnose import diagnose
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.effect import Effect
+from oed.model.instrument import mount
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof
 

@@ -5,12 +5,12 @@ tracker loses.
 import numpy as np
 from oracles import hexapod_geometry as oracle
 
-from oed import identifiability
-from oed.arrays import Array
-from oed.assessment import Assessment, assess
-from oed.instrument import Setup, mount
-from oed.kinematics import Kinematics
-from oed.measurement import Measurement
+from oed.base.arrays import Array
+from oed.identifiability import identifiability
+from oed.identifiability.assessment import Assessment, assess
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import Setup, mount
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines import hexaglide
 

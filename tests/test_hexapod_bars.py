@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from oracles import hexapod_geometry as oracle
 
-from oed import explain, identifiability
-from oed.arrays import Array
-from oed.assessment import Assessment, assess
-from oed.explain import Finding
-from oed.instrument import Setup, mount
-from oed.kinematics import Kinematics
-from oed.measurement import Measurement
+from oed.base.arrays import Array
+from oed.identifiability import explain, identifiability
+from oed.identifiability.assessment import Assessment, assess
+from oed.identifiability.explain import Finding
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import Setup, mount
 from pkm_models.instruments import ball_bar, pose_tracker
 from pkm_models.machines import hexapod
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import sample
 
-from oed import session_drift
-from oed.session_change import Session
+from oed.estimation import session_drift
+from oed.estimation.session_change import Session
 from pkm_studies import cli
 
 N = 4

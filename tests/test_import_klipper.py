@@ -14,7 +14,7 @@ from oracles.delta_trilateration import travel_to
 from oracles.klipper_cost import Delta, cost
 
 import oed
-from oed import units
+from oed.base import units
 from pkm_studies.cli import main
 from pkm_studies.errors import InputError
 from pkm_studies.importers import session

@@ -10,7 +10,7 @@ from sample import table_lines
 from scipy.spatial.transform import Rotation
 
 import oed
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import hexapod, prs_spindle
 from pkm_studies.errors import InputError
 from pkm_studies.importers import session

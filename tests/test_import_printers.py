@@ -9,7 +9,7 @@ import pytest
 from oracles.delta_trilateration import nozzle, travel_to
 
 import oed
-from oed import units
+from oed.base import units
 from pkm_studies.errors import InputError
 from pkm_studies.importers import session
 

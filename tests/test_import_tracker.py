@@ -11,7 +11,7 @@ from oracles.delta_trilateration import nozzle, travel_to
 from scipy.spatial.transform import Rotation
 
 import oed
-from oed import units
+from oed.base import units
 from pkm_studies.cli import main
 from pkm_studies.errors import InputError
 from pkm_studies.importers import session

@@ -8,12 +8,12 @@ import leg_scale
 import numpy as np
 import pytest
 
-from oed import identification
-from oed.correction import EffectReadings, estimate_with_effects
+from oed.compensate.effects import EffectReadings, estimate_with_effects
 from oed.dataset import Dataset
+from oed.estimation import identification
 from oed.gap.data import linearisation, problem
 from oed.gap.data.linearisation import ActingForm
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
 from oed.noise.law import stated_law
 from oed.result import StudyResult
 from pkm_models.effects import encoder_scale

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from oracles import micro_cmm_geometry as oracle
 
-from oed import identification, prediction, simulation
-from oed.arrays import Array
-from oed.assessment import assess
-from oed.instrument import Setup, mount
-from oed.kinematics import Kinematics
-from oed.measurement import Measurement
+from oed.accuracy import prediction
+from oed.base.arrays import Array
+from oed.estimation import identification
+from oed.identifiability.assessment import assess
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import Setup, mount
 from pkm_models.instruments import ball_plate, camera
 from pkm_models.machines import micro_cmm
 

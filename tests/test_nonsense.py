@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed.assembly_mode import mode_jumps
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.assembly_mode import mode_jumps
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import camera
 from pkm_models.machines import delta
 from pkm_studies import cli

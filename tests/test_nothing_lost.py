@@ -10,7 +10,7 @@ import plan_sample
 import pytest
 import sample
 
-from oed import own_files
+from oed.base import own_files
 from pkm_studies import cli
 
 #: readings of a few poses, nothing to choose

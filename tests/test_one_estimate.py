@@ -8,7 +8,7 @@ from pathlib import Path
 import gap_fixture
 import pytest
 
-from oed import units
+from oed.base import units
 from oed.result import StudyResult
 from pkm_studies import pipeline
 from pkm_studies import study as studies

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import stated_order
 
-from oed import orientation
-from oed.instrument import Instrument
-from oed.orientation import Orientation
+from oed.base import orientation
+from oed.base.orientation import Orientation
+from oed.model.instrument import Instrument
 from pkm_models.machines import prs_spindle
 from pkm_studies import catalogue, conventions
 from pkm_studies.errors import Place

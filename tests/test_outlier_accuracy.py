@@ -14,9 +14,10 @@ import pytest
 from kernel import a3_plans
 from kernel.a3_machines import NOISE, against_home, exact, measured
 
-from oed import checks, prediction
-from oed.identification import identify
-from oed.measurement import Measurement, Series
+from oed import checks
+from oed.accuracy import prediction
+from oed.estimation.identification import identify
+from oed.measurement.measurement import Measurement, Series
 
 POINTS = 30
 COMPENSATED = ("z", "psi", "theta")

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from sample import refused, resolved
 
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import height_probe, laser_ball_bar, planar_position
 from pkm_models.machines import a3_head, cables_planar, delta
 

@@ -9,19 +9,20 @@ import pytest
 from kernel.plan_catalogues import searched, stage_after
 from oracles import planar_geometry as oracle
 
-from oed import prediction, simulation
-from oed.identification import identify
-from oed.instrument import mount
-from oed.machine import Machine
-from oed.measurement import Measurement
-from oed.planning.goal import Goal, workspace_goal
-from oed.planning.option import Option, build_option
-from oed.planning.search import PlanSearchResult
-from oed.planning.stage.knowledge import Prior
-from oed.planning.stage.prediction import PlanStage
-from oed.planning.virtual_machines import propagation
-from oed.planning.virtual_machines.propagation import PlanRealisation, propagate
-from oed.planning.virtual_machines.refit import refit
+from oed.accuracy import prediction
+from oed.design.stages.goal import Goal, workspace_goal
+from oed.design.stages.option import Option, build_option
+from oed.design.stages.search import PlanSearchResult
+from oed.design.stages.stage.knowledge import Prior
+from oed.design.stages.stage.prediction import PlanStage
+from oed.design.stages.virtual_machines import propagation
+from oed.design.stages.virtual_machines.propagation import PlanRealisation, propagate
+from oed.design.stages.virtual_machines.refit import refit
+from oed.estimation.identification import identify
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
+from oed.model.machine import Machine
 from pkm_models.instruments import ball_bar, pose_tracker, relative
 from pkm_models.machines import a3_head, planar_2dof
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from oracles import planar_geometry as oracle
 
-from oed import criteria, identifiability, information
-from oed.identifiability import Identifiability
-from oed.instrument import Setup, mount
-from oed.measurement import Measurement, Series
+from oed.design import criteria
+from oed.identifiability import identifiability, information
+from oed.identifiability.identifiability import Identifiability
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import Setup, mount
 from pkm_models.instruments import relative
 from pkm_models.machines.planar_2dof import machine
 

@@ -10,10 +10,10 @@ import pytest
 from kernel import a3_plans
 from kernel.cases import CASES, reading_series
 
-from oed import information
 from oed.design import polish, reading_slopes, symbolic_criterion
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, pose_tracker
 
 PAIRS = [

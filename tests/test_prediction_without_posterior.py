@@ -12,7 +12,7 @@ import test_bad_fit
 from oracles import a3_geometry as a3
 
 import oed
-from oed.linear_algebra import covariance_root
+from oed.base.linear_algebra import covariance_root
 from pkm_studies import cli
 from pkm_studies.steps import prediction
 

@@ -21,12 +21,13 @@ from prs_sample import (
     random_commands,
 )
 
-from oed import explain, identification
-from oed.assessment import Assessment, assess
-from oed.instrument import Instrument, mount
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.estimation import identification
+from oed.identifiability import explain
+from oed.identifiability.assessment import Assessment, assess
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import Instrument, mount
+from oed.model.machine import Machine
 from pkm_models.instruments import laser_ball_bar, pose_tracker
 
 NAMES = tuple(

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oed import units
+from oed.base import units
 from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve import quantities
 

@@ -9,11 +9,11 @@ import pytest
 from oracles import planar_cables
 from scipy import optimize
 
-from oed.estimate import Estimate
-from oed.identification import identify
-from oed.instrument import mount
-from oed.machine import Machine
-from oed.measurement import Measurement
+from oed.estimation.estimate import Estimate
+from oed.estimation.identification import identify
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
+from oed.model.machine import Machine
 from pkm_models.instruments import redundancy
 from pkm_models.machines import cables_planar, cables_spatial
 

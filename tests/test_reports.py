@@ -19,7 +19,7 @@ import pytest
 import report_fixture
 from report_fixture import result_of, shown_text, text_of
 
-from oed import own_files
+from oed.base import own_files
 from oed.result import StudyResult
 from pkm_reports import document, sections, write_report
 from pkm_reports import html as html_writer

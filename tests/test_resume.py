@@ -14,7 +14,7 @@ import pytest
 import sample
 import xarray as xr
 
-from oed import checkpoint
+from oed.posterior import checkpoint
 from pkm_studies import cli
 
 STUDY = (

@@ -10,8 +10,8 @@ import pytest
 import sample
 from design_sample import CUP, EXTRA, GRID, KNOWN, chosen, rows, section, text, value
 
-from oed import information
-from oed.measurement import Series
+from oed.identifiability import information
+from oed.measurement.measurement import Series
 from pkm_studies import pipeline, study
 from pkm_studies.errors import InputError
 

@@ -15,10 +15,11 @@ import xarray
 from plan_sample import HERE, STUDY, plan_of, planned
 from sample import changed, table_lines
 
-from oed import information, prediction
-from oed.kinematics import Kinematics
-from oed.measurement import Measurement
-from oed.planning.option import Option
+from oed.accuracy import prediction
+from oed.design.stages.option import Option
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
 from oed.result import AlternativePlan, PlanSection, StudyResult
 from pkm_studies import cli, pipeline, study
 from pkm_studies.errors import InputError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sample
 
-from oed import units
+from oed.base import units
 from pkm_studies.errors import InputError
 
 TABLE = """

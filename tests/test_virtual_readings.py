@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import sample
 
-from oed.measurement import Series
+from oed.measurement.measurement import Series
 from pkm_studies import cli
 from pkm_studies.progress import Silent
 from pkm_studies.resolve.conditions import planned_covariates

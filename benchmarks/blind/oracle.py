@@ -38,7 +38,7 @@ from benchmarks.blind.generator.severity import Metric as TrueMetric
 from benchmarks.blind.loading import Case
 from benchmarks.blind.results import Record
 from benchmarks.blind.run import law_of
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.cause import closure as closure_of
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of

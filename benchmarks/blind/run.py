@@ -21,11 +21,11 @@ from benchmarks.blind import loading
 from benchmarks.blind.harmonic import harmonic
 from benchmarks.blind.loading import Case
 from benchmarks.blind.stepwise import stepwise
-from oed.effect import Effect
 from oed.gap import diagnose
 from oed.gap.data.diagnosis import Answer, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
+from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from pkm_studies.campaign.jobs import Row
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from benchmarks.coverage.bench import Bench, components_from_home
 from oed.compensate import compensated_joints
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
 from tests.oracles import a3_geometry as a3

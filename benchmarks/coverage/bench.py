@@ -10,8 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.coverage.noise import Layout
-from oed.coordinates import IdentifiableCoordinates, identifiable_coordinates
-from oed.measurement import Measurement, Series
+from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
+from oed.measurement.measurement import Measurement, Series
 from oed.noise.statement import NoiseStatement
 
 

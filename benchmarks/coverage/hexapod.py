@@ -8,9 +8,9 @@ import numpy as np
 
 from benchmarks.coverage.bench import Bench, components_from_home
 from oed.compensate import compensated_joints
-from oed.instrument import mount
-from oed.kinematics import Kinematics
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import hexapod as model
 from tests.oracles import hexapod_geometry as oracle

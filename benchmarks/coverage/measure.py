@@ -15,11 +15,11 @@ import numpy as np
 
 from benchmarks.coverage import noise
 from benchmarks.coverage.bench import Bench
-from oed import laplace
-from oed.coordinates import coordinates_of_readings
-from oed.error_draws import compensated_errors
-from oed.estimate import Estimate
-from oed.identification import identify
+from oed.accuracy.error_draws import compensated_errors
+from oed.estimation.coordinates import coordinates_of_readings
+from oed.estimation.estimate import Estimate
+from oed.estimation.identification import identify
+from oed.posterior import laplace
 
 #: posterior draws for intervals, those for bands, share that an interval holds
 DRAWS, BAND_DRAWS, LEVEL = 2000, 200, 0.95

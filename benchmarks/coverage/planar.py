@@ -6,8 +6,8 @@ import numpy as np
 
 from benchmarks.coverage.bench import Bench
 from oed.compensate import compensated_joints
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof
 from tests.oracles import planar_geometry as oracle

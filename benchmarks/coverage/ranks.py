@@ -20,12 +20,12 @@ from scipy import stats
 
 from benchmarks.coverage import measure
 from benchmarks.coverage.bench import Bench
-from oed import laplace, posterior
-from oed.estimate import Estimate
-from oed.identification import identify
+from oed.estimation.estimate import Estimate
+from oed.estimation.identification import identify
+from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import noise_prior
 from oed.noise.process import Whitening
-from oed.reading_structure import reading_structure
+from oed.posterior import laplace, posterior
 
 Sampler = Literal["laplace", "emcee"]
 #: draws that a rank is among

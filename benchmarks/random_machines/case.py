@@ -13,8 +13,8 @@ import pandas as pd
 
 from benchmarks.random_machines import instruments, machines, noise, plans
 from benchmarks.random_machines.instruments import Bench, Mounted
-from oed.kinematics import AssemblyError
-from oed.machine import Machine
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.machine import Machine
 from pkm_studies.notebook import build_study
 from pkm_studies.progress import Silent
 from pkm_studies.run_state import start

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.random_machines.closures import PLAIN
-from oed.kinematics import Kinematics
-from oed.machine import Machine
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
 
 Array = np.ndarray
 #: least and largest size of a machine of a family, m

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from oed.kinematics import AssemblyError
-from oed.machine import Coordinate, Machine
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.machine import Coordinate, Machine
 
 Array = np.ndarray
 RUNS, READINGS = (2, 12), (10, 72)

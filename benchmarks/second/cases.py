@@ -12,9 +12,9 @@ from typing import Any
 
 from benchmarks.second import adapter
 from oed import dataset
-from oed.effect import Effect
 from oed.gap.data import problem as problem_of
 from oed.gap.data.problem import GapProblem
+from oed.model.effect import Effect
 from pkm_studies import study as studies
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.resolve import resolved as resolve

@@ -27,9 +27,9 @@ from benchmarks.blind.run import (
 )
 from benchmarks.second import cases as case_files
 from benchmarks.second.cases import Case
-from oed.effect import Effect
 from oed.gap import diagnose
 from oed.gap.data.problem import GapProblem
+from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 
 if TYPE_CHECKING:

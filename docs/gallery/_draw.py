@@ -18,9 +18,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oed import units
-from oed.arrays import Array
-from oed.kinematics import Kinematics
+from oed.base import units
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import Kinematics
 from pkm_reports import style
 from pkm_reports.figures import scene
 

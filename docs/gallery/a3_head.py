@@ -12,10 +12,10 @@ of two circles alone has its minimum at 15 points, but no plateau after it.
 import _draw
 import numpy as np
 
-from oed import identifiability, information
 from oed.design import exchange
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.identifiability import identifiability, information
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import C, D, machine
 from pkm_reports import style

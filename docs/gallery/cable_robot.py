@@ -12,10 +12,11 @@ real readings.
 import _draw
 import numpy as np
 
-from oed import compensate, simulation
-from oed.identification import identify
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed import compensate
+from oed.estimation.identification import identify
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import camera, redundancy
 from pkm_models.machines.cable_robot import FOLD, GEAR, LINES, SPOOL, machine
 from pkm_reports import style

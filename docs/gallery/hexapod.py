@@ -14,10 +14,10 @@ import itertools
 import _draw
 import numpy as np
 
-from oed.assessment import assess
-from oed.explain import explain
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.identifiability.assessment import assess
+from oed.identifiability.explain import explain
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, pose_tracker
 from pkm_models.machines.hexapod import HEIGHT, machine
 from pkm_reports import style

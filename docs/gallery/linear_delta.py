@@ -11,10 +11,10 @@ scale is known. A printed object shrinks, a metal plate does not.
 import _draw
 import numpy as np
 
-from oed import explain
-from oed.assessment import assess
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.identifiability import explain
+from oed.identifiability.assessment import assess
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines.linear_delta import machine
 from pkm_reports import style

@@ -12,9 +12,9 @@ with Newton's method on the closure.
 import _draw
 import numpy as np
 
-from oed.assessment import assess
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.identifiability.assessment import assess
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_plate, camera
 from pkm_models.machines.micro_cmm import direct, machine
 from pkm_reports import style

@@ -11,9 +11,9 @@ combinations, both of which RM 5 sees too, but makes the weakest one 19 times as
 import _draw
 import numpy as np
 
-from oed.assessment import Assessment, assess
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.identifiability.assessment import Assessment, assess
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
 from pkm_models.instruments import relative
 from pkm_models.machines.planar_2dof import machine
 from pkm_reports import style

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 from my_machine import machine
 
-from oed import compensate, units
-from oed.kinematics import Kinematics
+from oed import compensate
+from oed.base import units
+from oed.mechanism.kinematics import Kinematics
 
 result = json.loads(Path("fit/result.json").read_text(encoding="utf-8"))
 identified = machine.nominal  # fixed parameters stay there

@@ -7,7 +7,7 @@ out (1 + scale_i) q_i of it:
 
 Without points E_i all cables end in the tool point and the mover is a point. Cables do
 not sag; they stretch where readings record their tensions, see `oed.dataset.stretch`.
-More cables than coordinates are redundant: see `oed.kinematics` for where such a
+More cables than coordinates are redundant: see `oed.mechanism.kinematics` for where such a
 machine settles.
 """
 
@@ -20,8 +20,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.machine import Coordinate, Dimension, Expr, Parameter, Start, Values
-from oed.orientation import Orientation, rotation
+from oed.base.orientation import Orientation, rotation
+from oed.model.machine import Coordinate, Dimension, Expr, Parameter, Start, Values
 from pkm_models import families
 from pkm_models.coordinates import (
     POSE_ORIENTATION,

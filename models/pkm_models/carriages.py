@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-from oed.arrays import Array
-from oed.machine import Expr, Strut, Values
+from oed.base.arrays import Array
+from oed.model.machine import Expr, Strut, Values
 from pkm_models import legs
 from pkm_models.families import point
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.machine import Component, Coordinate
-from oed.orientation import Orientation, tilt, tilt_and_spin
+from oed.base.orientation import Orientation, tilt, tilt_and_spin
+from oed.model.machine import Component, Coordinate
 
 #: orientation of a platform that tilts and spins, and direction of its tool axis
 POSE_ORIENTATION = tilt_and_spin("rx", "ry", "spin")

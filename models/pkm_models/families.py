@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.arrays import Array
-from oed.machine import Coordinate, Dimension, Expr, Parameter, Values
+from oed.base.arrays import Array
+from oed.model.machine import Coordinate, Dimension, Expr, Parameter, Values
 from pkm_models.coordinates import joint
 
 #: a table of geometry, SI, by name

@@ -7,8 +7,16 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from oed.arrays import Array
-from oed.machine import Component, Coordinate, Dimension, Expr, Parameter, Strut, Values
+from oed.base.arrays import Array
+from oed.model.machine import (
+    Component,
+    Coordinate,
+    Dimension,
+    Expr,
+    Parameter,
+    Strut,
+    Values,
+)
 from pkm_models import coordinates, families
 from pkm_models.families import Geometry, point
 from pkm_models.six_dof import ANGLES, XYZ, platform

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from oed.machine import Expr, Parameter, Values
+from oed.model.machine import Expr, Parameter, Values
 from pkm_models.rotation import tilt_torsion
 
 

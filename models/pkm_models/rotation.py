@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from oed.machine import Expr
+from oed.model.machine import Expr
 
 
 def tilt_torsion(rx: Expr, ry: Expr, spin: Expr) -> Expr:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.machine import Component, Coordinate, Expr, Values
+from oed.model.machine import Component, Coordinate, Expr, Values
 from pkm_models import coordinates
 from pkm_models.rotation import tilt_torsion
 

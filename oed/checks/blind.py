@@ -17,7 +17,7 @@ from oed.checks.mistakes import Alternatives, Given, Trial, trials
 from oed.checks.mistakes.moved import CANNOT_BE
 from oed.checks.screening import Screening
 from oed.checks.session import SessionReadings
-from oed.simulation import draw_parameters
+from oed.measurement.simulation import draw_parameters
 
 #: penalised sum of squares that noise-free readings may gain without a trace
 UNSEEN = 25.0

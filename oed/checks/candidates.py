@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.checks.mistakes import Given, Trial, trials, trials_near
 from oed.checks.mistakes.scope import Scope, cuts_are_coarse
 from oed.checks.screening import Score, Screening

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index, Mask
 from oed.checks import copies, sentences
 from oed.checks.explain import Explanation, explain
 from oed.checks.findings import CheckFinding, Severity

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
-from oed.measurement import Series
+from oed.measurement.measurement import Series
 
 #: probability that a correct session has as many equal readings
 FALSE_ALARM = 1e-5

@@ -11,7 +11,7 @@ import itertools
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.checks.session import SessionReadings
 from oed.noise.structure import ReadingStructure
 

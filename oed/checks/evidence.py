@@ -14,15 +14,15 @@ import itertools
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.checks.effects import Rival, rivals
 from oed.checks.fit import Fit
 from oed.checks.screening import scales_of_noise
 from oed.checks.session import SessionReadings
+from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import CARRIED, REACH, RUN, log_prior_of_scale, noise_prior
 from oed.noise.process import Laws, Whitening
 from oed.noise.structure import ReadingStructure
-from oed.reading_structure import reading_structure
 
 #: coordinates of the laws that are looked at: error of a run, carried share and reach
 LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)

@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 from scipy import linalg, optimize
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
 from oed.noise.covariance import Noise
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from scipy import linalg, optimize
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.checks.fit import UNREACHABLE, Fit, fit
 from oed.checks.large_misfit import at_scale_of_misfit
 from oed.checks.mistakes.moved import CANNOT_BE

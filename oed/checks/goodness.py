@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array, Mask
+from oed.base.arrays import Array, Mask
 from oed.checks.fit import Fit, residual_weights
-from oed.estimate import Estimate
-from oed.measurement import Measurement, Series
+from oed.estimation.estimate import Estimate
+from oed.measurement.measurement import Measurement, Series
 from oed.result.trust import ALARM, GUESS, noise_ratio
 
 

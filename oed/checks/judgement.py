@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 from scipy import linalg, special
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.evidence import LinearReadings, linear_readings
 from oed.checks.fit import Fit, residual_weights
 from oed.checks.goodness import Goodness, goodness, goodness_of

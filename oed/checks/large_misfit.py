@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.checks.fit import Fit, fit
 from oed.checks.session import SessionReadings
 

@@ -11,14 +11,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.measurement import Measurement, Series
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise
 from oed.noise.factor import LinearFactor
 from oed.noise.process import Laws
 from oed.noise.process_noise import errors_of
 from oed.noise.structure import ReadingStructure
-from oed.reading_structure import reading_structure
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -37,7 +37,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special, stats
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.fit import LeaveOneOut
 from oed.checks.outlier_sets import MOST, candidate_readings, solve_sets
 from oed.noise.prior import SCALE_SD, heavy_scale

@@ -14,7 +14,7 @@ import dataclasses
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.fit import (
     Fit,
     LeaveOneOut,
@@ -23,7 +23,7 @@ from oed.checks.fit import (
 )
 from oed.checks.outlier_sets import best_set
 from oed.checks.session import SessionReadings
-from oed.kinematics import AssemblyError
+from oed.mechanism.kinematics import AssemblyError
 
 #: probability that a correct session has a reading beyond the limit
 FALSE_ALARM = 1e-4

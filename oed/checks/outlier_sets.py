@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.fit import LeaveOneOut
 
 #: readings that are combined, and most in one set

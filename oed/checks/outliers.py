@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Index
+from oed.base.arrays import Index
 from oed.checks import outlier_odds
 from oed.checks.far_reading import FarReading, alike_readings, measure
 from oed.checks.fit import Fit, fit

@@ -11,9 +11,9 @@ import dataclasses
 import numpy as np
 from scipy import special
 
-from oed import simulation
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
+from oed.measurement import simulation
 
 #: machines that test linearity, and machines drawn where it fails
 TRIAL, DRAWS = 24, 400

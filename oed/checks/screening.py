@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index, Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.trial import Trial
 from oed.noise.covariance import Noise

@@ -12,7 +12,7 @@ import itertools
 import numpy as np
 from scipy import spatial
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
 
 #: fewest common poses of two runs, and share of steps that must agree

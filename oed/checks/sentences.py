@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import text
-from oed.arrays import Index
+from oed.base import text
+from oed.base.arrays import Index
 from oed.checks.copies import CoarseReadings, EqualReadings
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading

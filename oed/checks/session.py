@@ -9,12 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed import units
-from oed.arrays import Array, Index, Mask
+from oed.base import units
+from oed.base.arrays import Array, Index, Mask
 from oed.checks.law import CheckedLaw
 from oed.dataset.columns import ReadingsColumn, column_name, parse_column
 from oed.dataset.data import consecutive
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 from oed.noise.covariance import Noise
 
 #: fine units from which a difference is told in the unit of its column

@@ -37,8 +37,8 @@ from oed.compensate.setpoint import (
 )
 from oed.compensate.states import StateCompensator
 from oed.compensate.table import InterpolationTable
-from oed.error_model import ErrorModel, error_model
-from oed.pose_errors import (
+from oed.mechanism.error_model import ErrorModel, error_model
+from oed.mechanism.pose_errors import (
     NO_TOOL,
     component_errors,
     pose_error,

@@ -16,13 +16,13 @@ from collections.abc import Callable, Sequence
 import casadi as ca
 import numpy as np
 
-from oed.arrays import Array, Mask
-from oed.batch import BatchedFunction
+from oed.base.arrays import Array, Mask
 from oed.compensate.table import grid_nodes
-from oed.expressions import machine_expressions
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.pose_errors import NO_TOOL
+from oed.mechanism.batch import BatchedFunction
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL
+from oed.model.expressions import machine_expressions
+from oed.model.machine import Machine
 
 FULL_TURN = 2.0 * math.pi
 #: fewest nodes along an axis, and round a full turn: one at each quarter

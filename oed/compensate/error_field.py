@@ -4,7 +4,7 @@ What calibration leaves is smooth in the struts, which yield under load, not in 
 pose: near a singular pose a strut's error moves the tool far. So a reading is J u, with
 J the motion of the tool per strut and u the strut errors that would cause it. Each of
 them is a linear trend plus a field with Matern's correlation of order 3/2
-(the discrepancy's, `oed.smooth_basis`) or 5/2, one length for
+(the discrepancy's, `oed.base.smooth_basis`) or 5/2, one length for
 each axis. Lengths, size and order maximise the marginal likelihood times a weak prior
 on the lengths (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning,
 Eqs. 2.25-2.26, 2.42, 4.9, 4.17, 5.8).
@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import linalg, optimize
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 
 #: kernels that compete: correlation at scaled distances
 ORDERS = ("3/2", "5/2")

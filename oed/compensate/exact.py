@@ -7,12 +7,12 @@ import dataclasses
 import casadi as ca
 import numpy as np
 
-from oed.arrays import Array
-from oed.batch import BatchedFunction
+from oed.base.arrays import Array
 from oed.compensate.setpoint import Conditions, Setpoint, undriven_components
-from oed.expressions import machine_expressions
-from oed.kinematics import Kinematics
-from oed.pose_errors import NO_TOOL, component_errors
+from oed.mechanism.batch import BatchedFunction
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL, component_errors
+from oed.model.expressions import machine_expressions
 
 #: Gauss-Newton steps from a command to a corrected one, and the step that ends them
 STEPS, STEP_TOLERANCE = 20, 1e-12

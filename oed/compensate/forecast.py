@@ -12,14 +12,14 @@ import itertools
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
+from oed.base.text import quantity
 from oed.compensate.error_field import ErrorField, Motion
 from oed.compensate.setpoint import Conditions, Setpoint
 from oed.compensate.table import InterpolationTable, grid_nodes
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.pose_errors import NO_TOOL
-from oed.text import quantity
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL
+from oed.model.machine import Machine
 
 #: intervals of the finest grid along an axis, by the number of axes
 FINEST = (256, 64, 16, 8)

@@ -12,12 +12,12 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.compensate.exact import compensated_joints
-from oed.error_model import error_model
-from oed.kinematics import Kinematics
-from oed.machine import Component
-from oed.pose_errors import NO_TOOL, pose_error
+from oed.mechanism.error_model import error_model
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL, pose_error
+from oed.model.machine import Component
 
 #: name of the offset about the tool axis
 TURN = "turn"

@@ -12,7 +12,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.compensate.error_field import LENGTH, Box, Kernel, Motion
 from oed.compensate.table import grid_nodes
 from oed.design.criterion import Variance

@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
+from oed.base.text import quantity
 from oed.compensate.exact import compensated_joints
 from oed.compensate.setpoint import Conditions, Setpoint, undriven_components
-from oed.kinematics import Kinematics
-from oed.pose_errors import NO_TOOL, component_errors
-from oed.text import quantity
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL, component_errors
 
 
 @dataclasses.dataclass(frozen=True)

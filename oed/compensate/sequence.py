@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.compensate.setpoint import Compensator, Conditions, Setpoint
 
 

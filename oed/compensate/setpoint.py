@@ -8,10 +8,10 @@ from typing import Protocol
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.text import quantity
+from oed.base.arrays import Array
+from oed.base.text import quantity
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
 
 #: state of the machine at n commands, SI: name -> (n,), or (n, nq) joint by joint
 Conditions = Mapping[str, Array]

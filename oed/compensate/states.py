@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.compensate.setpoint import Conditions, Setpoint
 from oed.compensate.table import InterpolationTable
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 
 #: what the values of a table are added to
 Target = Literal["command", "parameters", "joints"]

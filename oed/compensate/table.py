@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
+from oed.base.text import suggest
 from oed.dataset.columns import (
     COVARIATES,
     REQUIRED,
@@ -19,10 +20,9 @@ from oed.dataset.columns import (
     tension_columns,
 )
 from oed.dataset.table import ReadingsError, ReadingsFile, cell_remedy
-from oed.instrument import Setup
-from oed.machine import Coordinate
-from oed.measurement import Measurement
-from oed.text import suggest
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import Setup
+from oed.model.machine import Coordinate
 
 #: SI amount by which a value may exceed its coordinate's range
 RANGE_SLACK = 1e-9

@@ -7,8 +7,8 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
-from oed import units
-from oed.machine import Machine
+from oed.base import units
+from oed.model.machine import Machine
 
 #: columns of text
 LABELS: Final = ("setup", "run")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from oed.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index, Mask
 from oed.dataset import checks, table
 from oed.dataset.columns import (
     ReadingsColumn,
@@ -20,10 +20,10 @@ from oed.dataset.columns import (
 from oed.dataset.data import Dataset, column_layouts
 from oed.dataset.stretch import with_stretch
 from oed.dataset.table import ORDER_REMEDY, ROW, ReadingsError, ReadingsFile
-from oed.instrument import Instrument
-from oed.kinematics import AssemblyError
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.instrument import Instrument
+from oed.model.machine import Machine
 
 
 def load(path: Path | Sequence[Path], measurement: Measurement) -> Dataset:

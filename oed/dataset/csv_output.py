@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from oed import csv_text
-from oed.arrays import Array
+from oed.base import csv_text
+from oed.base.arrays import Array
+from oed.base.whole_file import whole_file
 from oed.dataset.columns import (
     REQUIRED,
     cell,
@@ -19,8 +20,7 @@ from oed.dataset.columns import (
 )
 from oed.dataset.data import ColumnLayout, Dataset, consecutive
 from oed.dataset.dialect import commented
-from oed.measurement import Series
-from oed.whole_file import whole_file
+from oed.measurement.measurement import Series
 
 
 def save(path: Path, dataset: Dataset) -> None:

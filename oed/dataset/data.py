@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.dataset.columns import ReadingsColumn
-from oed.instrument import Channel, Setup
-from oed.machine import Coordinate, Machine
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import Channel, Setup
+from oed.model.machine import Coordinate, Machine
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -14,8 +14,8 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.measurement import Measurement, Series
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement, Series
 
 #: most passes, and the change of a joint after which no further one follows, m or rad;
 #: each pass lowers the stretch's error by about the strain

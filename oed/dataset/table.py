@@ -17,8 +17,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from oed import csv_text, units
-from oed.arrays import Array, Mask
+from oed.base import csv_text, units
+from oed.base.arrays import Array, Mask
+from oed.base.text import shorten
 from oed.dataset import dialect
 from oed.dataset.columns import (
     LABELS,
@@ -30,7 +31,6 @@ from oed.dataset.columns import (
     parse_column,
 )
 from oed.dataset.dialect import Row, SplitText
-from oed.text import shorten
 
 MAX_BYTES: Final = 64_000_000
 #: readings of one session, each a value of a channel: with these a check takes about a

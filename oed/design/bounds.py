@@ -12,7 +12,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design import condition, relaxation
 from oed.design.criterion import Criterion, ExtremeEigenvalues
 from oed.design.relaxation import Relaxation

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index, Mask
 from oed.design.criterion import (
     Criterion,
     Determinant,
@@ -30,8 +30,8 @@ from oed.design.criterion import (
     named,
 )
 from oed.design.rules import Rules
-from oed.information import Scaling, column_scale
-from oed.measurement import Measurement, Series
+from oed.identifiability.information import Scaling, column_scale
+from oed.measurement.measurement import Measurement, Series
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -22,12 +22,12 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from oed.arrays import Array, Index, Mask
-from oed.batch import BatchedFunction
+from oed.base.arrays import Array, Index, Mask
 from oed.design.segments import Capsule, segment_distance
-from oed.expressions import symbols
-from oed.kinematics import AssemblyError, Kinematics
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.batch import BatchedFunction
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.expressions import symbols
 
 #: moves commands (n, n_dof) to where an instrument guides the tool, and says where (n,)
 #: it can

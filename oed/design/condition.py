@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design.eigenvalue_path import ROUNDING, EigenvaluePoint, follow
 from oed.design.interior import build_problem
 

@@ -19,7 +19,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design.criterion import (
     Criterion,
     Determinant,

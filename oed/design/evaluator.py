@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design import fedorov, tabu
 from oed.design.blocks import information
 from oed.design.criterion import Criterion, Determinant

@@ -13,7 +13,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design.blocks import Spectrum, as_blocks, in_orthonormal_basis, spectrum
 from oed.design.bounds import Bound, bound, condition_bound
 from oed.design.criterion import Criterion, Determinant, Variance, named

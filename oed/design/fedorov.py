@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design.criterion.protocol import parts, quadratic_forms
 
 #: relative gain below which an exchange counts as none

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
-from oed.arrays import Array, Mask
-from oed.instrument import Setup
-from oed.measurement import Measurement, Series
+from oed.base.arrays import Array, Mask
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import Setup
 
 #: settings that tell where an instrument stands
 PLACE_SETTINGS = ("at_x", "at_y", "at_z")

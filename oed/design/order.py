@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design.path_search import RunStates, search_path, shortest_path
 
 #: most runs that are ordered exactly: 2^12 subsets

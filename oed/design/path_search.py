@@ -16,7 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 
 #: neighbouring runs that are shifted together, at the most
 SHIFTED = 3

@@ -11,7 +11,7 @@ within workspace, joint ranges and the ranges of the free variables. The objecti
 smooth criterion of M = M0 + H^T H (`oed.design.symbolic_criterion`), with H from
 `oed.design.reading_slopes`. IPOPT solves the programme (`oed.design.polish_program`).
 
-IPOPT's result counts only after `oed.measurement` has computed it again: in range, on
+IPOPT's result counts only after `oed.measurement.measurement` has computed it again: in range, on
 hold, and better than the start.
 """
 
@@ -22,8 +22,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import information
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design import symbolic_criterion
 from oed.design.polish_program import PolishProgram
 from oed.design.reading_plan import (
@@ -36,9 +35,10 @@ from oed.design.reading_plan import (
     settings_and_tool,
 )
 from oed.design.symbolic_criterion import SymbolicCriterion
-from oed.instrument import Setup
-from oed.kinematics import AssemblyError
-from oed.measurement import Measurement, Series
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.instrument import Setup
 
 #: a start whose readings are further than this from the value held is refused
 START_TOLERANCE = 1e-6

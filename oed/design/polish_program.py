@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from oed import information
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design import reading_slopes
 from oed.design.reading_plan import (
     Ranges,
@@ -26,8 +25,9 @@ from oed.design.reading_plan import (
     tool_shift,
 )
 from oed.design.symbolic_criterion import SymbolicCriterion
-from oed.instrument import Setup
-from oed.measurement import Series
+from oed.identifiability import information
+from oed.measurement.measurement import Series
+from oed.model.instrument import Setup
 
 IPOPT: dict[str, Any] = {
     "hessian_approximation": "limited-memory",

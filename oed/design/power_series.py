@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 
 
 def trace_after_adding(

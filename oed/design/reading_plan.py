@@ -1,6 +1,6 @@
 """A plan of readings that can be moved to other commands, restored to hold, and checked.
 
-All numbers come from `oed.measurement`. Nothing here depends on the programme that
+All numbers come from `oed.measurement.measurement`. Nothing here depends on the programme that
 found a plan (`oed.design.polish`): what it reports is computed anew.
 """
 
@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design import reading_slopes
 from oed.design.reading_slopes import TOOL
-from oed.instrument import Setup
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import Setup
 
 #: by how much a held reading (m, rad) and a joint may miss in the end
 HOLD_TOLERANCE, JOINT_TOLERANCE = 1e-9, 1e-9

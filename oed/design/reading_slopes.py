@@ -2,12 +2,12 @@
 
 The settings and the tool of the set-up are symbols. A reading
 y = g(x_1, x_2, q_1, q_2, p, s; k, tool) sees one pose or two, each with
-phi(x, q, p) = 0. With lambda_j from settled_x^T lambda_j = g_xj^T (`oed.kinematics`
+phi(x, q, p) = 0. With lambda_j from settled_x^T lambda_j = g_xj^T (`oed.mechanism.kinematics`
 defines what a redundant machine settles to) its row is
 
     dy/d(p, s) = [ g_p - sum_j lambda_j^T settled_p,  g_s ],
 
-at nominal parameters. Whitening follows `oed.measurement`: by sigma of each channel, or
+at nominal parameters. Whitening follows `oed.measurement.measurement`: by sigma of each channel, or
 by the instrument's own error sources.
 """
 
@@ -19,11 +19,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.expressions import machine_frame, symbols
-from oed.information import Scaling, column_scale
-from oed.instrument import Frame, Setup
-from oed.machine import Machine
-from oed.measurement import Measurement
+from oed.identifiability.information import Scaling, column_scale
+from oed.measurement.measurement import Measurement
+from oed.model.expressions import machine_frame, symbols
+from oed.model.instrument import Frame, Setup
+from oed.model.machine import Machine
 
 TOOL = ("tool_x", "tool_y", "tool_z")
 #: options of every CasADi function: common subexpressions are evaluated once

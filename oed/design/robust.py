@@ -18,7 +18,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.blocks import as_blocks
 from oed.design.criterion import Criterion

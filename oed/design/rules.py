@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index, Mask
 from oed.design.quotas import QuotaSet
 
 #: combinations of set-ups that are bounded one by one, at the most

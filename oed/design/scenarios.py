@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design.objective import RIDGE, CriterionObjective, Tangent
 
 Risk = Literal["mean", "cvar", "worst"]

@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.criterion import Criterion
 from oed.design.rules import MAX_COMBINATIONS, RelaxedRules, Rules

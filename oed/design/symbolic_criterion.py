@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from scipy import linalg
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 
 #: eigenvalues of a weight below this share of the largest count as zero
 NEGLIGIBLE = 1e-14

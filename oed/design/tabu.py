@@ -19,7 +19,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 
 #: plans that are searched together
 PLANS = 30

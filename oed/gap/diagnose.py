@@ -7,8 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.effect import Effect
+from oed.base.arrays import Array
 from oed.gap import place
 from oed.gap.cause import advice, answers, closure
 from oed.gap.cause.compare import probabilities
@@ -21,6 +20,7 @@ from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import UNKNOWN, Block, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.place_draws import LikelyForms
+from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw, describe
 
 #: forms that an unknown remainder is reported to be like, at most, and the least

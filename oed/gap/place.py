@@ -25,7 +25,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem
 from oed.gap.place_draws import Draws, LikelyForms, draw_energies

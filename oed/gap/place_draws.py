@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from oed.arrays import Array, Mask
+from oed.base.arrays import Array, Mask
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw

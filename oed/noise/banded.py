@@ -23,7 +23,7 @@ from scipy import linalg, sparse
 from scipy.linalg import lapack
 from scipy.sparse import linalg as sparse_linalg
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 
 #: rows of a block
 ROWS = 32

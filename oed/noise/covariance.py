@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import sparse
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.noise.factor import LinearFactor
 
 

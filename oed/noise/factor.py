@@ -21,7 +21,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.noise.banded import BandedFactor
 from oed.noise.shared import SharedFactor, SharedProducts
 

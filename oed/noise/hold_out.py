@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from scipy import linalg
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.noise.banded import BandedFactor
 from oed.noise.factor import DenseFactor, Errors, LinearFactor
 from oed.noise.shared import SharedFactor

@@ -19,7 +19,7 @@ import dataclasses
 import numpy as np
 from scipy import sparse
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.noise.factor import DenseFactor, Errors, Factor, LinearFactor
 from oed.noise.process import Laws
 from oed.noise.runs import RunLayout, Runs

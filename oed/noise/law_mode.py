@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import optimize
 
-from oed.arrays import Array
-from oed.linear_algebra import eigenvectors
+from oed.base.arrays import Array
+from oed.base.linear_algebra import eigenvectors
 
 #: step of numerical slopes and curvatures, and least curvature, in prior sd
 SLOPE_STEP, CURVATURE_STEP, LEAST_CURVATURE = 1e-4, 0.15, 0.5

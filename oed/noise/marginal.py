@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.noise.law_mode import find_mode, root_about
 from oed.noise.prior import NoisePrior
 from oed.noise.process import Laws, Whitening

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import linalg, optimize, special
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.noise.factor import Factor
 from oed.noise.law import NoiseLaw
 from oed.noise.statement import NOTHING_STATED, NoiseStatement

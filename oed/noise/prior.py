@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.noise.process import Laws
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import (

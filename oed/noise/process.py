@@ -21,7 +21,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.noise.recursions import (
     block_shape,
     carried_variances,

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.noise.covariance import Noise
 from oed.noise.factor import Errors, LinearFactor
 from oed.noise.process import Laws, Whitening

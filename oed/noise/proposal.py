@@ -20,8 +20,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array
-from oed.linear_algebra import eigenvectors
+from oed.base.arrays import Array
+from oed.base.linear_algebra import eigenvectors
 
 #: degrees of freedom of the Student t
 DEGREES = 5.0

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 
 #: steps of a chain that are one block: a loop over them costs no more than blocks do
 ONE_BLOCK = 40

@@ -8,7 +8,7 @@ machine is taken for an outlier.
 
 from __future__ import annotations
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.noise import outliers
 from oed.noise.process import Laws
 from oed.noise.process_noise import factor_of

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.noise.stated import StatedErrors
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 
 
 class SharedFactor:

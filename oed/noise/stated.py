@@ -15,7 +15,7 @@ import dataclasses
 import numpy as np
 from scipy import sparse
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from oed.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index, Mask
 from oed.noise.recursions import block_shape
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 

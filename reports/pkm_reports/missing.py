@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.result.record import Number
 
 

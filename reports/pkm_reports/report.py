@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from oed.own_files import write_own
+from oed.base.own_files import write_own
 from oed.result import StudyResult
 from pkm_reports import document
 from pkm_reports import html as html_writer

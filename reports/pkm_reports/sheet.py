@@ -10,9 +10,9 @@ from typing import Final
 
 import msgspec
 
-from oed.own_files import write_own
+from oed.base.own_files import write_own
+from oed.base.text import shorten
 from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
-from oed.text import shorten
 from pkm_reports import missing, pdf, text
 from pkm_reports.document import footer
 

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Final
 
-from oed import text as toolkit_text
-from oed import units
+from oed.base import text as toolkit_text
+from oed.base import units
 from oed.result.record import Number
 from pkm_reports.missing import finite, or_nan
 

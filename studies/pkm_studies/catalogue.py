@@ -59,7 +59,7 @@ def listing(kind: str) -> list[CatalogueEntry]:
     """The catalogue of one of KINDS, by name."""
     if kind == "criteria":
         return [
-            CatalogueEntry(c.name, c.about, c.source, f"oed.criteria:{c.name}")
+            CatalogueEntry(c.name, c.about, c.source, f"oed.design.criteria:{c.name}")
             for c in _criteria().values()
         ]
     return [
@@ -71,11 +71,11 @@ def listing(kind: str) -> list[CatalogueEntry]:
 def machine(
     reference: str, origin: Origin, place: Place, *, assembled: bool = True
 ) -> Any:
-    """The `oed.machine.Machine` that `reference` names. Raises InputError.
+    """The `oed.model.machine.Machine` that `reference` names. Raises InputError.
 
     assembled  whether the home pose of a user's own must assemble
     """
-    from oed.machine import Machine
+    from oed.model.machine import Machine
     from pkm_studies import machine_check as soundness
 
     machine = _lookup(reference, "machines", Machine, origin, place)
@@ -85,15 +85,15 @@ def machine(
 
 
 def instrument(reference: str, origin: Origin, place: Place) -> Any:
-    """The `oed.instrument.Instrument` that `reference` names. Raises InputError."""
-    from oed.instrument import Instrument
+    """The `oed.model.instrument.Instrument` that `reference` names. Raises InputError."""
+    from oed.model.instrument import Instrument
 
     return _lookup(reference, "instruments", Instrument, origin, place)
 
 
 def effect(reference: str, origin: Origin, place: Place) -> Any:
-    """The `oed.effect.Effect` that `reference` names. Raises InputError."""
-    from oed.effect import Effect
+    """The `oed.model.effect.Effect` that `reference` names. Raises InputError."""
+    from oed.model.effect import Effect
 
     return _lookup(reference, "effects", Effect, origin, place)
 
@@ -138,16 +138,18 @@ def criterion(name: str, place: Place) -> str:
 
 
 def _criteria() -> Mapping[str, Any]:
-    catalogue: Mapping[str, Any] = importlib.import_module("oed.criteria").CATALOGUE
+    catalogue: Mapping[str, Any] = importlib.import_module(
+        "oed.design.criteria"
+    ).CATALOGUE
     return catalogue
 
 
 @functools.cache
 def named_items(kind: str) -> dict[str, tuple[str, Any]]:
     """Machines, instruments, effects or formats by name, each with its long name."""
-    from oed.effect import Effect
-    from oed.instrument import Instrument
-    from oed.machine import Machine
+    from oed.model.effect import Effect
+    from oed.model.instrument import Instrument
+    from oed.model.machine import Machine
     from pkm_studies.compensation.content import ControllerFormat
 
     kinds: dict[str, Any] = {

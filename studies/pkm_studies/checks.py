@@ -12,7 +12,7 @@ import numpy as np
 from oed import checks
 from oed.checks import Severity, blind
 from oed.dataset import Dataset
-from oed.kinematics import AssemblyError
+from oed.mechanism.kinematics import AssemblyError
 from pkm_studies import catalogue, shipped, sources
 from pkm_studies.errors import InputError, Place, SourceAbsentError
 from pkm_studies.resolve.machine import has_own_numbers, unreachable

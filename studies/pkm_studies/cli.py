@@ -19,11 +19,11 @@ from pkm_studies.outcome import BAD_INPUT, DONE
 INTERRUPTED = 130
 #: errors of the kernel about the input, by module; looked for only in loaded modules
 KERNEL_ERRORS = {
-    "oed.units": "UnitError",
-    "oed.kinematics": "AssemblyError",
+    "oed.base.units": "UnitError",
+    "oed.mechanism.kinematics": "AssemblyError",
     "oed.dataset.table": "ReadingsError",
-    "oed.identification": "IdentificationError",
-    "oed.log_density": "OutOfBoundsError",
+    "oed.estimation.identification": "IdentificationError",
+    "oed.posterior.log_density": "OutOfBoundsError",
 }
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.closest_closure import ClosestClosure, closest_closure
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Machine
+from oed.mechanism.closest_closure import ClosestClosure, closest_closure
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Machine
 from pkm_studies import catalogue, files, shipped
 from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve.machine import study_machine

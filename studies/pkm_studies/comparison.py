@@ -8,7 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import session_change
+from oed.estimation import session_change
+from oed.estimation.session_change import (
+    CombinationChange,
+    Session,
+    SessionChange,
+    SingleCause,
+)
 from oed.result import (
     CorrectedSection,
     EstimateSection,
@@ -16,7 +22,6 @@ from oed.result import (
     StudyResult,
     trust,
 )
-from oed.session_change import CombinationChange, Session, SessionChange, SingleCause
 from pkm_studies import stored_result
 from pkm_studies.errors import InputError
 

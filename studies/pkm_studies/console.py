@@ -50,7 +50,7 @@ def print_error(line: str) -> None:
 def is_about_output(error: OSError) -> bool:
     """Whether an error says that the standard output cannot be written.
 
-    Errors about files state their names (`oed.whole_file`), those of streams none.
+    Errors about files state their names (`oed.base.whole_file`), those of streams none.
     """
     return error.filename is None and error.errno in DISK_ERRORS
 

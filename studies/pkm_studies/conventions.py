@@ -6,12 +6,12 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from oed import units
+from oed.base import units
+from oed.base.units import UnitError
 from oed.dataset.columns import parse_column
-from oed.instrument import Channel, Instrument
-from oed.machine import Component, Coordinate, Machine
-from oed.measurement import Measurement
-from oed.units import UnitError
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import Channel, Instrument
+from oed.model.machine import Component, Coordinate, Machine
 from pkm_studies import catalogue
 from pkm_studies.catalogue import CatalogueEntry
 from pkm_studies.resolve.machine import study_machine

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from pkm_studies import files
 from pkm_studies.errors import InputError, suggest
 

@@ -6,7 +6,7 @@ import hashlib
 import os
 from pathlib import Path
 
-from oed.whole_file import whole_file
+from oed.base.whole_file import whole_file
 from pkm_studies.errors import InputError
 
 

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import session_drift, units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
+from oed.estimation import session_drift
+from oed.estimation.session_change import CombinationChange, Session
+from oed.estimation.session_drift import SessionDrift
 from oed.result import ParameterEstimate, StudyResult
-from oed.session_change import CombinationChange, Session
-from oed.session_drift import SessionDrift
 from pkm_studies import comparison, result_folder
 from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.comparison import SessionReport

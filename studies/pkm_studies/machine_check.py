@@ -9,10 +9,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.expressions import symbols
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Machine
-from oed.machine_start import closure_at_guess
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism.machine_start import closure_at_guess
+from oed.model.expressions import symbols
+from oed.model.machine import Machine
 from pkm_studies.errors import Place, shorten
 
 #: the machine's default for `read_error`, which reads translations

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import identification, prediction
-from oed.arrays import Array
+from oed.accuracy import prediction
+from oed.base.arrays import Array
 from oed.design import candidates, next_reading
 from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief
-from oed.estimate import Estimate
-from oed.measurement import Measurement, Series
+from oed.estimation import identification
+from oed.estimation.estimate import Estimate
+from oed.measurement.measurement import Measurement, Series
 from oed.result import trust
 from pkm_studies.errors import InputError
 from pkm_studies.next_sentences import MOST_AHEAD, Advice, sentences

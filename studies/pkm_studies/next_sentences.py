@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.measurement import Series
+from oed.base import units
+from oed.base.arrays import Array
+from oed.measurement.measurement import Series
 from pkm_studies.stages import describe
 from pkm_studies.stages.headline import format_number
 

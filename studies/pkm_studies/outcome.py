@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oed import own_files
+from oed.base import own_files
 from oed.result import trust
 from pkm_studies import console
 

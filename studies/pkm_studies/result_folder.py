@@ -9,10 +9,12 @@ import msgspec
 import numpy as np
 
 import oed
-from oed import dataset, own_files, posterior
-from oed.checkpoint import Checkpoint
-from oed.measurement import Measurement, Series
-from oed.posterior import Posterior
+from oed import dataset
+from oed.base import own_files
+from oed.measurement.measurement import Measurement, Series
+from oed.posterior import posterior
+from oed.posterior.checkpoint import Checkpoint
+from oed.posterior.posterior import Posterior
 from oed.result import StudyResult
 from pkm_studies import conventions, files
 from pkm_studies.errors import InputError

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from oed.arrays import Array, Mask
-from oed.assessment import Assessment
-from oed.checkpoint import Checkpoint
+from oed.base.arrays import Array, Mask
 from oed.checks import CheckedSession
-from oed.identification import Estimate
-from oed.measurement import Measurement, Series
+from oed.estimation.identification import Estimate
+from oed.identifiability.assessment import Assessment
+from oed.measurement.measurement import Measurement, Series
 from oed.noise.prior import LEAST_FREEDOM
-from oed.posterior import Posterior
+from oed.posterior.checkpoint import Checkpoint
+from oed.posterior.posterior import Posterior
 from pkm_studies.progress import Progress
 from pkm_studies.resolve.noise import LEAST_OF_SCALE, noise_is_a_guess
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
@@ -29,7 +29,7 @@ from pkm_studies.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oed.correction import CorrectedEstimate
+    from oed.compensate.effects import CorrectedEstimate
 
 
 class Stream(enum.IntEnum):

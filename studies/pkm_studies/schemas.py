@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from oed import units
+from oed.base import units
 from oed.result import StudyResult
 from pkm_studies.study.tables import StudyFile, StudyTable
 

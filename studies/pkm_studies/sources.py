@@ -8,7 +8,7 @@ from pathlib import Path
 from oed import dataset
 from oed.dataset import Dataset, ReadingsError
 from oed.dataset import table as readings_table
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
 from pkm_studies.data_sources import SOURCES
 from pkm_studies.data_sources.tables import Row
 from pkm_studies.errors import InputError, SourceAbsentError, suggest

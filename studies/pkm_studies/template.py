@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.instrument import Instrument, mount
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Coordinate, Family, Machine
-from oed.measurement import Measurement
+from oed.base import units
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.instrument import Instrument, mount
+from oed.model.machine import Coordinate, Family, Machine
 from pkm_studies import catalogue, files, shipped
 from pkm_studies.errors import InputError, Place
 from pkm_studies.resolve.quantities import column, display_unit

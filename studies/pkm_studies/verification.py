@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from oed import own_files
+from oed.base import own_files
 from oed.result import AcceptanceSection, StudyResult, VerificationSection, trust
 from pkm_studies import files, result_folder
 from pkm_studies.acceptance import plan

@@ -7,9 +7,10 @@ import numpy as np
 from oracles import a3_geometry as a3
 
 from kernel.a3_plans import workspace
-from oed import compensate, prediction
-from oed.identification import Estimate, identify
-from oed.measurement import Measurement, Series
+from oed import compensate
+from oed.accuracy import prediction
+from oed.estimation.identification import Estimate, identify
+from oed.measurement.measurement import Measurement, Series
 
 NOISE = 0.5e-6
 

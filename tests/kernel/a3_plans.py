@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from reference import tian_2016 as paper
 
-from oed import identifiability, information
-from oed.identifiability import Identifiability
-from oed.instrument import mount
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.identifiability import identifiability, information
+from oed.identifiability.identifiability import Identifiability
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
+from oed.model.machine import Machine
 from pkm_models.instruments import ball_bar, camera, orientation
 from pkm_models.machines.a3_head import machine
 

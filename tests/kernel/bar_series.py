@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import planar_2dof
 

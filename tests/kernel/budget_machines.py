@@ -13,9 +13,9 @@ from reference import tian_2016 as paper
 
 from kernel import a3_plans
 from oed import compensate
-from oed.identification import identify
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.estimation.identification import identify
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import machine
 

@@ -8,10 +8,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from oed.instrument import Setup, mount
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import Setup, mount
+from oed.model.machine import Machine
 from pkm_models.instruments import (
     ball_bar,
     ball_plate,

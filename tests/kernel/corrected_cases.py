@@ -12,8 +12,8 @@ from oracles import hexapod_geometry as hexa
 from oracles import planar_geometry as planar
 
 from kernel import a3_plans
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
 from pkm_models.instruments import camera
 from pkm_models.machines import hexapod, linear_delta, planar_2dof
 

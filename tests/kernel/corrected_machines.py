@@ -13,16 +13,16 @@ import pandas as pd
 
 from kernel.corrected_cases import FINE, MachineCase
 from oed import compensate
-from oed.correction import (
+from oed.compensate.effects import (
     CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
     predict_corrected,
 )
-from oed.correction.effect_maps import SessionStates, workspace_state
-from oed.effect import Column, Effect, State
-from oed.identification import identify
-from oed.measurement import Series
+from oed.compensate.effects.effect_maps import SessionStates, workspace_state
+from oed.estimation.identification import identify
+from oed.measurement.measurement import Series
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import backlash, encoder_scale, leg_thermal
 
 #: expected sizes of the effects, by which machines draw theirs

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.noise.process import Laws
 from oed.noise.structure import ReadingStructure
 

@@ -7,9 +7,9 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from kernel import a3_plans
-from oed.effect import Column, Effect, State
 from oed.gap.before.runs import Run
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.effect import Column, Effect, State
 
 SCALE, BAR, GIVES = 50e-6, 5e-6, 20e-9  # 1, m, m/N
 

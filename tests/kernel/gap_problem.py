@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from oed.gap.data.problem import GapProblem, assemble
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from oed.noise.law import NoiseLaw
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head

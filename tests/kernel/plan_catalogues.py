@@ -8,13 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 
 from oed.design.candidates import Candidates
-from oed.planning.goal import Goal
-from oed.planning.option import Option
-from oed.planning.search import PlanSearchResult, search_plan
-from oed.planning.stage import travel
-from oed.planning.stage.knowledge import Prior
-from oed.planning.stage.prediction import PlanStage, predict_stage
-from oed.planning.streams import PlanStreams
+from oed.design.stages.goal import Goal
+from oed.design.stages.option import Option
+from oed.design.stages.search import PlanSearchResult, search_plan
+from oed.design.stages.stage import travel
+from oed.design.stages.stage.knowledge import Prior
+from oed.design.stages.stage.prediction import PlanStage, predict_stage
+from oed.design.stages.streams import PlanStreams
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

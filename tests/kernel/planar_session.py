@@ -9,8 +9,8 @@ import pandas as pd
 
 from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from oed.noise.law import stated_law
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof

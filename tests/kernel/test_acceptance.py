@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed.acceptance import (
+from oed.accuracy.acceptance import (
     AcceptancePlan,
     Promise,
     judge,

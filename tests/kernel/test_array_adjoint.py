@@ -5,10 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from oed.array_code.adjoint import AdjointRows, ArrayAdjoint
-from oed.array_code.layout import Layout
-from oed.batch import ARRAY_SIZE
-from oed.kinematics import Kinematics
+from oed.mechanism.array_code.adjoint import AdjointRows, ArrayAdjoint
+from oed.mechanism.array_code.layout import Layout
+from oed.mechanism.batch import ARRAY_SIZE
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import hexapod
 
 ROWS, COLUMNS, SIZE = 4, 3, 8

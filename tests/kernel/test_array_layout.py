@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.array_code.layout import Layout
-from oed.array_code.memory import Arena
-from oed.array_code.tape import ArrayTape
-from oed.expressions import machine_expressions
-from oed.machine import Machine
+from oed.mechanism.array_code.layout import Layout
+from oed.mechanism.array_code.memory import Arena
+from oed.mechanism.array_code.tape import ArrayTape
+from oed.model.expressions import machine_expressions
+from oed.model.machine import Machine
 from pkm_models.machines import a3_head, cables_planar, hexapod, linear_delta
 
 SIZE = 16

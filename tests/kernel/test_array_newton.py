@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed import batch, newton
-from oed.array_code.elimination import Elimination
-from oed.array_code.newton import ArrayNewton
-from oed.kinematics import Kinematics
-from oed.machine import Machine
+from oed.mechanism import batch, newton
+from oed.mechanism.array_code.elimination import Elimination
+from oed.mechanism.array_code.newton import ArrayNewton
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
 from pkm_models.machines import a3_head, hexapod, linear_delta
 
 Z, A = ca.SX.sym("z", 2), ca.SX.sym("a", 2)

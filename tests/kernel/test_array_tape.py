@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.array_code.layout import Layout
-from oed.array_code.operations import is_supported
-from oed.array_code.tape import ArrayTape
+from oed.mechanism.array_code.layout import Layout
+from oed.mechanism.array_code.operations import is_supported
+from oed.mechanism.array_code.tape import ArrayTape
 
 X, Y = ca.SX.sym("x"), ca.SX.sym("y")
 SIZE = 7

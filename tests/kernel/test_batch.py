@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.batch import CHUNK_SIZES, BatchedFunction
+from oed.mechanism.batch import CHUNK_SIZES, BatchedFunction
 
 A, B = ca.SX.sym("a", 3), ca.SX.sym("b", 2)
 SIZES = sorted(

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans
-from oed import laplace, posterior, simulation
-from oed.estimate import Estimate
-from oed.identification import identify
-from oed.log_density import OutOfBoundsError
-from oed.measurement import Measurement, Series
+from oed.estimation.estimate import Estimate
+from oed.estimation.identification import identify
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.posterior import laplace, posterior
+from oed.posterior.log_density import OutOfBoundsError
 
 #: one that readings determine, and one that lost directions move
 SEEN, LOST = "dq1", "da2x"

@@ -10,22 +10,24 @@ from oracles import planar_geometry as planar
 from test_planar_bars import RM
 
 from kernel import a3_plans, budget_machines
-from oed import information, prediction, simulation
-from oed.budget import (
+from oed.accuracy import prediction
+from oed.accuracy.budget import (
     BudgetModel,
     budget_model,
     budget_of,
     mean_variance,
     variance_over_machines,
 )
-from oed.budget.lines import shares
+from oed.accuracy.budget.lines import shares
+from oed.accuracy.error_maps import maps_by_reference
 from oed.compensate import compensated_joints
-from oed.error_maps import maps_by_reference
-from oed.identification import identify
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.estimation.identification import identify
+from oed.identifiability import information
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_structure import reading_structure
+from oed.model.instrument import mount
 from oed.noise.process import Laws
-from oed.reading_structure import reading_structure
 from pkm_models.machines import planar_2dof
 
 
@@ -152,7 +154,7 @@ def test_variance_over_machines_is_that_about_each_of_them(
 ) -> None:
     """One drawn machine: slopes about it, of a machine that has it as its nominal."""
     m, series = plan
-    monkeypatch.setattr("oed.budget.linearisation.MACHINES", 1)
+    monkeypatch.setattr("oed.accuracy.budget.linearisation.MACHINES", 1)
     command = a3_plans.workspace()[::20]
     got = variance_over_machines(
         m, [series], command, ("home", "best_fit"), np.random.default_rng(4)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from kernel.test_posterior import problem
-from oed import posterior
-from oed.checkpoint import Checkpoint
-from oed.posterior import Posterior
-from oed.whole_file import whole_file
+from oed.base.whole_file import whole_file
+from oed.posterior import posterior
+from oed.posterior.checkpoint import Checkpoint
+from oed.posterior.posterior import Posterior
 
 #: steps of the test's chain and of a block: three blocks and a short one
 STEPS, BLOCK = 64, 20

@@ -14,7 +14,7 @@ from oed.compensate.command_grid import (
     fewest_commands,
     joint_motion,
 )
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import a3_head, hexapod
 
 #: rms of u (1 - u) / 2 over an interval: what a parabola of curvature 1 loses

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from kernel.cases import CASES
 from oed import compensate
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import a3_head, linear_delta
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)

@@ -16,7 +16,7 @@ from oed.compensate import (
     forecast_from_nodes,
     uncompensated,
 )
-from oed.kinematics import Kinematics
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import a3_head, hexapod, planar_2dof
 
 A3, PLANAR = Kinematics(a3_head.machine), Kinematics(planar_2dof.machine)

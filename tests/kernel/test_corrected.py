@@ -15,15 +15,15 @@ from scipy.interpolate import RegularGridInterpolator
 from kernel import a3_plans
 from oed import compensate
 from oed.compensate.command_grid import box_axes
-from oed.correction import (
+from oed.compensate.effects import (
     CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
     predict_corrected,
     tabled_effects,
 )
-from oed.identification import Estimate, identify
-from oed.measurement import Measurement, Series
+from oed.estimation.identification import Estimate, identify
+from oed.measurement.measurement import Measurement, Series
 from pkm_models.effects import backlash, leg_thermal
 from pkm_studies.stages.corrected.tables import effect_tables
 

@@ -9,14 +9,18 @@ import pandas as pd
 import pytest
 
 from kernel import a3_plans
-from oed import checks, information, machine_fits, posterior, simulation
-from oed.budget import budget_model
+from oed import checks
+from oed.accuracy.budget import budget_model
 from oed.checks import fit as check_fit
+from oed.estimation import machine_fits
+from oed.estimation.identification import identify
+from oed.estimation.run_prediction import predict_runs
 from oed.gap.data.problem import assemble
-from oed.identification import identify
-from oed.machine import CommonTolerance
-from oed.measurement import Measurement, Series
-from oed.run_prediction import predict_runs
+from oed.identifiability import information
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import CommonTolerance
+from oed.posterior import posterior
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from oed import criteria
+from oed.design import criteria
 
 
 @st.composite

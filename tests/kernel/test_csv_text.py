@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from oed import csv_text
+from oed.base import csv_text
 
 FORMULAS = [
     "=cmd|' /C calc'!A0",

@@ -10,18 +10,18 @@ from scipy import stats
 
 from kernel.dense_noise import dense_covariance
 from oed import checks
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.checks import evidence, law, screening
 from oed.checks.fit import fit
 from oed.checks.fit_amounts import fit_amounts
 from oed.checks.mistakes import Given, trials
 from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.measurement.reading_structure import reading_structure
+from oed.model.instrument import mount
 from oed.noise import prior
 from oed.noise.process import Laws
 from oed.noise.structure import ReadingStructure
-from oed.reading_structure import reading_structure
 from pkm_models.instruments import ball_bar, laser_ball_bar
 from pkm_models.machines import a3_head, prs_spindle
 

@@ -7,8 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from oed import criteria
-from oed.design import blocks, exchange
+from oed.design import blocks, criteria, exchange
 
 CANDIDATES, SIZE, DIRECTIONS, PROBLEMS = 9, 4, 3, 50
 

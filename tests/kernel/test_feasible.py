@@ -12,8 +12,8 @@ from kernel.bar_series import CUP, LENGTH, bar, places, planar_series, tips
 from kernel.cases import CASES
 from oed.design import feasible
 from oed.design.feasible import DirectionCone, ReadingLimits
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import calliper, height_probe, relative
 from pkm_models.machines import a3_head, planar_2dof
 

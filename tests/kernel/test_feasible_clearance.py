@@ -16,8 +16,8 @@ from oed.design import feasible
 from oed.design.clearance import Clearance, Surroundings
 from oed.design.feasible import ReadingLimits
 from oed.design.segments import Capsule, point_distance, segment_distance, sphere
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import planar_2dof
 

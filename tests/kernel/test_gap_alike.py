@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import BOW, planted, readings
-from oed.effect import Column, Effect, State
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.library import DIFFER, Library
+from oed.model.effect import Column, Effect, State
 from oed.noise.law import stated_law
 
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})

@@ -18,8 +18,8 @@ from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.data.signature import signature
 from oed.gap.forms import library
-from oed.instrument import Setup, mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import Setup, mount
 from oed.noise.law import stated_law
 from pkm_models.effects import bar_length, encoder_scale
 from pkm_models.instruments import ball_bar

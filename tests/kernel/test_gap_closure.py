@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose
 from kernel import gap_problem as case
 from oed.gap.cause.closure import closure, expected_gain, oracle_closure
 from oed.gap.data.problem import GapProblem, assemble
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from oed.noise.law import stated_law
 from pkm_models.instruments import calliper
 from pkm_models.machines import linear_delta

@@ -9,9 +9,9 @@ import pytest
 
 from kernel import gap_problem
 from kernel.gap_lines import readings
+from oed.base.smooth_basis import _matern
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy
-from oed.smooth_basis import _matern
 
 
 @pytest.mark.parametrize("reach", [0.3, 1.0])

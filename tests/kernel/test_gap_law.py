@@ -14,10 +14,10 @@ from kernel import gap_problem as case
 from kernel.dense_noise import dense_covariance
 from kernel.gap_lines import readings
 from oed.gap.data.metric import Metric
+from oed.measurement.reading_structure import reading_structure
 from oed.noise.law import NoiseLaw, describe, law_of
 from oed.noise.process import Laws
 from oed.noise.stated import StatedErrors
-from oed.reading_structure import reading_structure
 
 LAW = NoiseLaw(
     0.7, 0.9, 6.0, np.ones(1), level=1.3, channel_ratio=np.ones(1), seat_sd=0.4

@@ -12,7 +12,6 @@ import pytest
 from scipy import special
 
 from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
-from oed.effect import Column, Effect, State
 from oed.gap import diagnose as diagnosing
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
@@ -22,6 +21,7 @@ from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
+from oed.model.effect import Column, Effect, State
 from oed.noise.law import NoiseLaw, stated_law
 from pkm_models.effects import step
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from oed import identifiability
+from oed.identifiability import identifiability
 from pkm_models.machines import a3_head, linear_delta
 
 

@@ -11,11 +11,11 @@ from scipy import stats
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed import simulation
-from oed.coordinates import identifiable_coordinates
-from oed.identification import Estimate, IdentificationError, identify
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.estimation.coordinates import identifiable_coordinates
+from oed.estimation.identification import Estimate, IdentificationError, identify
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, calliper, height_probe
 from pkm_models.machines import linear_delta
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed import interpolated_readings, simulation
-from oed.arrays import Array
-from oed.correction.effect_measurement import MeasurementWithEffects
-from oed.identification import identify
-from oed.instrument import mount
-from oed.log_density import LogDensity
-from oed.measurement import Measurement, Series
+from oed.base.arrays import Array
+from oed.compensate.effects.effect_measurement import MeasurementWithEffects
+from oed.estimation.identification import identify
+from oed.measurement import interpolated_readings, simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
+from oed.posterior.log_density import LogDensity
 from pkm_models.instruments import ball_bar, height_probe
 from pkm_models.machines import a3_head, linear_delta
 

@@ -15,10 +15,10 @@ from scipy import optimize
 from scipy.spatial.transform import Rotation
 
 from kernel.cases import CASES
-from oed.instrument import mount
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Coordinate, Expr, Values
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.instrument import mount
+from oed.model.machine import Coordinate, Expr, Values
 from pkm_models.instruments import height_probe
 from pkm_models.machines import a3_head, linear_delta
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import height_probe, length_gauge
 from pkm_models.machines import a3_head
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
-from oed.linear_algebra import (
+from oed.base.linear_algebra import (
     canonical_rows,
     covariance_root,
     eigenvectors,

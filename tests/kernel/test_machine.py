@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from oed.instrument import mount
-from oed.machine import Parameter
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
+from oed.model.machine import Parameter
 from pkm_models.instruments import ball_bar, height_probe
 from pkm_models.machines.linear_delta import machine
 

@@ -5,10 +5,11 @@ import pytest
 from oracles import a3_geometry as a3
 
 from kernel import a3_plans
-from oed import machine_fits, simulation
-from oed.identification import identify
-from oed.machine_fits import fit_machines
-from oed.measurement import Measurement, Series
+from oed.estimation import machine_fits
+from oed.estimation.identification import identify
+from oed.estimation.machine_fits import fit_machines
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement, Series
 
 NOISE = 0.5e-6
 STAGES = (("dq*",), ("*",))

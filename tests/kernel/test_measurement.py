@@ -9,11 +9,12 @@ from oracles import delta_trilateration as delta
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed import information, simulation
-from oed.instrument import Channel, Cost, Instrument, mount
-from oed.kinematics import AssemblyError
-from oed.machine import Parameter
-from oed.measurement import Measurement
+from oed.identifiability import information
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.instrument import Channel, Cost, Instrument, mount
+from oed.model.machine import Parameter
 from oed.noise import covariance as noise
 from pkm_models.instruments import ball_bar, calliper, height_probe
 from pkm_models.machines import a3_head, linear_delta

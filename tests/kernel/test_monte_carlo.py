@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed import monte_carlo
-from oed.prediction import error_spread
+from oed.accuracy.prediction import error_spread
+from oed.base import monte_carlo
 
 MACHINES, POSES, SAMPLES = 2000, 5, 200
 

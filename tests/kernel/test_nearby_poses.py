@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.nearby_poses import NearbyPoses
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.nearby_poses import NearbyPoses
+from oed.model.machine import Machine
 from pkm_models.machines import a3_head, cable_robot, hexapod, linear_delta
 
 

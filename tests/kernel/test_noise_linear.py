@@ -12,7 +12,7 @@ from scipy import linalg, sparse
 
 from kernel import gap_problem as case
 from kernel.gap_lines import readings
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.cause.conditioning import RunNoise
 from oed.gap.data import evidence
 from oed.gap.data.law_evidence import LawEvidence

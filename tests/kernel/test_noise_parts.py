@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.budget import noise_parts as parts
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.accuracy.budget import noise_parts as parts
+from oed.measurement.measurement import Measurement
+from oed.measurement.reading_structure import reading_structure
+from oed.model.instrument import mount
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws
 from oed.noise.structure import ReadingStructure
-from oed.reading_structure import reading_structure
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
 

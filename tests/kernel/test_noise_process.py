@@ -5,14 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.measurement.reading_structure import reading_structure
+from oed.model.instrument import mount
 from oed.noise.marginal import ResidualModel, integrate
 from oed.noise.outliers import Precision, detect
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening, stated_laws
 from oed.noise.structure import ReadingStructure
-from oed.reading_structure import reading_structure
 from pkm_models.instruments import ball_bar, laser_ball_bar
 from pkm_models.machines import a3_head, prs_spindle
 

@@ -16,19 +16,19 @@ from scipy import stats
 
 from kernel import a3_plans
 from kernel.dense_noise import dense_covariance
-from oed import reading_noise, simulation
-from oed.budget import budget_model
+from oed.accuracy.budget import budget_model
 from oed.design import candidates
+from oed.estimation.identification import identify
 from oed.gap.data import laws as gap_laws
 from oed.gap.data.problem import assemble
-from oed.identification import identify
-from oed.measurement import Measurement, Series
+from oed.measurement import reading_noise, simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_structure import reading_structure
 from oed.noise import prior
 from oed.noise.covariance import SeveralNoises
 from oed.noise.outliers import Precision, StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
-from oed.reading_structure import reading_structure
 
 SIGMA, SEATING, SHARE, REACH, RUN = 0.5e-6, 0.8e-6, 0.4, 3.0, 0.7e-6
 STATED = NoiseStatement(seating=SEATING, carried=SHARE, reach=REACH)

@@ -12,8 +12,8 @@ from oracles import planar_geometry as planar
 
 from kernel.orders import along, plane, problem, shortest
 from oed.design import move_times, order, path_search
-from oed.instrument import Protocol, mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import Protocol, mount
 from pkm_models.instruments import height_probe
 from pkm_models.machines import planar_2dof
 

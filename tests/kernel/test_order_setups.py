@@ -10,8 +10,8 @@ from kernel.orders import plane, problem, shortest
 from oed.design import move_times, order, schedule
 from oed.design.clearance import Clearance, Surroundings
 from oed.design.segments import sphere
-from oed.instrument import mount
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, calliper
 from pkm_models.machines import planar_2dof
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from oed import own_files, whole_file
-from oed.own_files import is_own, latest, save_own, write_own
+from oed.base import own_files, whole_file
+from oed.base.own_files import is_own, latest, save_own, write_own
 
 
 def names(folder: Path) -> set[str]:
@@ -94,7 +94,7 @@ def test_files_set_aside_get_names_that_are_free(tmp_path: Path) -> None:
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from oed.whole_file import whole_file
+from oed.base.whole_file import whole_file
 with whole_file(Path(sys.argv[1])) as part:
     part.write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)

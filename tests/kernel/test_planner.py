@@ -10,11 +10,11 @@ import pytest
 
 from kernel import plan_catalogues as catalogues
 from kernel.plan_catalogues import linear_option, searched, stage_after
-from oed.planning.bound.goal_bound import bound_goal
-from oed.planning.goal import Goal
-from oed.planning.option import Option
-from oed.planning.sequence.stage_plan import StagePlan, best_plan, is_better
-from oed.planning.stage.knowledge import Prior
+from oed.design.stages.bound.goal_bound import bound_goal
+from oed.design.stages.goal import Goal
+from oed.design.stages.option import Option
+from oed.design.stages.sequence.stage_plan import StagePlan, best_plan, is_better
+from oed.design.stages.stage.knowledge import Prior
 
 THREE = Goal(("a", "b", "c"), np.eye(3)[:, None, :], np.ones(3), has_targets=False)
 

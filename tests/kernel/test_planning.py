@@ -13,14 +13,14 @@ from oracles import planar_geometry as oracle
 
 from kernel import plan_catalogues as catalogues
 from kernel.plan_catalogues import capture, searched, stage_after
-from oed.instrument import Channel, Cost, Instrument, mount
-from oed.machine import Component, Coordinate, Machine, Parameter
-from oed.measurement import Measurement
-from oed.planning.goal import Goal
-from oed.planning.option import Option, build_option
-from oed.planning.stage import prediction as stage_module
-from oed.planning.stage import travel
-from oed.planning.stage.prediction import profiled_information
+from oed.design.stages.goal import Goal
+from oed.design.stages.option import Option, build_option
+from oed.design.stages.stage import prediction as stage_module
+from oed.design.stages.stage import travel
+from oed.design.stages.stage.prediction import profiled_information
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import Channel, Cost, Instrument, mount
+from oed.model.machine import Component, Coordinate, Machine, Parameter
 from pkm_models.instruments import relative
 from pkm_models.machines.planar_2dof import machine
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from kernel import plan_catalogues as catalogues
-from oed.planning.bound import goal_bound as bound_module
-from oed.planning.bound.goal_bound import GoalBound, bound_goal
-from oed.planning.goal import Goal
-from oed.planning.option import Option
-from oed.planning.stage import prediction as stage_module
-from oed.planning.stage.knowledge import Prior, as_knowledge
+from oed.design.stages.bound import goal_bound as bound_module
+from oed.design.stages.bound.goal_bound import GoalBound, bound_goal
+from oed.design.stages.goal import Goal
+from oed.design.stages.option import Option
+from oed.design.stages.stage import prediction as stage_module
+from oed.design.stages.stage.knowledge import Prior, as_knowledge
 
 
 def bound_of(

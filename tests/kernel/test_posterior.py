@@ -11,10 +11,12 @@ from scipy import special
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed import own_files, posterior, simulation
-from oed.identification import Estimate, identify
-from oed.instrument import mount
-from oed.measurement import Measurement, Series
+from oed.base import own_files
+from oed.estimation.identification import Estimate, identify
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import mount
+from oed.posterior import posterior
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines import linear_delta
 

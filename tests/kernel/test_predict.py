@@ -9,8 +9,10 @@ from reference import tian_2016 as paper
 from scipy.spatial.transform import Rotation
 
 from kernel import a3_plans
-from oed import compensate, information, prediction
-from oed.kinematics import Kinematics
+from oed import compensate
+from oed.accuracy import prediction
+from oed.identifiability import information
+from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import a3_head, linear_delta
 
 ARCSEC = 180 * 3600 / np.pi

@@ -15,9 +15,12 @@ from oracles import a3_geometry as a3
 from reference import tian_2016 as paper
 
 from kernel import a3_plans
-from oed import checks, information, prediction, units
+from oed import checks
+from oed.accuracy import prediction
+from oed.base import units
 from oed.checks import copies
-from oed.measurement import Measurement, Series
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement, Series
 
 NOISE, RUN = 0.5e-6, 1.0e-6
 #: circles of each plan: readings, strokes, how often

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans
-from oed import simulation
-from oed.estimate import Estimate
-from oed.identification import identify
-from oed.measurement import Measurement, Series
-from oed.posterior import Posterior
-from oed.posterior_checks import predictive_checks
-from oed.run_prediction import predict_runs
+from oed.estimation.estimate import Estimate
+from oed.estimation.identification import identify
+from oed.estimation.run_prediction import predict_runs
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.posterior.posterior import Posterior
+from oed.posterior.posterior_checks import predictive_checks
 
 Problem = tuple[Measurement, list[Series], np.ndarray]
 POINTS, STROKES = 10, (0.02, 0.08, 0.14, 0.2)

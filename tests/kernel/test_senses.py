@@ -11,10 +11,14 @@ import pytest
 from kernel import a3_plans, test_corrected
 from oed import checks
 from oed.checks.senses import contradictions
-from oed.correction import EffectReadings, estimate_with_effects, find_turned_runs
-from oed.correction.fit import CorrectedEstimate
-from oed.identification import identify
-from oed.measurement import Measurement, Series
+from oed.compensate.effects import (
+    EffectReadings,
+    estimate_with_effects,
+    find_turned_runs,
+)
+from oed.compensate.effects.fit import CorrectedEstimate
+from oed.estimation.identification import identify
+from oed.measurement.measurement import Measurement, Series
 from pkm_models.effects import backlash, leg_thermal
 
 EFFECTS = [leg_thermal.effect, backlash.effect]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from oed.correction import sizes
-from oed.size_prior import EFFECT_SIZES, UNKNOWN_SIZES, SizePrior
+from oed.compensate.effects import sizes
+from oed.model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES, SizePrior
 
 
 @pytest.mark.parametrize("prior", [EFFECT_SIZES, UNKNOWN_SIZES])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from oed import smooth_basis
+from oed.base import smooth_basis
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
 

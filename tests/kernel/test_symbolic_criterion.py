@@ -4,8 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed import criteria
-from oed.design import symbolic_criterion
+from oed.design import criteria, symbolic_criterion
 from oed.design.symbolic_criterion import SymbolicCriterion
 
 INTEREST = np.array([[1.0, 0.2, 0.0, 0.0], [0.0, 0.0, 1.0, 3.0]]).T

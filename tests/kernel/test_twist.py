@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.expressions import MachineExpressions, machine_expressions
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.twist import TwistSlopes, twist_slopes
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.twist import TwistSlopes, twist_slopes
+from oed.model.expressions import MachineExpressions, machine_expressions
+from oed.model.machine import Machine
 from pkm_models.machines import a3_head, hexapod, linear_delta, tripod_prs
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pint
 import pytest
 
-from oed import units
+from oed.base import units
 
 PINT = {
     "um": "micrometer",

@@ -6,14 +6,15 @@ from oracles import a3_geometry as a3
 
 from kernel import a3_plans
 from kernel.test_corrected import PER_KELVIN, WARM_LEG, planned
-from oed import compensate, prediction
-from oed.budget import budget_model
-from oed.correction import expected_effects
-from oed.correction.effect_maps import SessionStates, workspace_state
-from oed.expected_size import with_expected_size
+from oed import compensate
+from oed.accuracy import prediction
+from oed.accuracy.budget import budget_model
+from oed.compensate.effects import expected_effects
+from oed.compensate.effects.effect_maps import SessionStates, workspace_state
+from oed.estimation.identification import identify
 from oed.gap.data.problem import assemble
 from oed.gap.data.state import DOWN
-from oed.identification import identify
+from oed.model.expected_size import with_expected_size
 from pkm_models.effects import gravity, leg_thermal, servo_lag
 
 

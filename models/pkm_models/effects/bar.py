@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed.effect import State
+from oed.model.effect import State
 
 NOMINAL = 0.3  # m, where a set-up does not tell
 

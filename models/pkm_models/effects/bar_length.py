@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.effect import Column, Effect, State
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import bar, natures
 
 WRONG = 10e-6  # m

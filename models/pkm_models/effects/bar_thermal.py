@@ -11,8 +11,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.effect import Column, Effect, State
+from oed.base.arrays import Array
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import bar, natures, terms
 
 RISE = 1.0  # K

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.effect import Column, Effect, State
-from oed.machine import Machine
+from oed.model.effect import Column, Effect, State
+from oed.model.machine import Machine
 from pkm_models.effects import natures, terms
 
 COMPLIANCE = 20e-6  # 1/N

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.effect import Column, Effect, State
+from oed.base.arrays import Array
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 FIELD = 20e-6  # m, at a lever's distance from the middle of the workspace

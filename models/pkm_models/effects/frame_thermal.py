@@ -8,8 +8,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.effect import Column, Effect, State
+from oed.base.arrays import Array
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 RISE = 2.0  # K

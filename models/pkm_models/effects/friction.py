@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.effect import Column, Effect, State
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 WIND_UP = 4e-6  # m

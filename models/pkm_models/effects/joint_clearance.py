@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.effect import Column, Effect, State
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 PLAY = 10e-6  # m

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.effect import Column, Effect, State
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 RISE = 3.0  # K

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.effect import Column, Effect, State
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 CURVE = 10e-6  # m, standard deviation along the travel

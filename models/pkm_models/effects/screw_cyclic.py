@@ -15,8 +15,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.effect import Column, Effect, State
-from oed.machine import Machine
+from oed.model.effect import Column, Effect, State
+from oed.model.machine import Machine
 from pkm_models.effects import natures, terms
 
 TURN = 3e-6  # m, amplitude

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.effect import Column, Effect, State
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 DELAY, SECOND = 1e-3, 3e-4  # s, s^2

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from oed.effect import Column, Effect, State
+from oed.model.effect import Column, Effect, State
 from pkm_models.effects import mount_drift, natures, terms
 
 LOST, KNOCKED, TURNED = 20e-6, 10e-6, 2.0  # m, m, rad over m

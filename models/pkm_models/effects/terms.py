@@ -10,11 +10,11 @@ import itertools
 
 import numpy as np
 
-from oed import smooth_basis
-from oed.arrays import Array
-from oed.effect import State
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Machine
+from oed.base import smooth_basis
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.effect import State
+from oed.model.machine import Machine
 
 STEEL = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
 #: time constants of warming up, s: a motor's housing half an hour, a machine frame four

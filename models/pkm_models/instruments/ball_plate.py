@@ -23,8 +23,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.machine import Expr, Parameter, Values
+from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model.machine import Expr, Parameter, Values
 from pkm_models import registration
 
 SOURCE = "ISO 10360-2 (calibrated test lengths for coordinate measuring machines)"

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument
-from oed.machine import Expr, Values
+from oed.model.instrument import Channel, Cost, Frame, Instrument
+from oed.model.machine import Expr, Values
 from pkm_models import registration
 
 SOURCE = (

@@ -37,9 +37,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.machine import Expr, Values
-from oed.orientation import direction
+from oed.base.orientation import direction
+from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model.machine import Expr, Values
 from pkm_models import registration
 
 SOURCE = "Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, section 5"

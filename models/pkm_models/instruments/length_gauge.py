@@ -30,8 +30,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from oed.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.machine import Expr, Parameter, Values
+from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model.machine import Expr, Parameter, Values
 
 #: m, travel of the plunger
 STROKE = 100e-3

@@ -36,8 +36,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument
-from oed.machine import Expr, Machine, Parameter, Values
+from oed.model.instrument import Channel, Cost, Frame, Instrument
+from oed.model.machine import Expr, Machine, Parameter, Values
 
 SOURCE = "Tian et al. 2016, section 3, Eq. (13)"
 LEVEL, AUTOCOLLIMATOR = 10e-6, 2.5e-6  # rad

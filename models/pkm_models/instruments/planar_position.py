@@ -16,8 +16,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument
-from oed.machine import Expr, Machine, Parameter, Values
+from oed.model.instrument import Channel, Cost, Frame, Instrument
+from oed.model.machine import Expr, Machine, Parameter, Values
 from pkm_models import registration
 
 

@@ -22,9 +22,9 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument
-from oed.machine import Expr, Values
-from oed.orientation import rotation
+from oed.base.orientation import rotation
+from oed.model.instrument import Channel, Cost, Frame, Instrument
+from oed.model.machine import Expr, Values
 from pkm_models import registration
 
 SOURCE = "laser tracker with six-component target; ISO 10360-10 for the instrument"

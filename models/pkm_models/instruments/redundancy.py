@@ -26,8 +26,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.machine import Expr, Machine, Values
+from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model.machine import Expr, Machine, Values
 
 #: m, standard deviation of a reading: legs of 1 mm, four of them
 SIGMA = 0.5e-3

@@ -28,8 +28,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from oed.instrument import Channel, Cost, Frame, Instrument
-from oed.machine import Expr, Parameter, Values
+from oed.model.instrument import Channel, Cost, Frame, Instrument
+from oed.model.machine import Expr, Parameter, Values
 
 SOURCE = "Chang, Li and Li 2011, Chin. J. Mech. Eng., sections 2.3.2 and 2.4"
 LASER, MICROMETER = 1.0e-6, 3.0e-6  # m

@@ -10,7 +10,7 @@ dt with r^2 = r_i^2 - b a_i l gives r = r_i - b t / 2 and
 
 This is what the firmware's k0 (sqrt(r^2 + k2 l) - r), k2 = -a b, gives for the motor,
 solved for the line's change l. Lines do not stretch here. Four equations, three
-unknowns: see `oed.kinematics` for where a redundant machine settles.
+unknowns: see `oed.mechanism.kinematics` for where a redundant machine settles.
 
 Numbers: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter, branch
 hp_mark_adjusted at 790dca2, simulation.py: gear 255/20, folds 2, 2, 2, 4, build-up
@@ -24,7 +24,7 @@ import math
 
 import casadi as ca
 
-from oed.machine import Expr, Machine, Parameter, Values
+from oed.model.machine import Expr, Machine, Parameter, Values
 from pkm_models.coordinates import joint, point, point_errors, points
 
 LINES = (1, 2, 3, 4)  # A, B, C, D

@@ -7,7 +7,7 @@ default four cables hold a point: two more than its coordinates.
 
 from __future__ import annotations
 
-from oed.machine import Family, Machine
+from oed.model.machine import Family, Machine
 from pkm_models import cables, families
 from pkm_models.families import Geometry
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 
-from oed.machine import Family, Machine
+from oed.model.machine import Family, Machine
 from pkm_models import cables, families
 from pkm_models.families import Geometry
 

@@ -25,8 +25,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.arrays import Array
-from oed.machine import (
+from oed.base.arrays import Array
+from oed.model.machine import (
     Dimension,
     Expr,
     Family,

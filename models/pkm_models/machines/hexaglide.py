@@ -25,7 +25,7 @@ import math
 
 import casadi as ca
 
-from oed.machine import Expr, Machine, Parameter, PointGroup, Values
+from oed.model.machine import Expr, Machine, Parameter, PointGroup, Values
 from pkm_models.coordinates import joint
 from pkm_models.six_dof import (
     COMPONENTS,

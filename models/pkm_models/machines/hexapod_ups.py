@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from oed.machine import Dimension, Expr, Family, Machine, Start, Values
+from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models import families, legs, six_dof
 from pkm_models.families import Geometry
 

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.machine import Expr, Machine, Parameter, Values
+from oed.model.machine import Expr, Machine, Parameter, Values
 from pkm_models.coordinates import joint, point, point_errors, points
 
 TOWERS = (1, 2, 3)

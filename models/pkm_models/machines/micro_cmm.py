@@ -23,8 +23,8 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.arrays import Array
-from oed.machine import Expr, Machine, Parameter, Values
+from oed.base.arrays import Array
+from oed.model.machine import Expr, Machine, Parameter, Values
 from pkm_models.coordinates import joint, point, point_errors, points
 
 LEGS = (1, 2, 3)

@@ -28,7 +28,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.machine import (
+from oed.base.orientation import direction, rotation
+from oed.model.machine import (
     Component,
     Coordinate,
     Expr,
@@ -37,7 +38,6 @@ from oed.machine import (
     PointGroup,
     Values,
 )
-from oed.orientation import direction, rotation
 from pkm_models import coordinates
 from pkm_models.rotation import tilt_torsion
 

@@ -22,7 +22,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.machine import (
+from oed.model.machine import (
     Dimension,
     Expr,
     Family,

@@ -17,8 +17,8 @@ import math
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.machine import Dimension, Expr, Family, Machine, Start, Values
+from oed.base.arrays import Array
+from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models import coordinates, families, legs, six_dof
 from pkm_models.families import Geometry
 

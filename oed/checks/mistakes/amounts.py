@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Index, Mask
+from oed.base import units
+from oed.base.arrays import Array, Index, Mask
 from oed.checks.fit import Fit
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import with_moved
@@ -19,8 +19,8 @@ from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import Trial
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
-from oed.instrument import Setup
-from oed.measurement import Series
+from oed.measurement.measurement import Series
+from oed.model.instrument import Setup
 
 #: step of the tool's length for differences, m
 STEP = 1e-4

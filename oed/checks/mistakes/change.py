@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.trial import Trial, plain
 from oed.checks.session import SessionReadings

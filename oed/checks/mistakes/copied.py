@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.arrays import Index
+from oed.base.arrays import Index
 from oed.checks.copies import resolution
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Mask
+from oed.base import units
+from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import Trial, value_trial

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.arrays import Array, Mask
+from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.moved import Moved
-from oed.machine import RANGE_SLACK, Machine, Tool
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import RANGE_SLACK, Machine, Tool
 
 #: a full turn, rad
 TURN = 2.0 * np.pi

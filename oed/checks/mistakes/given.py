@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.arrays import Array, Mask
+from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
 from oed.checks.session import SessionReadings
 

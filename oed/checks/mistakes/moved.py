@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import PoseTable, Trial, plain
 from oed.checks.session import SessionReadings
-from oed.kinematics import AssemblyError
-from oed.measurement import Series
+from oed.measurement.measurement import Series
+from oed.mechanism.kinematics import AssemblyError
 
 #: a series as it was read; None where it cannot have been
 Moved = Callable[[Series], Series | None]

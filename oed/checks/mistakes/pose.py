@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.checks.mistakes.driven import (
     Change,
     commanded,
@@ -25,7 +25,7 @@ from oed.checks.mistakes.trial import PoseTable, Trial, Undo, Words
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
-from oed.machine import Coordinate
+from oed.model.machine import Coordinate
 
 #: where an amount is sought first: shares of a coordinate's range, and steps of a turn
 SHARES, TURNS = (0.003, 0.01, 0.03, 0.1, 0.3), 24

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Mask
+from oed.base import units
+from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.driven import in_file, inside, turns_freely
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, pose_table, with_moved
@@ -22,8 +22,8 @@ from oed.checks.mistakes.trial import Trial, Words
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
-from oed.machine import Coordinate
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import Coordinate
 
 #: commands of a machine from which on a length leaves many programs open
 MOST_COMMANDS = 3

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from oed.arrays import Index
+from oed.base.arrays import Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, by_run, moved_trial, pose_table
 from oed.checks.mistakes.trial import Trial
-from oed.measurement import Series
+from oed.measurement.measurement import Series
 
 #: readings of a run whose pose may be the reference, of so many
 PLACES: dict[str, Callable[[int], int]] = {

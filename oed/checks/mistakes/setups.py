@@ -12,7 +12,7 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, moved_trial, pose_table
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import Trial
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 
 
 def trials(given: Given) -> Iterator[Trial]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.arrays import Mask
+from oed.base.arrays import Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import Trial, value_trial

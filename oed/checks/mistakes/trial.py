@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index, Mask
 from oed.checks.fit import Fit
 from oed.checks.mistakes.scope import Scope
 from oed.checks.session import SessionReadings
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
 
 #: sessions without a mistake of some amounts (k,): one, or several of machines apart
 Undo = Callable[[Array], Sequence[SessionReadings]]

@@ -7,7 +7,7 @@
     spectrum     E, kappa, O2, O3, O4
     compound     weighted geometric means of the others
 
-`named` finds a criterion by its name in the catalogue (`oed.criteria.CATALOGUE`).
+`named` finds a criterion by its name in the catalogue (`oed.design.criteria.CATALOGUE`).
 """
 
 from oed.design.criterion.catalogue import named

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design.criterion.determinant import Determinant
 from oed.design.criterion.largest import LargestVariance
 from oed.design.criterion.power import PowerMean

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design.criterion.protocol import Criterion, Support
 
 

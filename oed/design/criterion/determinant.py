@@ -15,7 +15,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design.criterion.protocol import (
     Criterion,
     Support,

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design.criterion.variance import variance_reduction
 
 #: candidates whose eigenvalues are computed

@@ -2,7 +2,7 @@
 
 W = F^T F is the identity for A and one row c for c. For I it is the mean of J^T J over
 workspace poses, with J (k, n) the slopes of the pose components of interest
-(home-referenced, absolute or best-fit, `oed.prediction`). With S = M^-1 W M^-1 / t,
+(home-referenced, absolute or best-fit, `oed.accuracy.prediction`). With S = M^-1 W M^-1 / t,
 
     d log phi / dw_i = tr(S A_i) = g_i,
     -d2 log phi / dw_i dw_j = 2 tr(A_i M^-1 A_j S) - g_i g_j.
@@ -14,7 +14,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design.criterion.protocol import (
     Criterion,
     Support,

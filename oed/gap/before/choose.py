@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed.linear_algebra import by_size
+from oed.base.linear_algebra import by_size
 
 #: share of the mean by which coefficients that are common may differ
 COMMON = 0.1

@@ -12,12 +12,12 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse import csgraph
 
-from oed.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index, Mask
+from oed.base.linear_algebra import canonical_rows, first_largest
 from oed.gap.before.combinations import in_words
 from oed.gap.before.forms import Form
 from oed.gap.before.power import needed_lambda
 from oed.gap.data.root import inverse_root
-from oed.linear_algebra import canonical_rows, first_largest
 from oed.result.gap_before import RivalRecord, SharedRecord
 
 #: sqrt(lambda_k|j) below which the two cannot be distinguished

@@ -21,15 +21,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import linalg
 
-from oed import units
-from oed.arrays import Array, Index
-from oed.effect import Effect
+from oed.base import units
+from oed.base.arrays import Array, Index
 from oed.gap.before.confusion import SAME, effect_rival, indistinguishable
 from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.power import FALSE_ALARM, needed_lambda, power
 from oed.gap.data.metric import Embedding
 from oed.gap.data.problem import GapProblem
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from oed.result.gap_before import DetectabilityRecord, DetectabilityTable
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg
 
-from oed.arrays import Array, Index
-from oed.effect import Effect
+from oed.base.arrays import Array, Index
 from oed.gap.before.combinations import in_words
 from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.separation import Separation, Target
 from oed.gap.data.problem import GapProblem
+from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 
 #: forms of an effect (values of its constants) that stand for its grid

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.data import state
 from oed.gap.data.problem import GapProblem, assemble
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 
 #: covariates that a condition may state
 CONDITIONS = ("time", "direction", "feed", "payload")

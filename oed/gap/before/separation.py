@@ -25,7 +25,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design.evaluator import PlanEvaluator
 from oed.design.objective import Objective, Tangent
 from oed.gap.before.forms import Form

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from oed.effect import Effect
 from oed.gap.data.diagnosis import UNKNOWN, Answer
 from oed.gap.data.signature import LACKS
+from oed.model.effect import Effect
 
 #: probability of the leading answer below which the advice considers its rival too
 SURE = 0.8

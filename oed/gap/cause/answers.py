@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.cause.equivalence import equivalent_effects
 from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search

@@ -30,7 +30,7 @@ from typing import Literal
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.cause.conditioning import RunNoise, learn, standardise
 from oed.gap.cause.folds import Paths
 from oed.gap.data.diagnosis import Closure

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
 from oed.noise.factor import DenseFactor, LinearFactor
 from oed.noise.hold_out import Chains, DenseInnovations, Innovations, LinearInnovations

@@ -14,11 +14,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
 from oed.gap.data.evidence import Grams
-from oed.size_prior import EFFECT_SIZES
+from oed.model.size_prior import EFFECT_SIZES
 
 #: sqrt(lambda_{k|j}) below which a rival is indistinguishable from an effect
 DISTINCT = 5.0

@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from oed.effect import Effect
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
 from oed.gap.data.linearisation import ActingForm, settle
 from oed.gap.data.problem import GapProblem
+from oed.model.effect import Effect
 
 #: points at most about which the readings are searched again
 POINTS = 3

@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from scipy import linalg
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import Coefficient, Size

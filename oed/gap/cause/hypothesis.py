@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.forms.library import Library
 
 #: prior probabilities: nothing acts, or nothing that the readings show (two of seven

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams
 from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
-from oed.size_prior import UNKNOWN_SIZES
+from oed.model.size_prior import UNKNOWN_SIZES
 
 #: columns of each selected effect, with the size of its coefficients
 Selected = Sequence[tuple[Index, float]]

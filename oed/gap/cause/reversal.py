@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.effect import Effect
+from oed.base.arrays import Array
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as libraries
 from oed.gap.forms.library import Library
+from oed.model.effect import Effect
 
 
 class ReversedForms:

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
 from oed.gap.cause.remainder import SIZES as UNKNOWN_SIZES
 from oed.gap.cause.remainder import (
@@ -30,9 +30,9 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
+from oed.model.size_prior import EFFECT_SIZES
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Outliers
-from oed.size_prior import EFFECT_SIZES
 
 #: log evidence below the best at which sets are not taken further
 BEHIND = 14.0

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from oed.effect import Effect
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
 from oed.gap.cause.wide import wide_model
@@ -23,6 +22,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy, waves
 from oed.gap.forms import library as libraries
 from oed.gap.forms.library import Library
+from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Outliers
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.forms.discrepancy import IN_A_RUN
 from oed.gap.forms.library import Library
 

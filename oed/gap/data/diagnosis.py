@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Literal
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
 

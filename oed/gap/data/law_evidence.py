@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw

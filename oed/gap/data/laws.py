@@ -23,7 +23,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.data import evidence
 from oed.gap.data.law_evidence import LawEvidence
 from oed.gap.data.problem import GapProblem

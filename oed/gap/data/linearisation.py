@@ -15,13 +15,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.effect import Effect
+from oed.base.arrays import Array
 from oed.gap.data import problem as problems
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import exact_readings
-from oed.kinematics import AssemblyError
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 
 #: steps to the most probable point, and departure from its linear model that ends them

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 
 #: poses of a run from which on a path is laid through them
 LEAST = 4

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
 from oed.noise import outliers
 from oed.noise.law import NoiseLaw

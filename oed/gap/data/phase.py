@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 
 #: share of a run's longest extent that the second must have for it to be a loop rather
 #: than a line

@@ -18,15 +18,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed import identification
-from oed.arrays import Array, Index
-from oed.effect import Effect, State
+from oed.base.arrays import Array, Index
+from oed.estimation import identification
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
-from oed.measurement import Measurement, Response, Series
+from oed.measurement.measurement import Measurement, Response, Series
+from oed.measurement.reading_structure import (
+    common_statement,
+    renewed_slopes,
+    stated_errors,
+)
+from oed.model.effect import Effect, State
 from oed.noise.runs import Runs
 from oed.noise.statement import NoiseStatement
-from oed.reading_structure import common_statement, renewed_slopes, stated_errors
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.linear_algebra import eigenvectors
+from oed.base.arrays import Array
+from oed.base.linear_algebra import eigenvectors
 
 
 def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.dataset.columns import TEMPERATURE, TENSION
-from oed.effect import State
 from oed.gap.data.motion import motion
 from oed.gap.data.phase import phase_along_runs
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.effect import State
 
 DOWN = (0.0, 0.0, -1.0)
 #: covariates of a reading that a State has under the same name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 
 
 def log_tail(energy: Array, rank: Array | float) -> Array:

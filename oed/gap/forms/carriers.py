@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
-from oed.measurement import Series
+from oed.measurement.measurement import Series
 
 #: name of the carrier whose columns are the joints
 JOINTS = "the joints"

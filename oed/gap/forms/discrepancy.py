@@ -4,7 +4,7 @@ Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464: what a model leaves is
 function of what the machine does. It is carried by the readings, by the tool's place or
 by each joint; it varies over the session, the workspace or the run; it may come with the
 direction of motion, the payload, the feed or a temperature. Each such term has Matern's
-kernel at a few reaches, which the evidence sums over (`oed.smooth_basis`).
+kernel at a few reaches, which the evidence sums over (`oed.base.smooth_basis`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from oed import smooth_basis
-from oed.arrays import Array, Index, Mask
+from oed.base import smooth_basis
+from oed.base.arrays import Array, Index, Mask
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers
 from oed.gap.forms.carriers import JOINTS, Carrier

@@ -14,13 +14,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array, Index
-from oed.effect import Effect
+from oed.base.arrays import Array, Index
 from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
-from oed.size_prior import EFFECT_SIZES
+from oed.model.effect import Effect
+from oed.model.size_prior import EFFECT_SIZES
 
 #: prior share of an effect's forms in which one limb alone has it
 ALONE = 0.4

@@ -15,8 +15,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy import signal
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.tail import log_tail

@@ -8,14 +8,14 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from oed import units
-from oed.text import shorten, suggest
+from oed.base import units
+from oed.base.text import shorten, suggest
 
 #: size of a number beyond which it is a slip, and its square overflows soon
 LARGEST: Final = 1e100
 #: logarithms of which a power can be taken
 LARGEST_LOGARITHM: Final = 700.0
-#: units beside those of `oed.units`
+#: units beside those of `oed.base.units`
 OTHER_UNITS: Final = ("", "1", "sigma", "readings", "s", "K", "m", "rad")
 
 

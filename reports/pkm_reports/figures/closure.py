@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from oed import units
-from oed.arrays import Array
-from oed.closest_closure import ClosestClosure, MachineShape
+from oed.base import units
+from oed.base.arrays import Array
+from oed.mechanism.closest_closure import ClosestClosure, MachineShape
 from pkm_reports import style, text
 from pkm_reports.figures import scene
 

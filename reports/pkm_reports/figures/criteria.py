@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.result import CriterionComparison, DesignSection
 from pkm_reports import missing, style, text
 from pkm_reports.missing import or_nan

@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.result import Drawing, DrawingLabel
 from pkm_reports import style
 from pkm_reports.figures import scene

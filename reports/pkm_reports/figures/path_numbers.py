@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 
 #: where a number may stand about its place, in its own widths and heights
 OFFSETS: Final = np.array(

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.result import PredictionSection
 from pkm_reports import missing, style, text
 from pkm_reports.figures.map_layout import MapLayout, choose_layout

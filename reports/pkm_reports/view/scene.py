@@ -9,7 +9,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.result import Drawing, GapSection, PredictionSection, StudyResult
 from pkm_reports import text
 from pkm_reports.figures.machine import points_mm

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import units
-from oed.acceptance import judge, positioning
-from oed.arrays import Array, Index
+from oed.accuracy.acceptance import judge, positioning
+from oed.base import units
+from oed.base.arrays import Array, Index
 from oed.result import (
     AcceptanceSection,
     PositioningRecord,

@@ -7,11 +7,16 @@ from collections.abc import Iterator, Mapping, Sequence
 import msgspec
 import numpy as np
 
-from oed import csv_text, units
-from oed.acceptance import AcceptancePlan, Promise, plan_acceptance, state_limits
-from oed.arrays import Array, Index
+from oed.accuracy.acceptance import (
+    AcceptancePlan,
+    Promise,
+    plan_acceptance,
+    state_limits,
+)
+from oed.base import csv_text, units
+from oed.base.arrays import Array, Index
 from oed.dataset.dialect import commented
-from oed.machine import Component, Machine
+from oed.model.machine import Component, Machine
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult
 from pkm_studies import conventions
 from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from oed import units
-from oed.acceptance import Promise
-from oed.arrays import Array
-from oed.error_maps import ErrorMaps, Reference, error_maps
-from oed.export_errors import known_errors
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Component, Machine
+from oed.accuracy.acceptance import Promise
+from oed.accuracy.error_maps import ErrorMaps, Reference, error_maps
+from oed.base import units
+from oed.base.arrays import Array
+from oed.compensate.export_errors import known_errors
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Component, Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
 from pkm_studies.compensation import identified
 from pkm_studies.errors import InputError

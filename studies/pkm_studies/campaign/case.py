@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from oed.identification import IdentificationError
-from oed.kinematics import AssemblyError
+from oed.estimation.identification import IdentificationError
+from oed.mechanism.kinematics import AssemblyError
 
 #: columns of every case: what a case function returns has other names
 SEED, ERROR, PROCESSOR_TIME = "seed", "error", "cpu_s"

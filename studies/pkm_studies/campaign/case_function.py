@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from oed.identification import IdentificationError
-from oed.kinematics import AssemblyError
+from oed.estimation.identification import IdentificationError
+from oed.mechanism.kinematics import AssemblyError
 from pkm_studies import catalogue
 from pkm_studies.campaign.case import COLUMNS
 from pkm_studies.errors import Place, shorten

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from oed import csv_text
-from oed.own_files import save_own, write_own
+from oed.base import csv_text
+from oed.base.own_files import save_own, write_own
 from pkm_studies.campaign import jobs
 from pkm_studies.campaign.case import ERROR, PROCESSOR_TIME
 from pkm_studies.campaign.machine_summary import summarise_machines

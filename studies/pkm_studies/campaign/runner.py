@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from oed import own_files
+from oed.base import own_files
 from pkm_studies import files
 from pkm_studies.campaign import jobs
 from pkm_studies.campaign.case import ERROR, SEED, Case, evaluate

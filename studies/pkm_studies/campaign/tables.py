@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 import msgspec
 
-from oed.kinematics import AssemblyError
+from oed.mechanism.kinematics import AssemblyError
 from pkm_studies import files, shipped
 from pkm_studies.campaign.case import COLUMNS, Figures
 from pkm_studies.campaign.case_function import CaseFunction, UserFunction

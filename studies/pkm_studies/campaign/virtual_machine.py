@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.assessment import assess
-from oed.coordinates import coordinates_of_readings
-from oed.error_maps import error_maps
-from oed.estimate import Estimate
-from oed.measurement import Series
+from oed.accuracy.error_maps import error_maps
+from oed.base import units
+from oed.base.arrays import Array
+from oed.estimation.coordinates import coordinates_of_readings
+from oed.estimation.estimate import Estimate
+from oed.identifiability.assessment import assess
+from oed.measurement.measurement import Series
 from oed.result import GoodnessSection, trust
 from pkm_studies.campaign.interval import HALF_WIDTH
 from pkm_studies.progress import Silent

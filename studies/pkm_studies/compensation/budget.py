@@ -15,10 +15,14 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.export_errors import interpolation_errors, joint_errors, known_errors
-from oed.kinematics import AssemblyError
+from oed.base import units
+from oed.base.arrays import Array
+from oed.compensate.export_errors import (
+    interpolation_errors,
+    joint_errors,
+    known_errors,
+)
+from oed.mechanism.kinematics import AssemblyError
 from oed.result import BudgetLine, BudgetSection, PredictionSection, StudyResult
 from pkm_studies.compensation.content import Compensation, ControllerFormat
 from pkm_studies.stages.predict.budget import advice_on, quantities

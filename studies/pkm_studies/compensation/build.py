@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.compensate.command_grid import GridAxis
-from oed.kinematics import Kinematics
-from oed.machine import Machine
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
 from oed.result import StudyResult
 from pkm_studies.compensation import identified, table_grid
 from pkm_studies.compensation.content import (

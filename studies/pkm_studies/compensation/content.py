@@ -7,14 +7,14 @@ import functools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.compensate.command_grid import CommandGrid
 from oed.compensate.further_axes import FurtherAxes, further_axes
-from oed.machine import Machine
+from oed.model.machine import Machine
 from oed.result import EffectTable
 
 if TYPE_CHECKING:
-    from oed.kinematics import Kinematics
+    from oed.mechanism.kinematics import Kinematics
     from pkm_studies.study.tables import ControllerTable
 
 #: texts of an export by the end of their file names, such as `.cfg`

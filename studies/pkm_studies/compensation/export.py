@@ -9,10 +9,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from oed.base.own_files import write_own
+from oed.base.text import quantity
 from oed.compensate import ParameterCompensator, component_errors
-from oed.own_files import write_own
 from oed.result import StudyResult, trust
-from oed.text import quantity
 from pkm_studies import catalogue, files, result_folder
 from pkm_studies.compensation import build
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed import units
-from oed.machine import Machine
+from oed.base import units
+from oed.model.machine import Machine
 from oed.result import CorrectedSection, StudyResult
 from pkm_studies.compensation.content import Identified
 

@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
+from oed.base.text import quantity
 from oed.compensate import FurtherAxes, joint_corrections
 from oed.compensate.command_grid import (
     CommandGrid,
@@ -19,9 +20,8 @@ from oed.compensate.command_grid import (
     fewest_commands,
     joint_motion,
 )
-from oed.kinematics import AssemblyError, Kinematics
+from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.result import PredictionSection
-from oed.text import quantity
 from pkm_studies.errors import InputError
 from pkm_studies.resolve.quantities import display_unit
 

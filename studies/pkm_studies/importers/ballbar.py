@@ -13,10 +13,10 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.kinematics import Kinematics
-from oed.machine import Machine
+from oed.base import units
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
 from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import Place

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import Place
 from pkm_studies.resolve.quantities import column as usual_column

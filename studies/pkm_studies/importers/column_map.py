@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import msgspec
 import tomli_w
 
-from oed.instrument import Instrument
-from oed.machine import Machine
+from oed.model.instrument import Instrument
+from oed.model.machine import Machine
 from pkm_studies import catalogue, files, template, user_code
 from pkm_studies.errors import Place, shorten
 from pkm_studies.importers.base import ImportRequest, readings_name

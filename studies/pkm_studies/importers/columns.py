@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
+from oed.base.units import UnitError
 from oed.dataset.columns import (
     COVARIATES,
     LABELS,
@@ -15,9 +16,8 @@ from oed.dataset.columns import (
     parse_column,
     tension_columns,
 )
-from oed.instrument import Instrument
-from oed.machine import Machine
-from oed.units import UnitError
+from oed.model.instrument import Instrument
+from oed.model.machine import Machine
 from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import InputError, Place, suggest

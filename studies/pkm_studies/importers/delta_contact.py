@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from pkm_studies.importers.delta_study import DeltaGeometry
 
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.optimize import brentq
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from pkm_studies.importers.delta_contact import tool_heights
 from pkm_studies.importers.delta_study import DeltaGeometry
 from pkm_studies.importers.klipper_config import Entry

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import optimize
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from pkm_studies.importers import delta_contact
 from pkm_studies.importers.delta_probe import ProbedPoint
 from pkm_studies.importers.delta_study import DeltaGeometry

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed import orientation, units
-from oed.arrays import Array, Mask
-from oed.instrument import Instrument
-from oed.orientation import Orientation
+from oed.base import orientation, units
+from oed.base.arrays import Array, Mask
+from oed.base.orientation import Orientation
+from oed.model.instrument import Instrument
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import Place
 from pkm_studies.importers.base import Row

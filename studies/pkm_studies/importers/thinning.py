@@ -11,8 +11,8 @@ import dataclasses
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 
 #: harmonics of a turn that are not noise, at most
 HARMONICS = 15

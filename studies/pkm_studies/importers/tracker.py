@@ -15,10 +15,10 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from oed import units
-from oed.arrays import Array
-from oed.instrument import Instrument
-from oed.kinematics import Kinematics
+from oed.base import units
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import Instrument
 from pkm_studies import csv_table
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.errors import InputError, Place

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from scipy import special
 
-from oed.machine import Machine
+from oed.model.machine import Machine
 from pkm_studies.errors import Place
 from pkm_studies.resolve import lookup, quantities
 from pkm_studies.study import Study

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.gap.before.runs import Run
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve.conditions import FEED, MINUTE, PASS_SUFFIX, reading_time
 from pkm_studies.resolve.grids import ReferencePlan

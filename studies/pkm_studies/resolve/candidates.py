@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from oed import units
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.base import units
+from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import Machine
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import grids, limits, lookup, quantities
 from pkm_studies.resolve.grids import Circles, ReferencePlan

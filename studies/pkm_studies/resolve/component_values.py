@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed import units
-from oed.machine import Machine
+from oed.base import units
+from oed.model.machine import Machine
 from pkm_studies.errors import Place
 from pkm_studies.resolve.quantities import split_key
 

@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from oed.machine import CommonTolerance, Machine
-from oed.parameter_vector import ParameterVector
+from oed.model.machine import CommonTolerance, Machine
+from oed.model.parameter_vector import ParameterVector
 from pkm_studies.resolve import lookup
 from pkm_studies.study import Study
 

@@ -8,10 +8,10 @@ from typing import get_args
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.design.quotas import QuotaSet
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import grids, lookup, quantities, quotas
 from pkm_studies.resolve.grids import ReferencePlan

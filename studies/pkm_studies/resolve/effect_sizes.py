@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from oed import units
-from oed.effect import Effect
-from oed.expected_size import coefficient_units, with_expected_size
+from oed.base import units
+from oed.model.effect import Effect
+from oed.model.expected_size import coefficient_units, with_expected_size
 from pkm_studies import catalogue
 from pkm_studies.errors import suggest
 from pkm_studies.study import Study

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.effect import Effect
-from oed.machine import Machine
+from oed.model.effect import Effect
+from oed.model.machine import Machine
 from pkm_studies import catalogue
 from pkm_studies.errors import InputError, Place, suggest
 from pkm_studies.resolve.effect_sizes import check_sizes, sized

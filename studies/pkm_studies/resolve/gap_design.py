@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 
 from oed.design.rules import Rules
-from oed.effect import Effect
 from oed.gap.before.runs import Run
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.effect import Effect
 from pkm_studies import catalogue
 from pkm_studies.errors import Place
 from pkm_studies.resolve import candidate_runs

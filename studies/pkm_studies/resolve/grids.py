@@ -12,12 +12,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.instrument import Setup
-from oed.kinematics import AssemblyError
-from oed.machine import Coordinate, Machine
-from oed.measurement import Measurement, Series
+from oed.base import units
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.instrument import Setup
+from oed.model.machine import Coordinate, Machine
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import poses, quantities
 from pkm_studies.resolve.quantities import format_as, format_value

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Mask
+from oed.base import units
+from oed.base.arrays import Array, Mask
 from oed.design import feasible
 from oed.design.clearance import Surroundings, cup_place
 from oed.design.segments import Capsule
-from oed.instrument import Setup
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import Setup
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
 from pkm_studies.study.tables import ConeTable, LimitsTable

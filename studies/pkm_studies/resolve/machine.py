@@ -8,10 +8,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Coordinate, Dimension, Machine
+from oed.base import units
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Coordinate, Dimension, Machine
 from pkm_studies import catalogue
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities

@@ -6,8 +6,8 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
-from oed.instrument import Setup
-from oed.measurement import Measurement
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import Setup
 from oed.noise.statement import NoiseStatement
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import quantities

@@ -11,11 +11,11 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.design.candidates import reading_time
-from oed.measurement import Measurement, Series
-from oed.planning.option import Option, build_option
+from oed.design.stages.option import Option, build_option
+from oed.measurement.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import grids, lookup, quantities
 from pkm_studies.study import Study

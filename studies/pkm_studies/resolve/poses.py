@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Index
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Machine
+from oed.base import units
+from oed.base.arrays import Array, Index
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Machine
 from pkm_studies import csv_table
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities

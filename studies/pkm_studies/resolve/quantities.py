@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from oed import units
+from oed.base import units
 from pkm_studies.errors import InputError, Place, suggest
 
 

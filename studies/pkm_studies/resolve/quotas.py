@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Index, Mask
+from oed.base import units
+from oed.base.arrays import Index, Mask
 from oed.design.quotas import Quota, QuotaSet, equal_numbers
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import Machine
 from pkm_studies.errors import Place, suggest
 from pkm_studies.resolve import lookup, quantities
 from pkm_studies.resolve.grids import command_units

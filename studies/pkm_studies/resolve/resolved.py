@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oed.arrays import Array
-from oed.instrument import Setup
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import Setup
+from oed.model.machine import Machine
 from pkm_studies.resolve import candidates, grids, roles, setups, tolerances
 from pkm_studies.resolve.design import DesignRequest, design_request
 from pkm_studies.resolve.gap import GapRequest, gap_request

@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from oed import units
-from oed.instrument import Instrument, Protocol, Setup, mount
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Machine
-from oed.measurement import Measurement
+from oed.base import units
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.instrument import Instrument, Protocol, Setup, mount
+from oed.model.machine import Machine
 from pkm_studies import catalogue
 from pkm_studies.errors import Place
 from pkm_studies.resolve import grids, quantities

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
-from oed.instrument import Setup
-from oed.machine import Machine, Parameter
+from oed.model.instrument import Setup
+from oed.model.machine import Machine, Parameter
 from pkm_studies.errors import Place
 from pkm_studies.resolve import bounds, correlation, lookup, quantities
 from pkm_studies.resolve.noise import LARGEST, with_noise

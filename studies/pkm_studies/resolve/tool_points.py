@@ -11,9 +11,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial import KDTree
 
-from oed.arrays import Array
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Machine
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Machine
 from pkm_studies.errors import Place
 from pkm_studies.resolve import quantities
 

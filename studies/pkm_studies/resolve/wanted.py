@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed.machine import Machine
+from oed.model.machine import Machine
 from pkm_studies.resolve import quantities
 from pkm_studies.study import Study
 

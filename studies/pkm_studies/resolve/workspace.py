@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.compensate.command_grid import GridAxis, box_axes
 from oed.compensate.table import grid_nodes
-from oed.kinematics import AssemblyError, Kinematics
-from oed.machine import Machine
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Machine
 from pkm_studies.resolve.resolved import prediction_commands
 from pkm_studies.study import Study
 

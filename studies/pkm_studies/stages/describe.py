@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Index
-from oed.instrument import Setup
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.base import units
+from oed.base.arrays import Array, Index
+from oed.measurement.measurement import Measurement, Series
+from oed.model.instrument import Setup
+from oed.model.machine import Machine
 from oed.result import Drawing, MachineInfo, Polyline, SetupInfo
 from pkm_studies.resolve import quantities
 from pkm_studies.resolve.quantities import column

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from oed.arrays import Array
-from oed.kinematics import Kinematics
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import Kinematics
 from oed.result import DrawingLabel
 
 #: change of a parameter, SI, that shows which points it moves

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from oed import laplace, posterior
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.checks.goodness import goodness_of_estimate
-from oed.correction import (
+from oed.compensate.effects import (
     CorrectedEstimate,
     EffectReadings,
     TurnedRuns,
@@ -20,8 +19,9 @@ from oed.correction import (
     find_turned_runs,
     predict_corrected,
 )
-from oed.effect import Effect
 from oed.gap.data.signature import untestable
+from oed.model.effect import Effect
+from oed.posterior import laplace, posterior
 from pkm_studies import catalogue
 from pkm_studies.resolve.effect_sizes import sized
 from pkm_studies.resolve.gap import GapRequest, gap_request

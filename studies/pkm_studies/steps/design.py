@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from oed.assessment import assess
-from oed.information import Scaling
+from oed.identifiability.assessment import assess
+from oed.identifiability.information import Scaling
 from oed.result import PolishSummary
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages import describe, headline

@@ -6,17 +6,12 @@ from collections.abc import Sequence
 
 import msgspec
 
-from oed import (
-    fit_warnings,
-    identification,
-    posterior,
-    posterior_checks,
-    run_prediction,
-)
-from oed.arrays import Array
-from oed.assembly_mode import mode_jumps
+from oed.base.arrays import Array
 from oed.checks.goodness import goodness_of_estimate
-from oed.measurement import Series
+from oed.estimation import fit_warnings, identification, run_prediction
+from oed.measurement.assembly_mode import mode_jumps
+from oed.measurement.measurement import Series
+from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.fit.combinations import combination_estimates

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
-from oed import units
-from oed.measurement import Measurement
+from oed.base import units
+from oed.measurement.measurement import Measurement
 from pkm_studies.resolve.gap import GapRequest, gap_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
 from pkm_studies.run_state import RunState, Stream

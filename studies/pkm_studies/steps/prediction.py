@@ -8,15 +8,15 @@ from typing import get_args
 import msgspec
 import numpy as np
 
-from oed import laplace
-from oed.arrays import Array
-from oed.budget import budget_of
-from oed.correction import ExpectedEffect
-from oed.error_maps import Reference
-from oed.laplace import ApproximateDraws
-from oed.prediction import Spread
+from oed.accuracy.budget import budget_of
+from oed.accuracy.error_maps import Reference
+from oed.accuracy.prediction import Spread
+from oed.base.arrays import Array
+from oed.base.units import MM
+from oed.compensate.effects import ExpectedEffect
+from oed.posterior import laplace
+from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
-from oed.units import MM
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.run_state import RunState, Stream
 from pkm_studies.stages.predict import accuracy, knowledge

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from oed import simulation
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.dataset import Dataset
 from oed.dataset.columns import tension_columns
-from oed.machine import Machine
-from oed.measurement import Series
+from oed.measurement import simulation
+from oed.measurement.measurement import Series
+from oed.model.machine import Machine
 from pkm_studies.run_state import HeldOut, Readings, RunState, Stream
 from pkm_studies.stages.gap import virtual_readings
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.result import Trace
 from oed.result.record import Number
 from pkm_reports import missing, style, text

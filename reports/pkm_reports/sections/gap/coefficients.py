@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from oed import units
+from oed.base import units
 from oed.result import CoefficientRecord, GapSection
 from pkm_reports import text
 from pkm_reports.blocks import (

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from oed import csv_text, units
-from oed.arrays import Array
+from oed.base import csv_text, units
+from oed.base.arrays import Array
 from oed.result import EffectTable
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats.json_file import (

@@ -7,9 +7,9 @@ import itertools
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.machine import Machine
+from oed.base import units
+from oed.base.arrays import Array
+from oed.model.machine import Machine
 from pkm_studies.compensation.content import Compensation
 from pkm_studies.errors import InputError
 from pkm_studies.study.tables import NOT_KNOWN, ControllerTable

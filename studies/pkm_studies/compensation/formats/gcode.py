@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from oed import units
-from oed.machine import Machine
+from oed.base import units
+from oed.model.machine import Machine
 from pkm_studies.compensation.build import sentences_of
 from pkm_studies.compensation.content import (
     Compensation,

@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.compensate import (
     compensated_joints,
     corrected_commands,

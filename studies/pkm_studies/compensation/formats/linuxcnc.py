@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.kinematics import Kinematics
-from oed.machine import Machine
+from oed.base import units
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
 from pkm_studies.compensation.build import sentences_of
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from pkm_studies.compensation.build import sentences_of
 from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats.delta import (

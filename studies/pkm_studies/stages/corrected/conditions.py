@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.correction import CorrectedEstimate
-from oed.correction.forms import ChosenForm
+from oed.compensate.effects import CorrectedEstimate
+from oed.compensate.effects.forms import ChosenForm
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.result import GapSection
 

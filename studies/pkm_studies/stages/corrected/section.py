@@ -7,16 +7,16 @@ from collections.abc import Iterator, Mapping
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.checks.goodness import Goodness
 from oed.compensate.command_grid import GridAxis
-from oed.correction import (
+from oed.compensate.effects import (
     CorrectedAccuracy,
     CorrectedEstimate,
 )
-from oed.measurement import Measurement
-from oed.posterior import Posterior
+from oed.measurement.measurement import Measurement
+from oed.posterior.posterior import Posterior
 from oed.result import (
     CorrectedSection,
     EffectEstimate,

@@ -6,12 +6,17 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.compensate.command_grid import CommandGrid, GridAxis
-from oed.correction import CorrectedEstimate, StateTable, TabledEffects, tabled_effects
-from oed.correction.tables import PAYLOAD, TEMPERATURE
-from oed.machine import Machine
+from oed.compensate.effects import (
+    CorrectedEstimate,
+    StateTable,
+    TabledEffects,
+    tabled_effects,
+)
+from oed.compensate.effects.tables import PAYLOAD, TEMPERATURE
+from oed.model.machine import Machine
 from oed.result import EffectTable, PredictionSection
 from pkm_studies.compensation import table_grid
 from pkm_studies.resolve.quantities import column, display_unit

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from oed import criteria
-from oed.assessment import Assessment
+from oed.design import criteria
 from oed.design.candidates import reading_time
-from oed.measurement import Measurement, Series
+from oed.identifiability.assessment import Assessment
+from oed.measurement.measurement import Measurement, Series
 from oed.result import AlternativePlan, PlanSection, StageRecord
 from pkm_studies.resolve.resolved import ResolvedStudy
 

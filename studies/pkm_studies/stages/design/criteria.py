@@ -13,12 +13,14 @@ from typing import TypedDict
 
 import numpy as np
 
-from oed import information, prediction, units
-from oed.arrays import Array
+from oed.accuracy import prediction
+from oed.base import units
+from oed.base.arrays import Array
 from oed.design.blocks import project_on_estimable
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named
-from oed.measurement import Measurement, Series
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement, Series
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.study.tables import DesignTable

@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Index
+from oed.base import units
+from oed.base.arrays import Array, Index
 from oed.design import move_times, order
 from oed.design.candidates import reading_time
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import Machine
 from oed.result import WorkingOrder
 from pkm_studies.errors import Place
 from pkm_studies.resolve.resolved import ResolvedStudy

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from oed import criteria, information
-from oed.arrays import Array
-from oed.assessment import Assessment, assess
-from oed.measurement import Measurement
+from oed.base.arrays import Array
+from oed.design import criteria
+from oed.identifiability import information
+from oed.identifiability.assessment import Assessment, assess
+from oed.measurement.measurement import Measurement
 from oed.result import PlanScore
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import (

@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from oed import information, units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.design import polish, symbolic_criterion
-from oed.measurement import Measurement, Series
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement, Series
 from oed.result import PolishSummary
 from pkm_studies.errors import Place
 from pkm_studies.resolve.design import Ranges

@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 
-from oed import simulation
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.design import candidates, robust
 from oed.design.criterion import Criterion
 from oed.design.exchange import Choice
-from oed.kinematics import AssemblyError
+from oed.measurement import simulation
+from oed.mechanism.kinematics import AssemblyError
 from oed.result import RobustSummary
 from pkm_studies.errors import Place
 from pkm_studies.stages.design.criteria import StudyCriteria

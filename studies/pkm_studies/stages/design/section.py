@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
-from oed.assessment import Assessment
-from oed.measurement import Measurement, Series
+from oed.identifiability.assessment import Assessment
+from oed.measurement.measurement import Measurement, Series
 from oed.result import DesignSection, PlannedReading
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.resolved import ResolvedStudy

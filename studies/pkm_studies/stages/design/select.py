@@ -6,13 +6,13 @@ import dataclasses
 
 import numpy as np
 
-from oed import criteria, information
-from oed.arrays import Array
-from oed.assessment import assess
-from oed.design import candidates
+from oed.base.arrays import Array
+from oed.design import candidates, criteria
 from oed.design.exchange import Choice
-from oed.information import Scaling
-from oed.measurement import Measurement, Series
+from oed.identifiability import information
+from oed.identifiability.assessment import assess
+from oed.identifiability.information import Scaling
+from oed.measurement.measurement import Measurement, Series
 from oed.result import (
     CriterionComparison,
     HowManySummary,

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design import move_times, order, schedule
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 from pkm_studies.errors import Place
 from pkm_studies.resolve import grids
 from pkm_studies.study.tables import Axis, OrderTable

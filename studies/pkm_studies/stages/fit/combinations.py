@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed import units
-from oed.estimate import Estimate
-from oed.identifiability import Identifiability
-from oed.measurement import Measurement
+from oed.base import units
+from oed.estimation.estimate import Estimate
+from oed.identifiability.identifiability import Identifiability
+from oed.measurement.measurement import Measurement
 from oed.result import CombinationEstimate
 
 

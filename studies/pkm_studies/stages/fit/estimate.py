@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.estimate import AT_PRIOR, WEAK, Estimate
-from oed.measurement import Measurement, Series
+from oed.base import units
+from oed.base.arrays import Array
+from oed.estimation.estimate import AT_PRIOR, WEAK, Estimate
+from oed.measurement.measurement import Measurement, Series
 from oed.result import EstimateSection, ParameterEstimate
 from pkm_studies.stages.describe import displayed_command
 

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import checks, text
+from oed import checks
+from oed.base import text
 from oed.checks import CheckedSession
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from oed import explain
-from oed.assessment import Assessment, assess
-from oed.information import Scaling
-from oed.measurement import Measurement, Series
+from oed.identifiability import explain
+from oed.identifiability.assessment import Assessment, assess
+from oed.identifiability.information import Scaling
+from oed.measurement.measurement import Measurement, Series
 from oed.result import IdentifiabilityFinding, IdentifiabilitySection
 
 SeriesWithMeasurement = tuple[Measurement, Sequence[Series]]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import msgspec
 
+from oed.estimation.run_prediction import RunPrediction
 from oed.result import GoodnessSection, LeftOutRun
-from oed.run_prediction import RunPrediction
 
 #: runs that a sentence names, at most
 NAMED = 3

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 
-from oed import units
+from oed.base import units
 from oed.checks.goodness import Goodness
-from oed.estimate import Estimate
-from oed.instrument import Setup
+from oed.estimation.estimate import Estimate
+from oed.estimation.noise_summary import NoiseNumber, noise_numbers
+from oed.model.instrument import Setup
 from oed.noise.law import reach_words
-from oed.noise.summary import NoiseNumber, noise_numbers
 from oed.result import GoodnessSection, NoiseRecord, trust
 
 

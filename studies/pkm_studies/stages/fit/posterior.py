@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.identification import Estimate
-from oed.linear_algebra import by_size
-from oed.measurement import Measurement
-from oed.posterior import MIXED_RHAT, Posterior
-from oed.posterior_checks import PredictiveCheck
+from oed.base import units
+from oed.base.arrays import Array
+from oed.base.linear_algebra import by_size
+from oed.estimation.identification import Estimate
+from oed.measurement.measurement import Measurement
+from oed.posterior.posterior import MIXED_RHAT, Posterior
+from oed.posterior.posterior_checks import PredictiveCheck
 from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord
 
 #: draws shown in the corner plot

@@ -9,13 +9,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from oed import dataset
-from oed.arrays import Array, Index
+from oed.base.arrays import Array, Index
 from oed.gap.before import choose, detect, runs
 from oed.gap.before.pool import pool_runs
 from oed.gap.before.separation import Separation
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 from oed.noise.law import stated_law
 from oed.result.gap_before import ChosenRun, ChosenRuns, SeparationRecord
 from pkm_studies import conventions

@@ -11,7 +11,7 @@ import numpy as np
 
 from oed.gap.before import detect
 from oed.gap.data import problem
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 from oed.noise.law import stated_law
 from oed.result.gap_before import GapBeforeSection
 from pkm_studies.resolve.gap import GapRequest

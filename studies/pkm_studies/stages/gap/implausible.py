@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from oed import units
-from oed.expected_size import IMPLAUSIBLE
+from oed.base import units
+from oed.model.expected_size import IMPLAUSIBLE
 from oed.result.gap import CoefficientRecord
 
 #: ppm from which a ratio is stated in percent

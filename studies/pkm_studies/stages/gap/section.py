@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.effect import Column, Effect
+from oed.base import units
+from oed.base.arrays import Array
 from oed.gap.data import problem
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Closure, Diagnosis, Size
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.effect import Column, Effect
 from oed.result.gap import (
     AnswerRecord,
     ClosureRecord,

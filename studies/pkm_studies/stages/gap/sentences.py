@@ -10,10 +10,10 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from oed.effect import Effect, State
 from oed.gap.cause.advice import MOST_NAMES
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
+from oed.model.effect import Effect, State
 from oed.result.gap import ClosureRecord, GapSection, PlaceRecord, SizeRecord
 from pkm_studies.stages.gap import implausible
 

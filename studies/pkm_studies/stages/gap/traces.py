@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Index
+from oed.base import units
+from oed.base.arrays import Array, Index
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.metric import Metric
 from oed.noise.law import stated_law

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from oed import dataset, units
-from oed.arrays import Array
-from oed.effect import State
+from oed import dataset
+from oed.base import units
+from oed.base.arrays import Array
 from oed.gap.data import signature
 from oed.gap.data.state import states as states_of
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
+from oed.model.effect import State
 from pkm_studies.resolve.conditions import planned_covariates
 from pkm_studies.resolve.gap import ActingEffect, GapRequest, unknown_coefficient
 

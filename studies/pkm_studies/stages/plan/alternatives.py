@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from oed import result
-from oed.planning.option import Option
-from oed.planning.search import PlanSearchResult
-from oed.planning.sequence.stage_plan import StagePlan
+from oed.design.stages.option import Option
+from oed.design.stages.search import PlanSearchResult
+from oed.design.stages.sequence.stage_plan import StagePlan
 from pkm_studies.stages.plan.phrases import more_accurate, percent, time_difference
 from pkm_studies.stages.plan.targets import missed_accuracy
 from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask

@@ -10,13 +10,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import criteria, result
-from oed.assessment import assess
-from oed.planning.search import PlanSearchResult
-from oed.planning.sequence.stage_plan import StagePlan
-from oed.planning.stage import travel
-from oed.planning.stage.knowledge import Prior
-from oed.planning.stage.prediction import PlanStage, predict_stage
+from oed import result
+from oed.design import criteria
+from oed.design.stages.search import PlanSearchResult
+from oed.design.stages.sequence.stage_plan import StagePlan
+from oed.design.stages.stage import travel
+from oed.design.stages.stage.knowledge import Prior
+from oed.design.stages.stage.prediction import PlanStage, predict_stage
+from oed.identifiability.assessment import assess
 from pkm_studies.errors import InputError
 from pkm_studies.stages.plan.phrases import at_most_better, minutes, more_accurate
 from pkm_studies.stages.plan.streams import plan_streams

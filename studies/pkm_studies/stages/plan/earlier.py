@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
+from oed.base import units
+from oed.base.arrays import Array
 from oed.design.candidates import reading_time
-from oed.machine import Machine
-from oed.measurement import Measurement
-from oed.planning.option import Option
+from oed.design.stages.option import Option
+from oed.measurement.measurement import Measurement
+from oed.model.machine import Machine
 from oed.result import CorrectedSection, ParameterEstimate, StudyResult
 from pkm_studies.errors import Place
 from pkm_studies.resolve.plan import plan_request

@@ -7,10 +7,11 @@ from typing import Any
 
 import msgspec
 
-from oed import csv_text, result
-from oed.arrays import Array
-from oed.machine import Machine
-from oed.measurement import Measurement, Series
+from oed import result
+from oed.base import csv_text
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import Machine
 from pkm_studies.resolve import quantities
 from pkm_studies.stages import describe
 from pkm_studies.stages.design.section import planned_readings

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed import units
+from oed.base import units
 
 
 def percent(share: float) -> str:

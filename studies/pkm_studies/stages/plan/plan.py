@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.planning.search import PlanSearchResult
+from oed.base import units
+from oed.design.stages.search import PlanSearchResult
 from pkm_studies.progress import Progress
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.alternatives import list_alternatives

@@ -8,13 +8,16 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from oed import criteria, explain, result, units
-from oed.arrays import Array
-from oed.assessment import Assessment, assess
-from oed.measurement import Measurement, Series
-from oed.planning.search import PlanSearchResult
-from oed.planning.sequence.stage_plan import StagePlan
-from oed.planning.stage.prediction import PlanStage
+from oed import result
+from oed.base import units
+from oed.base.arrays import Array
+from oed.design import criteria
+from oed.design.stages.search import PlanSearchResult
+from oed.design.stages.sequence.stage_plan import StagePlan
+from oed.design.stages.stage.prediction import PlanStage
+from oed.identifiability import explain
+from oed.identifiability.assessment import Assessment, assess
+from oed.measurement.measurement import Measurement, Series
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.task import PlanTask

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from oed.planning.search import PlanSearchResult
-from oed.planning.sequence.stage_plan import StagePlan
+from oed.design.stages.search import PlanSearchResult
+from oed.design.stages.sequence.stage_plan import StagePlan
 from pkm_studies.stages.plan.phrases import percent
 from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.planning.streams import PlanStreams
+from oed.design.stages.streams import PlanStreams
 
 # The streams by which plans are refined, judged and bounded do not follow the study's
 # seed. All searches of a study (other budgets, other stages, without a measurement) then

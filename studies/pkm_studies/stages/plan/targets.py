@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 
-from oed.arrays import Array
+from oed.base.arrays import Array
 from oed.design.criterion.protocol import inverse
-from oed.planning.option import Option
-from oed.planning.search import PlanSearchResult
-from oed.planning.sequence.stage_plan import StagePlan
-from oed.planning.stage.prediction import profiled_information
+from oed.design.stages.option import Option
+from oed.design.stages.search import PlanSearchResult
+from oed.design.stages.sequence.stage_plan import StagePlan
+from oed.design.stages.stage.prediction import profiled_information
 from pkm_studies.stages.plan.phrases import minutes
 from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask
 

@@ -7,14 +7,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed import prediction, result, units
-from oed.arrays import Array
-from oed.planning.goal import Goal, workspace_goal
-from oed.planning.option import Option
-from oed.planning.search import PlanSearchResult, search_plan
-from oed.planning.sequence.beam import BEAM
-from oed.planning.sequence.stage_memory import StageMemory
-from oed.planning.sequence.stage_plan import StagePlan
+from oed import result
+from oed.accuracy import prediction
+from oed.base import units
+from oed.base.arrays import Array
+from oed.design.stages.goal import Goal, workspace_goal
+from oed.design.stages.option import Option
+from oed.design.stages.search import PlanSearchResult, search_plan
+from oed.design.stages.sequence.beam import BEAM
+from oed.design.stages.sequence.stage_memory import StageMemory
+from oed.design.stages.sequence.stage_plan import StagePlan
 from pkm_studies.errors import Place
 from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.resolve.resolved import ResolvedStudy

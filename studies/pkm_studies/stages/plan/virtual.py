@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 
 from oed import result
-from oed.arrays import Array
-from oed.planning.sequence.stage_plan import StagePlan
-from oed.planning.virtual_machines.propagation import StageRealisation, propagate
+from oed.base.arrays import Array
+from oed.design.stages.sequence.stage_plan import StagePlan
+from oed.design.stages.virtual_machines.propagation import StageRealisation, propagate
 from pkm_studies.progress import Progress
 from pkm_studies.stages.plan.task import PlanTask
 

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.budget import Budget
-from oed.budget.lines import shares
-from oed.kinematics import Kinematics
-from oed.machine import Machine
-from oed.prediction import Prediction, Spread
+from oed.accuracy.budget import Budget
+from oed.accuracy.budget.lines import shares
+from oed.accuracy.prediction import Prediction, Spread
+from oed.base import units
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
 from oed.result import (
     ComponentAccuracy,
     MapPoint,

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array
-from oed.budget import Budget, Line
-from oed.correction import ExpectedEffect
-from oed.machine import Machine
-from oed.prediction import Prediction
+from oed.accuracy.budget import Budget, Line
+from oed.accuracy.prediction import Prediction
+from oed.base import units
+from oed.base.arrays import Array
+from oed.compensate.effects import ExpectedEffect
+from oed.model.machine import Machine
+from oed.model.size_prior import EFFECT_SIZES
 from oed.result import BudgetLine, BudgetSection, UnmodelledLine
-from oed.size_prior import EFFECT_SIZES
 
 #: share of the error below which an improvement is not worth a sentence
 WORTH = 0.02

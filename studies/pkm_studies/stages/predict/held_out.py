@@ -13,14 +13,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import units
-from oed.arrays import Array, Mask
-from oed.estimate import Estimate
-from oed.instrument import Channel
-from oed.laplace import ApproximateDraws
-from oed.measurement import Measurement, Series
+from oed.base import units
+from oed.base.arrays import Array, Mask
+from oed.estimation.estimate import Estimate
+from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_structure import reading_structure
+from oed.model.instrument import Channel
 from oed.noise.process import Whitening, stated_laws
-from oed.reading_structure import reading_structure
+from oed.posterior.laplace import ApproximateDraws
 from oed.result import HeldOutSection
 
 #: posterior draws used for predictive intervals

@@ -7,18 +7,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed import information, prediction
-from oed.arrays import Array
-from oed.budget import BudgetModel, budget_model, variance_over_machines
+from oed.accuracy import prediction
+from oed.accuracy.budget import BudgetModel, budget_model, variance_over_machines
+from oed.accuracy.error_draws import compensated_errors
+from oed.accuracy.error_maps import ErrorMaps, Reference, maps_by_reference
+from oed.accuracy.prediction import Prediction
+from oed.base.arrays import Array
 from oed.compensate import NO_TOOL
-from oed.error_draws import compensated_errors
-from oed.error_maps import ErrorMaps, Reference, maps_by_reference
-from oed.estimate import Estimate
-from oed.kinematics import AssemblyError
-from oed.laplace import ApproximateDraws
-from oed.measurement import Measurement, Series
+from oed.estimation.estimate import Estimate
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
 from oed.noise.process_noise import ProcessNoise
-from oed.prediction import Prediction
+from oed.posterior.laplace import ApproximateDraws
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

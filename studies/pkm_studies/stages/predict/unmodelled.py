@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.budget import budget_model
-from oed.correction import ExpectedEffect, expected_effects
-from oed.correction.effect_maps import SessionStates
-from oed.error_maps import ErrorMaps, Reference
+from oed.accuracy.budget import budget_model
+from oed.accuracy.error_maps import ErrorMaps, Reference
+from oed.compensate.effects import ExpectedEffect, expected_effects
+from oed.compensate.effects.effect_maps import SessionStates
 from oed.gap.data import problem as problems
-from oed.measurement import Measurement, Series
+from oed.measurement.measurement import Measurement, Series
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 

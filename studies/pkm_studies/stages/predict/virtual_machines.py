@@ -6,13 +6,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed import compensate, prediction, simulation
-from oed.arrays import Array
-from oed.kinematics import Kinematics
-from oed.machine_fits import fit_machines
-from oed.measurement import Measurement, Series
-from oed.pose_errors import NO_TOOL
-from oed.prediction import Reference, Spread
+from oed import compensate
+from oed.accuracy import prediction
+from oed.accuracy.prediction import Reference, Spread
+from oed.base.arrays import Array
+from oed.estimation.machine_fits import fit_machines
+from oed.measurement import simulation
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL
 
 #: machines that go through the check together
 TOGETHER = 50

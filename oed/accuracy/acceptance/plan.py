@@ -1,0 +1,170 @@
+"""Chooses the poses of an acceptance test, with its limits and its power.
+
+The promise is an rms error S over the workspace for each pose component. A machine has
+the error field a S f(x), where f has an rms of 1 over the workspace; its shape is drawn
+from what calibration leaves, or from the tolerances where something else is wrong. The
+test measures n poses with uncertainty u and compares
+
+    T^2 = 1/n sum_i (a S f(x_i) + u e_i)^2
+
+with a limit that machines at the promise (a = 1) exceed with a stated probability. Its
+power is the probability that a machine which misses the promise (a = 1.2) exceeds it.
+Poses are added one by one: the next is the one that best separates the two.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array, Index
+from oed.base.linear_algebra import covariance_root
+
+#: machines drawn to choose poses, and to state limits and power
+CHOOSING, STATING = 600, 8000
+
+
+@dataclasses.dataclass(frozen=True)
+class Promise:
+    """What was promised of k pose components over m workspace poses; SI.
+
+    names        (k,) of the components
+    maps         (m, k, p) pose errors per parameter
+    covariances  of the parameters (p, p): shapes of error fields, equally likely
+    rms          (k,) promised rms errors
+    uncertainty  (k,) standard uncertainty of one measured error
+    """
+
+    names: tuple[str, ...]
+    maps: Array
+    covariances: Sequence[Array]
+    rms: Array
+    uncertainty: Array
+
+    def fields(self, count: int, rng: np.random.Generator) -> Array:
+        """Error fields (count, m, k) of unit rms over the workspace."""
+        shape = rng.integers(len(self.covariances), size=count)
+        changes = np.empty((count, self.maps.shape[2]))
+        for k, covariance in enumerate(self.covariances):
+            members = np.flatnonzero(shape == k)
+            normal = rng.standard_normal((len(members), len(covariance)))
+            changes[members] = normal @ covariance_root(covariance).T
+        fields = np.einsum("mkp,dp->dmk", self.maps, changes, optimize=True)
+        rms = np.sqrt(np.mean(fields**2, axis=1, keepdims=True))
+        return np.asarray(fields / np.where(rms > 0.0, rms, 1.0))
+
+
+@dataclasses.dataclass(frozen=True)
+class AcceptancePlan:
+    """Poses to measure, and when a machine passes.
+
+    poses        (n,) numbers of workspace poses
+    limits       (k,) largest rms of the measured errors with which it passes, SI
+    power        (k,) probability that a machine which misses the promise is caught
+    miss         factor on the promised rms of such a machine
+    false_alarm  probability that a machine at the promise fails, all components counted
+    """
+
+    poses: Index
+    limits: Array
+    power: Array
+    miss: float
+    false_alarm: float
+
+
+def plan_acceptance(
+    promise: Promise,
+    candidates: Index,
+    rng: np.random.Generator,
+    *,
+    miss: float = 1.2,
+    false_alarm: float = 0.05,
+    power: float = 0.9,
+    most: int = 12,
+) -> AcceptancePlan:
+    """The fewest poses of the candidates that reach the power, or the best `most`.
+
+    candidates  numbers of the workspace poses that may be measured
+
+    Raises ValueError for no candidates.
+    """
+    if not len(candidates):
+        raise ValueError("there are no poses to choose from")
+    fields = promise.fields(CHOOSING, rng)
+    sizes = (promise.rms * fields[:, candidates]) ** 2
+    noise = promise.uncertainty**2
+    total = np.zeros((CHOOSING, len(promise.names)))
+    free = list(range(len(candidates)))
+    chosen: list[int] = []
+    plan: AcceptancePlan | None = None
+    while free and len(chosen) < most:
+        scores = [
+            _separation(total + sizes[:, j], noise, len(chosen) + 1, miss) for j in free
+        ]
+        best = free.pop(int(np.argmax(scores)))
+        chosen.append(best)
+        total = total + sizes[:, best]
+        plan = _state(promise, candidates[chosen], rng, miss, false_alarm)
+        if plan.power.min() >= power:
+            break
+    assert plan is not None
+    return plan
+
+
+def state_limits(
+    promise: Promise,
+    poses: Index,
+    rng: np.random.Generator,
+    *,
+    miss: float = 1.2,
+    false_alarm: float = 0.05,
+) -> AcceptancePlan:
+    """Limits and power of a promise at poses that another one chose."""
+    return _state(promise, poses, rng, miss, false_alarm)
+
+
+def _separation(squares: Array, noise: Array, count: int, miss: float) -> float:
+    """How far missing machines lie from good ones, in standard deviations.
+
+    squares  (machines, k) sums over `count` poses of squared errors at the promise
+
+    The smallest over the components.
+    """
+    mean = squares.mean(axis=0)
+    of_noise = 2.0 * noise * (count * noise + 2.0 * mean)
+    spread = np.sqrt(squares.var(axis=0) + of_noise)
+    gain = (miss**2 - 1.0) * mean
+    return float((gain / np.maximum(spread, 1e-300)).min())
+
+
+def _state(
+    promise: Promise,
+    poses: Index,
+    rng: np.random.Generator,
+    miss: float,
+    false_alarm: float,
+) -> AcceptancePlan:
+    """Limits and power of poses, on machines that had no part in choosing them."""
+    good = _statistics(promise, poses, 1.0, rng)
+    bad = _statistics(promise, poses, miss, rng)
+    each = 1.0 - (1.0 - false_alarm) ** (1.0 / len(promise.names))
+    limits = np.quantile(good, 1.0 - each, axis=0)
+    return AcceptancePlan(
+        poses=np.asarray(poses),
+        limits=limits,
+        power=np.mean(bad > limits, axis=0),
+        miss=miss,
+        false_alarm=float(np.mean((good > limits).any(axis=1))),
+    )
+
+
+def _statistics(
+    promise: Promise, poses: Index, factor: float, rng: np.random.Generator
+) -> Array:
+    """T (machines, k), SI, of machines at a factor on the promise."""
+    fields = promise.fields(STATING, rng)[:, poses]
+    noise = rng.standard_normal(fields.shape) * promise.uncertainty
+    errors = factor * promise.rms * fields + noise
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=1)))

@@ -1,0 +1,169 @@
+"""Pose errors against a stated reference, as linear maps over the parameters.
+
+"absolute"  in the base frame
+"home"      zeroed at the home pose: place and orientation, as a user zeroes a machine
+"best_fit"  after the best rigid alignment of all workspace poses
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oed.base.arrays import Array
+from oed.mechanism.error_model import ErrorModel, error_model
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL
+
+Reference = Literal["home", "absolute", "best_fit"]
+
+
+@dataclasses.dataclass(frozen=True)
+class ErrorMaps:
+    """Slopes of k pose error components over np parameters, at n commands; SI.
+
+    command    (n, n_dof)
+    names      (k,) of the components
+    raw        (n, k, np) without compensation
+    remaining  (n, k, np) with the compensatable components nulled
+    """
+
+    command: Array
+    names: tuple[str, ...]
+    raw: Array
+    remaining: Array
+
+
+def error_maps(
+    kinematics: Kinematics,
+    command: Array,
+    reference: Reference = "home",
+    tool: Array = NO_TOOL,
+    further: tuple[Array, Array] | None = None,
+) -> ErrorMaps:
+    """Error maps at workspace commands (n, n_dof), SI. Raises AssemblyError.
+
+    `further` are twists (n + 1, 6, m) per unit of m coefficients, raw and remaining,
+    the home pose last; the maps are then over them in place of the parameters.
+    """
+    maps = maps_by_reference(kinematics, command, (reference,), tool, further)
+    return maps[reference]
+
+
+def maps_by_reference(
+    kinematics: Kinematics,
+    command: Array,
+    references: Sequence[Reference],
+    tool: Array = NO_TOOL,
+    further: tuple[Array, Array] | None = None,
+    parameters: Array | None = None,
+) -> dict[Reference, ErrorMaps]:
+    """Error maps against several references, as `error_maps`.
+
+    tool        tool point in the platform's frame; home is home with this tool
+    parameters  (np,) of the machine about which the maps hold; nominal by default
+    """
+    machine = kinematics.machine
+    home_command = machine.with_tool(machine.home_command[None], tool)
+    model = error_model(kinematics, command, tool, parameters)
+    home = error_model(kinematics, home_command, tool, parameters)
+    slope = kinematics.error_components_jacobian(command)
+    raw, raw_home = model.raw, home.raw
+    remaining, remaining_home = model.remaining, home.remaining
+    if further is not None:
+        raw, raw_home = further[0][:-1], further[0][-1:]
+        remaining, remaining_home = further[1][:-1], further[1][-1:]
+    maps: dict[Reference, ErrorMaps] = {}
+    for reference in references:
+        frame = (model, home, reference, machine.alignment_lever)
+        maps[reference] = ErrorMaps(
+            command=command,
+            names=tuple(c.name for c in machine.components),
+            raw=slope @ _relative(raw, raw_home, *frame),
+            remaining=slope @ _relative(remaining, remaining_home, *frame),
+        )
+    return maps
+
+
+def relative_to_reference(
+    twist: Array,
+    home_twist: Array,
+    model: ErrorModel,
+    home: ErrorModel,
+    reference: Reference,
+    lever: float,
+) -> Array:
+    """Twist errors (n, 6) of one machine, relative to the reference.
+
+    home_twist  (1, 6) error at the home pose
+    model       error model at the n poses; home, at the home pose
+    lever       m; weighs rotations against lengths in the best fit
+
+    Unlike the linear maps, zeroing at home composes finite rotations: a lost spin of
+    milliradians times an orientation error would otherwise look like an error of its
+    own.
+    """
+    if reference != "home":
+        columns = (twist[:, :, None], home_twist[:, :, None])
+        return _relative(*columns, model, home, reference, lever)[:, :, 0]
+    in_platform = np.einsum("nji,nj->ni", model.rotation, twist[:, 3:])
+    zero = Rotation.from_rotvec(home.rotation[0].T @ home_twist[0, 3:])
+    rotation = Rotation.from_rotvec(in_platform) * zero.inv()
+    in_base = np.einsum("nij,nj->ni", model.rotation, rotation.as_rotvec())
+    return np.hstack([twist[:, :3] - home_twist[:, :3], in_base])
+
+
+def _relative(
+    twist: Array,
+    home_twist: Array,
+    model: ErrorModel,
+    home: ErrorModel,
+    reference: Reference,
+    lever: float,
+) -> Array:
+    """Twists or their slopes (n, 6, m), relative to the reference, to first order."""
+    if reference == "absolute":
+        return twist
+    if reference == "home":
+        # Zeroing on the body: place in the base frame, orientation in the platform's
+        # own axes.
+        carry = np.zeros((len(twist), 6, 6))
+        carry[:, :3, :3] = np.eye(3)
+        carry[:, 3:, 3:] = model.rotation @ home.rotation[0].T
+        return np.asarray(twist - carry @ home_twist)
+    if reference == "best_fit":
+        return _without_rigid_motion(twist, model.point, lever)
+    raise ValueError(f"reference {reference!r} is none of {get_args(Reference)}")
+
+
+def _without_rigid_motion(twist: Array, point: Array, lever: float) -> Array:
+    """Twists (n, 6, m) less the rigid motion that fits them best.
+
+    point  (n, 3) tool points, m
+    lever  m, weight of rotations; 0 for places alone. A machine that never turns has no orientation to
+           align: its points alone are fitted
+    """
+    n = len(twist)
+    rigid = np.zeros((n, 6, 6))
+    rigid[:, :3, :3] = rigid[:, 3:, 3:] = np.eye(3)
+    rigid[:, :3, 3:] = -_cross_matrices(point - point.mean(axis=0))
+    weight = np.ones((6, 1))
+    weight[3:] = lever if twist[:, 3:].any() else 0.0
+    design = (rigid * weight).reshape(6 * n, 6)
+    data = (twist * weight).reshape(6 * n, -1)
+    motion = np.linalg.lstsq(design, data, rcond=None)[0]
+    fit = rigid.reshape(6 * n, 6) @ motion
+    return np.asarray(twist - fit.reshape(twist.shape))
+
+
+def _cross_matrices(vectors: Array) -> Array:
+    """Matrices (n, 3, 3) of the cross products with vectors (n, 3)."""
+    x, y, z = vectors.T
+    matrices = np.zeros((len(vectors), 3, 3))
+    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
+    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
+    return matrices

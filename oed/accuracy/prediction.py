@@ -1,0 +1,265 @@
+"""Residual accuracy over the workspace, before and after compensation.
+
+With parameter errors dp = dp_hat + delta, where delta ~ N(0, Sigma) is what the
+identification does not determine, the pose error of the compensated machine is, to
+first order,
+
+    e = R dp_hat + A delta        (R: `remaining`, A: `raw` of the error model).
+
+Compensatable components keep only A delta. The others keep R dp_hat as well, which is
+known: a further axis (an X-Y table) can correct it, and then A delta remains there too.
+Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma (Lambda:
+tolerances).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from oed.accuracy.error_maps import (
+    ErrorMaps,
+    Reference,
+    error_maps,
+    maps_by_reference,
+    relative_to_reference,
+)
+from oed.base import monte_carlo
+from oed.base.arrays import Array
+from oed.base.linear_algebra import covariance_root
+
+__all__ = [
+    "ErrorMaps",
+    "Prediction",
+    "Reference",
+    "Spread",
+    "error_maps",
+    "error_spread",
+    "maps_by_reference",
+    "predict",
+    "relative_to_reference",
+]
+
+#: virtual machines drawn for the 95th percentile and the largest error, and how many
+#: at least where the errors of all would take too much memory
+VIRTUAL_MACHINES, LEAST_MACHINES = 2000, 400
+#: errors of all machines, poses and components, at most
+MOST_ERRORS = 12_000_000
+#: ends of the interval that holds 95 % of the machines
+INTERVAL = (0.025, 0.975)
+
+
+#: lower and upper end
+Interval = tuple[float, float]
+UNKNOWN_INTERVAL: Interval = (np.nan, np.nan)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Spread:
+    """Error of one pose component, SI.
+
+    rms               root mean square over workspace and machines
+    p95               95th percentile of the error's size over workspace and machines
+    largest           largest error over the workspace; 95 % of the machines stay below
+    rms_interval      interval that holds the rms over the workspace of 95 % of the
+                      machines
+    p95_interval      the same of each machine's 95th percentile
+    largest_interval  the same of each machine's largest error
+    monte_carlo       {figure: standard errors that the number of machines leaves}: of
+                      `rms` where it is drawn, of `p95`, `largest`, and of both ends of
+                      the intervals
+    """
+
+    rms: float
+    p95: float
+    largest: float
+    rms_interval: Interval = UNKNOWN_INTERVAL
+    p95_interval: Interval = UNKNOWN_INTERVAL
+    largest_interval: Interval = UNKNOWN_INTERVAL
+    monte_carlo: Mapping[str, tuple[float, ...]] = dataclasses.field(
+        default_factory=dict
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class Prediction:
+    """Residual accuracy over n workspace poses, for k pose components.
+
+    reference        against which errors are stated
+    command          (n, n_dof), SI
+    names            (k,) of the components
+    before           {component: Spread} without compensation
+    after            {component: Spread} after compensation
+    fully_corrected  {component: Spread} once a further axis corrects all that is known
+    sd_before        (n, k) root mean square error at each pose before, SI
+    sd_after         (n, k) the same after
+    """
+
+    reference: Reference
+    command: Array
+    names: tuple[str, ...]
+    before: dict[str, Spread]
+    after: dict[str, Spread]
+    fully_corrected: dict[str, Spread]
+    sd_before: Array
+    sd_after: Array
+
+
+def predict(
+    maps: ErrorMaps,
+    prior: Array,
+    posterior: Array,
+    rng: np.random.Generator,
+    *,
+    mean: Array | None = None,
+    known: Array | None = None,
+    draws: Array | None = None,
+    worth: float | None = None,
+    reference: Reference = "home",
+    variance: Array | None = None,
+) -> Prediction:
+    """Predict the residual accuracy from prior and posterior covariances (np, np), SI.
+
+    mean     (np,) identified errors p_hat - p_nominal; None before measuring
+    known    (n, k) exact errors that the compensated machine has if p_hat is right; R
+             dp_hat by default, which misses the squares of large errors
+    draws    (m, np) draws of delta from the posterior of the parameters, SI, of which
+             `posterior` is the second moment; normal draws by default
+    worth    number of independent draws that these are worth; m by default
+    variance (n, k) of the errors that delta causes, where it is known better than by
+             the maps (`oed.accuracy.budget.linearisation`); draws are scaled to it
+    """
+    measured = mean is not None
+    centre = np.zeros(len(prior)) if mean is None else mean
+    unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
+    count = _machines(maps)
+    if draws is None:
+        delta = _draw(posterior, rng, count)
+    else:
+        delta, worth = _choose(draws, rng, count, worth)
+    estimate = centre + _draw(unknown_estimate, rng, len(delta))
+    undetermined = _apply(maps.raw, delta)
+    rms_undetermined = _rms(maps.raw, posterior, np.zeros(len(prior)))
+    if variance is not None:
+        linear, rms_undetermined = rms_undetermined, np.sqrt(variance)
+        scale = np.ones_like(linear)
+        np.divide(rms_undetermined, linear, out=scale, where=linear > 0.0)
+        undetermined = undetermined * scale
+    remaining = _apply(maps.remaining, estimate) if known is None else known
+    errors = {
+        "before": _apply(maps.raw, estimate + delta),
+        "after": remaining + undetermined,
+        "fully_corrected": undetermined,
+    }
+    rms_known = (
+        _rms(maps.remaining, unknown_estimate, centre)
+        if known is None
+        else np.abs(known)
+    )
+    rms = {
+        "before": _rms(maps.raw, posterior if measured else prior, centre),
+        "after": np.sqrt(rms_known**2 + rms_undetermined**2),
+        "fully_corrected": rms_undetermined,
+    }
+    spreads = {
+        key: _spreads(maps.names, errors[key], rms[key], worth) for key in errors
+    }
+    return Prediction(
+        reference=reference,
+        command=maps.command,
+        names=maps.names,
+        before=spreads["before"],
+        after=spreads["after"],
+        fully_corrected=spreads["fully_corrected"],
+        sd_before=rms["before"],
+        sd_after=rms["after"],
+    )
+
+
+def error_spread(errors: Array, worth: float | None = None) -> Spread:
+    """Spread of the errors (machines, n), SI, of one pose component.
+
+    worth  number of independent machines that these are worth; all by default
+    """
+    size = np.abs(errors)
+    of_machine = {
+        "rms": np.sqrt(np.mean(errors**2, axis=1)),
+        "p95": np.quantile(size, 0.95, axis=1),
+        "largest": size.max(axis=1),
+    }
+    rms = monte_carlo.root_mean_square(errors, worth)
+    p95 = monte_carlo.pooled_quantile(size, 0.95, worth)
+    largest = monte_carlo.quantile(of_machine["largest"], 0.95, worth)
+    intervals: dict[str, Interval] = {}
+    errors_of: dict[str, tuple[float, ...]] = {
+        "rms": (rms.error,),
+        "p95": (p95.error,),
+        "largest": (largest.error,),
+    }
+    for name, values in of_machine.items():
+        low, high = (monte_carlo.quantile(values, end, worth) for end in INTERVAL)
+        intervals[f"{name}_interval"] = (low.value, high.value)
+        errors_of[f"{name}_interval"] = (low.error, high.error)
+    return Spread(
+        rms=rms.value,
+        p95=p95.value,
+        largest=largest.value,
+        monte_carlo=errors_of,
+        **intervals,
+    )
+
+
+def _spreads(
+    names: Sequence[str], errors: Array, rms: Array, worth: float | None
+) -> dict[str, Spread]:
+    """Spread by component, from drawn errors (machines, n, k) and exact rms (n, k).
+
+    Only the percentile and the largest error need the draws.
+    """
+    spreads = {}
+    for k, name in enumerate(names):
+        drawn = error_spread(errors[:, :, k], worth)
+        exact = float(np.sqrt(np.mean(rms[:, k] ** 2)))
+        others = {n: e for n, e in drawn.monte_carlo.items() if n != "rms"}
+        spreads[name] = dataclasses.replace(drawn, rms=exact, monte_carlo=others)
+    return spreads
+
+
+def _machines(maps: ErrorMaps) -> int:
+    """Number of virtual machines whose errors at all poses fit into the memory."""
+    of_machine = maps.raw.shape[0] * maps.raw.shape[1]
+    return int(np.clip(MOST_ERRORS // of_machine, LEAST_MACHINES, VIRTUAL_MACHINES))
+
+
+def _draw(covariance: Array, rng: np.random.Generator, count: int) -> Array:
+    """Draws (count, np) of N(0, covariance)."""
+    noise = rng.standard_normal((count, len(covariance)))
+    return np.asarray(noise @ covariance_root(covariance).T)
+
+
+def _choose(
+    draws: Array, rng: np.random.Generator, count: int, worth: float | None
+) -> tuple[Array, float]:
+    """`count` of the draws (m, np) or all, and how many independent ones they are worth.
+
+    Draws of a chain are worth fewer than they are; some of them apart lose less.
+    """
+    chosen = draws
+    if len(draws) > count:
+        chosen = rng.choice(draws, count, replace=False)
+    alone, whole = 1.0 / len(chosen), 1.0 / len(draws)
+    related = 0.0 if worth is None else max(1.0 / max(worth, 1.0) - whole, 0.0)
+    return np.asarray(chosen), 1.0 / (alone + related)
+
+
+def _apply(maps: Array, parameters: Array) -> Array:
+    """Errors (machines, n, k) of machines with parameter errors (machines, np)."""
+    return np.asarray(np.einsum("nkp,dp->dnk", maps, parameters, optimize=True))
+
+
+def _rms(maps: Array, covariance: Array, mean: Array) -> Array:
+    """Root mean square (n, k) of maps @ N(mean, covariance)."""
+    variance = np.einsum("nkp,pq,nkq->nk", maps, covariance, maps, optimize=True)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) + (maps @ mean) ** 2))

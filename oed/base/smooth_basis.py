@@ -1,0 +1,81 @@
+"""Bases of random smooth curves and fields: their leading Karhunen-Loeve modes.
+
+A curve of standard deviation 1 and correlation length r has, at a distance d, Matern's
+correlation for 3/2,
+
+    (1 + a d) exp(-a d),    a = sqrt(3) / r,
+
+that of curves with a slope everywhere (Rasmussen and Williams 2006, Gaussian Processes
+for Machine Learning, eq. 4.17). The modes are orthogonal curves whose sum with
+independent N(0, 1) coefficients is such a curve; the first few hold nearly all of it.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from oed.base.arrays import Array
+
+#: places in the span at which a curve's modes are computed
+POINTS = 200
+#: share of a field's energy below which what is left is rounding
+ROUNDING = 1e-12
+
+
+def curve_mode(
+    at: Array, number: int, *, correlation_length: float, count: int, detrend: int = 0
+) -> Array:
+    """One of the `count` largest modes of a smooth curve over the span from -1 to 1.
+
+    at                  (...) places; beyond the span the mode keeps its end value
+    number              of the mode, 0 for the largest
+    correlation_length  where the span is 2 long
+    detrend             1 for curves without their mean, 2 without their slope either
+    """
+    grid, modes = _curve_modes(correlation_length, count, detrend)
+    return np.asarray(np.interp(at, grid, modes[number]))
+
+
+@functools.cache
+def _curve_modes(
+    correlation_length: float, count: int, detrend: int
+) -> tuple[Array, Array]:
+    """Places (POINTS,) in the span, and the modes (count, POINTS), largest first."""
+    grid: Array = (np.arange(POINTS, dtype=float) + 0.5) * (2.0 / POINTS) - 1.0
+    distance = np.abs(grid[:, None] - grid)
+    trend = np.linalg.qr(np.vander(grid, detrend))[0]
+    projection = np.eye(POINTS) - trend @ trend.T
+    correlation = _matern(distance, correlation_length)
+    values, vectors = np.linalg.eigh(projection @ correlation @ projection)
+    modes = np.sqrt(values[-count:]) * vectors[:, -count:]
+    return np.asarray(grid), np.asarray(modes.T[::-1])
+
+
+def field_modes(
+    places: Array, *, correlation_length: float, energy_share: float, count: int
+) -> Array:
+    """Modes (m, k) of a smooth field at places (m, n), whose products are its kernel.
+
+    As many as hold `energy_share` of the field's energy at these places, `count` at
+    most: a Cholesky decomposition with pivots, linear in the number of places
+    (Harbrecht, Peters and Schneider 2012, Appl. Numer. Math. 62, 428-440).
+    """
+    distinct, place = np.unique(np.round(places, 9), axis=0, return_inverse=True)
+    unexplained, modes = np.ones(len(distinct)), np.zeros((len(distinct), 0))
+    spare = max(1.0 - energy_share, ROUNDING)
+    while modes.shape[1] < count and unexplained.mean() > spare:
+        pivot = int(np.argmax(unexplained))
+        distance = np.linalg.norm(distinct - distinct[pivot], axis=1)
+        remainder = _matern(distance, correlation_length) - modes @ modes[pivot]
+        mode = remainder / np.sqrt(unexplained[pivot])
+        modes = np.column_stack([modes, mode])
+        unexplained = np.maximum(unexplained - mode**2, 0.0)
+    return np.asarray(modes[place.ravel()])
+
+
+def _matern(distance: Array, correlation_length: float) -> Array:
+    """Matern's correlation of order 3/2 at distances, of the same shape."""
+    scaled = np.sqrt(3.0) / correlation_length * distance
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))

@@ -1,0 +1,64 @@
+"""Words of messages: shares in percent, long texts shortened, suggestions for names."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+
+from oed.base import units
+
+#: percent by which rounding may miss all of something
+ROUNDING = 1e-9
+
+
+def percent(share: float) -> str:
+    """A share between 0 and 1 in percent, such as `83 %` or `99.6 %`.
+
+    One decimal below 1 % and above 99 %. What is neither nothing nor all is never
+    rounded to 0 % or 100 %.
+    """
+    value = 100.0 * share
+    if 0.0 < value < 0.05:
+        return "under 0.1 %"
+    if 99.95 <= value < 100.0 - ROUNDING:
+        return "over 99.9 %"
+    near_an_end = 0.0 < value < 1.0 or 99.0 < value < 100.0 - ROUNDING
+    return f"{value:.{1 if near_an_end else 0}f} %"
+
+
+def guaranteed_percent(share: float) -> float:
+    """A guaranteed share in percent, rounded down to one decimal: 99.96 % is not all."""
+    return math.floor(1000.0 * share * (1.0 + 1e-12)) / 10.0
+
+
+def shorten(text: str, length: int) -> str:
+    """Text on one line, printable, of at most `length` characters."""
+    printable = "".join(c if c.isprintable() else " " for c in text[: 4 * length])
+    line = " ".join(printable.split())
+    if len(line) <= length:
+        return line
+    return line[: length - 4].rstrip() + " ..."
+
+
+def suggest(
+    word: str, known: Iterable[str], kind: str = "known", limit: int | None = None
+) -> str:
+    """Remedy for an unknown name: the nearest known one, and the list of `kind`.
+
+    `limit` names at most are listed.
+    """
+    names = list(dict.fromkeys(known))
+    if not names:
+        return f"nothing is {kind} here: remove it"
+    listed = f"{kind}: {', '.join(names[:limit])}"
+    if limit is not None and len(names) > limit:
+        listed += ", ..."
+    near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    return f"did you mean {near[0]}? ({listed})" if near else listed
+
+
+def quantity(value: float, si: str) -> str:
+    """An SI value in its fine unit, three digits: `12.3 um`."""
+    unit = units.FINE[si]
+    return f"{units.number(value, unit):.3g} {unit}"

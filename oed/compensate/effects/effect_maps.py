@@ -1,0 +1,153 @@
+"""Pose errors over the workspace that effects cause, in states of a session."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed.accuracy.error_maps import ErrorMaps, Reference, error_maps
+from oed.base.arrays import Array
+from oed.gap.data import state as states_of
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.error_model import ErrorModel, error_model
+from oed.mechanism.kinematics import Kinematics
+from oed.model.effect import Column, Effect, State
+from oed.model.machine import Machine
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclasses.dataclass(frozen=True)
+class ActingForm:
+    """An effect at its constants, and the names of the coefficients that count."""
+
+    effect: Effect
+    constants: Mapping[str, float]
+    names: tuple[str, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class SessionStates:
+    """States of a session, from which those of the workspace are drawn.
+
+    covariates  one row a reading
+    states      one a series
+    gravity     its direction in the base frame
+    """
+
+    measurement: Measurement
+    covariates: pd.DataFrame
+    states: tuple[State, ...]
+    gravity: tuple[float, float, float]
+
+
+def workspace_state(
+    session: SessionStates, theta: Array, command: Array, rng: np.random.Generator
+) -> State:
+    """The machine's state at commands, then at home, in drawn states of the session.
+
+    At home the states are those of the session's first reading.
+    """
+    measurement, first = session.measurement, session.states[0]
+    home = measurement.machine.home_command[None]
+    poses = np.vstack([command, home])
+    tool = np.array(measurement.setups[first.setup].tool)
+    x, q = measurement.kinematics.inverse(poses, None, tool)
+    index = np.arange(len(poses))[:, None]
+    run = np.array(["1"] * len(poses))
+    series = Series(first.setup, q, x, poses, index, run)
+    drawn = rng.integers(len(session.covariates), size=len(q))
+    rows = session.covariates.iloc[drawn]
+    rows = rows.assign(run="1", order=np.arange(len(q), dtype=float))
+    rows.iloc[-1] = _first_row(session.covariates, rows)
+    (state,) = states_of.states(
+        measurement,
+        (series,),
+        rows.reset_index(drop=True),
+        theta,
+        session.gravity,
+    )
+    progress = state.session_progress
+    low, high = first.session_span
+    if np.isfinite(state.time).all() and high > low:
+        progress = (state.time - low) / (high - low)
+    return dataclasses.replace(
+        state,
+        session_progress=progress,
+        max_payload=first.max_payload,
+        max_feed=first.max_feed,
+        session_times=first.session_times,
+        start_temperature=first.start_temperature,
+        joint_range=first.joint_range,
+        session_span=first.session_span,
+    )
+
+
+def _first_row(covariates: pd.DataFrame, rows: pd.DataFrame) -> pd.Series:
+    """The session's first reading, at the place of the last of `rows`."""
+    first = covariates
+    if "time" in covariates and covariates["time"].notna().any():
+        first = covariates.sort_values("time")
+    row = first.iloc[0].copy()
+    row["run"], row["order"] = "1", rows["order"].iloc[-1]
+    return row[rows.columns]
+
+
+def effect_maps(
+    kinematics: Kinematics,
+    forms: Sequence[ActingForm],
+    state: State,
+    parameters: Array,
+    command: Array,
+    reference: Reference,
+) -> ErrorMaps:
+    """Pose errors per prior standard deviation of each coefficient (n, k, m).
+
+    state       at the commands (n, n_dof), then at home
+    parameters  (np,) of the machine, SI
+    """
+    machine = kinematics.machine
+    model = error_model(kinematics, np.vstack([command, machine.home_command[None]]))
+    tools = kinematics.frames(state.pose, np.zeros(3))[2]
+    by_joint = tools @ kinematics.joint_sensitivity(
+        state.pose, state.joints, parameters
+    )
+    raw, remaining = [], []
+    for form in forms:
+        columns = {c.name: c for c in form.effect.columns(state, **form.constants)}
+        for name in form.names:
+            twist = np.zeros((len(state.pose), 6))
+            fixed = np.zeros_like(twist)
+            if name in columns:
+                twist, fixed = _twists(machine, model, by_joint, columns[name])
+            raw.append(twist)
+            remaining.append(fixed)
+    return error_maps(
+        kinematics,
+        command,
+        reference,
+        further=(np.stack(raw, axis=2), np.stack(remaining, axis=2)),
+    )
+
+
+def _twists(
+    machine: Machine, model: ErrorModel, by_joint: Array, column: Column
+) -> tuple[Array, Array]:
+    """Twist errors (n, 6) per prior standard deviation: raw, and with parameters
+    compensated.
+    """
+    twist = np.zeros(by_joint.shape[:2])
+    fixed = np.zeros_like(twist)
+    known = {p.name for p in machine.parameters}
+    for joint, change in column.joints.items():
+        twist += by_joint[:, :, joint] * change[:, None]
+    for parameter, change in column.parameters.items():
+        if parameter in known:
+            k = machine.index(parameter)
+            twist += model.raw[:, :, k] * change[:, None]
+            fixed += model.remaining[:, :, k] * change[:, None]
+    return twist * column.scale, fixed * column.scale

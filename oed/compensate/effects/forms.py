@@ -1,0 +1,145 @@
+"""Chooses each effect's constants and prior size by the evidence of the readings.
+
+With prior N(0, 1) on the coefficients and a free noise level, the log evidence of
+columns U is -1/2 log |A| - N/2 log(r^T M r - b^T A^-1 b), A = 1 + U^T M U, b = U^T M r;
+M takes out what the machine's parameters can explain (`oed.gap.data.metric`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy import linalg
+
+from oed.base.arrays import Array
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem
+from oed.gap.data.signature import Signature
+from oed.model.effect import Effect
+from oed.model.size_prior import EFFECT_SIZES
+from oed.noise.law import NoiseLaw
+
+#: constants beyond which textbook forms alone are scanned
+LARGE_GRID = 64
+#: passes over the effects
+PASSES = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class ChosenForm:
+    """The form of an effect that suits the readings best.
+
+    effect     the effect
+    constants  {constant: value}
+    size       factor on its prior standard deviations
+    signature  change of the readings per prior standard deviation
+    """
+
+    effect: Effect
+    constants: Mapping[str, float]
+    size: float
+    signature: Signature
+
+
+def choose_forms(
+    problem: GapProblem, effects: Sequence[Effect]
+) -> tuple[ChosenForm, ...]:
+    """The forms of effects that act together; effects that change nothing are absent."""
+    evidence = form_evidence(problem)
+    chosen: dict[str, ChosenForm] = {}
+    for _ in range(PASSES):
+        for effect in effects:
+            others = [f for name, f in chosen.items() if name != effect.name]
+            best = _best_form(problem, evidence, effect, others)
+            if best is not None:
+                chosen[effect.name] = best
+    return tuple(chosen.values())
+
+
+def _best_form(
+    problem: GapProblem,
+    evidence: FormEvidence,
+    effect: Effect,
+    others: Sequence[ChosenForm],
+) -> ChosenForm | None:
+    """The form of one effect of highest evidence, next to others; None without any."""
+    parts = [problem.in_noise_units(f.signature.columns * f.size) for f in others]
+    fixed = np.hstack([np.zeros((len(problem), 0)), *parts])
+    grid = effect.constant_grid()
+    textbook = len(grid) > LARGE_GRID
+    best, best_value = None, -np.inf
+    for constants in grid:
+        signature = problem.signature(effect, constants, textbook=textbook)
+        if not signature.names:
+            continue
+        columns = problem.in_noise_units(signature.columns)
+        values = evidence.of_sizes(fixed, columns, problem.residual)
+        if values.max() > best_value:
+            best_value = float(values.max())
+            size = float(EFFECT_SIZES.values[np.argmax(values)])
+            best = ChosenForm(effect, constants, size, signature)
+    if best is None or not textbook:
+        return best
+    adapted = problem.signature(effect, best.constants)
+    return dataclasses.replace(best, signature=adapted)
+
+
+@dataclasses.dataclass(frozen=True)
+class FormEvidence:
+    """Evidence of columns for a residual, the noise level profiled out."""
+
+    metric: Metric
+
+    def log_evidence(self, columns: Array, residual: Array) -> float:
+        """Log evidence of columns (N, k) for a residual (N,), in noise units."""
+        products = self._products(columns, residual)
+        return _log_evidence(products, len(residual))
+
+    def of_sizes(self, fixed: Array, columns: Array, residual: Array) -> Array:
+        """Log evidence (S,) of columns (N, k) at each size, with the size's prior.
+
+        fixed  (N, f) columns that are in the model as they are
+        """
+        products = self._products(np.hstack([fixed, columns]), residual)
+        values = []
+        for size in EFFECT_SIZES.values:
+            scale = np.ones(len(products))
+            scale[fixed.shape[1] : -1] = size
+            values.append(
+                _log_evidence(products * np.outer(scale, scale), len(residual))
+            )
+        return np.array(values) + EFFECT_SIZES.log_shares
+
+    def unexplained(self, columns: Array, residual: Array) -> float:
+        """Sum of squares that columns with their prior leave of a residual."""
+        return _solve(self._products(columns, residual))[1]
+
+    def _products(self, columns: Array, residual: Array) -> Array:
+        """Inner products (k + 1, k + 1) of columns and residual."""
+        both = np.column_stack([columns, residual])
+        return self.metric.gram(both, both)
+
+
+def _log_evidence(products: Array, size: int) -> float:
+    log_det, unexplained = _solve(products)
+    return -0.5 * log_det - 0.5 * size * float(np.log(unexplained))
+
+
+def _solve(products: Array) -> tuple[float, float]:
+    """Log determinant of A, and sum of squares that the columns leave."""
+    inner = products[:-1, :-1] + np.eye(len(products) - 1)
+    b, total = products[:-1, -1], float(products[-1, -1])
+    root = linalg.cholesky(inner, lower=True)
+    explained = float(np.sum(linalg.solve_triangular(root, b, lower=True) ** 2))
+    log_det = 2.0 * float(np.log(np.diag(root)).sum())
+    return log_det, max(total - explained, 1e-12 * total)
+
+
+def form_evidence(problem: GapProblem) -> FormEvidence:
+    """Evidence of columns under independent noise of the stated ratios."""
+    law = NoiseLaw(
+        run_sd=0.0, ar1_sd=0.0, ar1_length=1.0, variance=np.ones(len(problem))
+    )
+    return FormEvidence(Metric(problem, law))

@@ -1,0 +1,136 @@
+"""Pose errors that a compensation file adds to those of exact compensation.
+
+They come from printed digits, from what the controller's model cannot hold, and from
+interpolation between the commands of a table. All are against a stated reference, like
+the predicted accuracy that they join.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed.accuracy.error_maps import Reference, relative_to_reference
+from oed.base.arrays import Array
+from oed.compensate import (
+    FurtherAxes,
+    InterpolationTable,
+    compensated_joints,
+    error_model,
+    joint_corrections,
+    pose_error,
+)
+from oed.compensate.command_grid import CommandGrid
+from oed.mechanism.kinematics import Kinematics
+
+#: places in a table's box over which its interpolation error is averaged
+PLACES = 1000
+
+
+def joint_errors(
+    kinematics: Kinematics,
+    command: Array,
+    joints: Array,
+    parameters: Array,
+    reference: Reference,
+    further: FurtherAxes | None = None,
+    offsets: Array | None = None,
+) -> Array:
+    """Errors (n, k) of the pose components at commands (n, n_dof), SI.
+
+    joints      (n + 1, nq) to which the controller drives at the commands, then at home
+    parameters  (np,) of the machine
+    further     axes that take back `offsets` (n + 1, m), likewise; none by default
+
+    They are on top of what exact compensation leaves. Raises AssemblyError.
+    """
+    machine = kinematics.machine
+    home = machine.home_command[None]
+    poses = np.vstack([command, home])
+    exact = compensated_joints(kinematics, poses, parameters)
+    twist = pose_error(kinematics, poses, joints, parameters)
+    twist -= pose_error(kinematics, poses, exact, parameters)
+    if further is not None and offsets is not None:
+        missed = offsets - further.offsets(poses, parameters)
+        twist -= further.twists(poses, missed)
+    relative = relative_to_reference(
+        twist[:-1],
+        twist[-1:],
+        error_model(kinematics, command),
+        error_model(kinematics, home),
+        reference,
+        machine.alignment_lever,
+    )
+    return kinematics.error_components(command, relative)
+
+
+def interpolation_errors(
+    kinematics: Kinematics,
+    grid: CommandGrid,
+    parameters: Array,
+    reference: Reference,
+    rng: np.random.Generator,
+    further: FurtherAxes,
+) -> Array:
+    """Errors (n, k), SI, at random places of a table of joint corrections and offsets.
+
+    The controller has the nominal model. It adds corrections, linear between the
+    commands of the grid, at home too; those of home where the grid does not reach it.
+    Further axes, if any, take back offsets that are interpolated alike.
+
+    Raises AssemblyError.
+    """
+    nominal, nq = kinematics.machine.nominal, len(kinematics.machine.joints)
+    values = [
+        joint_corrections(kinematics, grid.commands, parameters),
+        further.offsets(grid.commands, parameters),
+    ]
+    table = InterpolationTable(
+        tuple(axis.name for axis in grid.axes),
+        grid.knots,
+        np.hstack(values).reshape(*grid.counts, -1),
+        grid.turns,
+    )
+    low, high = np.array([axis.evaluated for axis in grid.axes]).T
+    places = rng.uniform(low, high, (PLACES, len(low)))
+    home = kinematics.machine.home_command[None]
+    joints_at_home = compensated_joints(kinematics, home, parameters)
+    offsets_at_home = further.offsets(home, parameters)
+    if all(axis.holds(p) for axis, p in zip(grid.axes, home[0], strict=True)):
+        tabled = table.at(home)
+        joints_at_home = compensated_joints(kinematics, home, nominal) + tabled[:, :nq]
+        offsets_at_home = tabled[:, nq:]
+    tabled = table.at(places)
+    joints = compensated_joints(kinematics, places, nominal) + tabled[:, :nq]
+    return joint_errors(
+        kinematics,
+        places,
+        np.vstack([joints, joints_at_home]),
+        parameters,
+        reference,
+        further,
+        np.vstack([tabled[:, nq:], offsets_at_home]),
+    )
+
+
+def known_errors(
+    kinematics: Kinematics, command: Array, parameters: Array, reference: Reference
+) -> Array:
+    """Errors (n, k) that exact compensation leaves at commands (n, n_dof), SI.
+
+    They are known as well as the parameters (np,) are: of what no joint drives, and of
+    the rest to rounding. Raises AssemblyError.
+    """
+    machine = kinematics.machine
+    home = machine.home_command[None]
+    poses = np.vstack([command, home])
+    joints = compensated_joints(kinematics, poses, parameters)
+    twist = pose_error(kinematics, poses, joints, parameters)
+    relative = relative_to_reference(
+        twist[:-1],
+        twist[-1:],
+        error_model(kinematics, command),
+        error_model(kinematics, home),
+        reference,
+        machine.alignment_lever,
+    )
+    return kinematics.error_components(command, relative)

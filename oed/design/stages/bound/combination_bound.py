@@ -1,0 +1,177 @@
+"""Upper bound of the criterion for every combination of measurements, by duality.
+
+A plan that mounts the options T and reads candidates i of them, at most N_s of option
+s, leaves at most the information L = L0 + sum_(s in T) S_s about the machine, with the
+set-ups' parameters profiled out:
+
+    S_s = min over G of  sum_(i in s) w_i (x_i - z_i G)^T (x_i - z_i G) + G^T G.
+
+x_i and z_i are the parts of a candidate's rows on machine and set-up (prior variances
+of 1). Any G bounds S_s by something linear in w. With a supporting line of the
+criterion at any L, log phi(L') <= v + log <R R^T, L'>, this gives
+
+    phi(T) <= exp(v) ( <R R^T, L0> + min over prices l >= 0 of  l (B - sum_T mounting_s)
+               + sum_(s in T) [ |G_s R|^2 + sum_(N_s largest i in s) max(0, g_i - l c_i) ] )
+
+with gains g_i = |(x_i - z_i G_s) R|^2, times c_i and the budget B.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array, Index
+from oed.design import relaxation
+from oed.design.certificate import ROUNDING
+from oed.design.criterion import Criterion
+from oed.design.stages.bound.option_bound import OptionBound
+from oed.design.stages.goal import Goal
+from oed.design.stages.option import Option
+
+#: prices of time to try, as shares of the highest gain a candidate has for its time
+PRICES = np.append(0.0, np.geomspace(1e-5, 1.0, 40))
+#: gap in log phi of a combination's relaxation
+TOLERANCE = 3e-3
+#: relaxations in which the prices of readings settle, and the excess that is accepted
+SETTLING, EXCESS = 6, 0.02
+#: weight of the candidates of options that are not in a relaxation
+OUTSIDE = 0.5
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CombinationBound:
+    """The options of a planning problem with their bounds.
+
+    mounting     (options,) time to mount each, s
+    information  (n, n) about the machine before
+    budget       s
+    """
+
+    parts: tuple[OptionBound, ...]
+    mounting: Array
+    goal: Goal
+    information: Array
+    budget: float
+
+    @classmethod
+    def of(
+        cls,
+        options: Sequence[Option],
+        goal: Goal,
+        information: Array,
+        budget: float,
+    ) -> CombinationBound:
+        """The bound for a catalogue of options."""
+        return cls(
+            parts=tuple(OptionBound.of(o, len(information)) for o in options),
+            mounting=np.array([option.mounting_seconds for option in options]),
+            goal=goal,
+            information=information,
+            budget=budget,
+        )
+
+    def relax(self, members: Sequence[int]) -> dict[int, Array]:
+        """Best relaxed weights {option: (C,)} of a combination within the budget."""
+        parts = [self.parts[s] for s in members]
+        rows = _joint_rows(parts, len(self.information))
+        base = np.eye(rows.shape[2])
+        n = len(self.information)
+        base[:n, :n] = self.information
+        time = self.budget - float(self.mounting[list(members)].sum())
+        weights = self._settle_prices(parts, rows, base, time)
+        ends = np.cumsum([len(part.cost) for part in parts])[:-1]
+        return dict(zip(members, np.split(weights, ends), strict=True))
+
+    def _settle_prices(
+        self, parts: Sequence[OptionBound], rows: Array, base: Array, time: float
+    ) -> Array:
+        """Best weights of all candidates, within the time and each option's number.
+
+        Time is the only price. A reading of an option whose number is exceeded costs
+        extra seconds, until no number is exceeded.
+        """
+        sizes = [len(part.cost) for part in parts]
+        part_of = np.repeat(np.arange(len(parts)), sizes)
+        seconds = np.concatenate([part.cost for part in parts])
+        limit = np.array([part.limit for part in parts])
+        mean = np.array([part.cost.mean() for part in parts])
+        time = min(time, sum(part.longest for part in parts))
+        setup_columns = rows.shape[2] - len(self.information)
+        criterion = _last_smooth(self.goal.criterion(setup_columns))
+        price = mean
+        for _ in range(SETTLING):
+            extra = price - mean
+            cost = seconds + extra[part_of]
+            total = min(time + float(extra @ limit), float(cost.sum()))
+            scaled = rows / np.sqrt(cost)[:, None, None]
+            relaxed = relaxation.relax(scaled, total, base, cost, TOLERANCE, criterion)
+            weights = np.asarray(relaxed.weights / cost)
+            used = np.bincount(part_of, weights)
+            if (used <= limit * (1.0 + EXCESS)).all():
+                break
+            price = np.maximum(mean, price * used / limit)
+        return weights
+
+    def bound_all(self, combinations: Index, weights: dict[int, Array]) -> Array:
+        """Bound (T,) of log phi of every combination, by the line at some weights."""
+        profiles = []
+        for s, part in enumerate(self.parts):
+            outside = np.full(len(part.cost), OUTSIDE)
+            profiles.append(part.profile(weights.get(s, outside)))
+        added = sum(
+            self.parts[s].information(w, profiles[s]) for s, w in weights.items()
+        )
+        line = _last_smooth(self.goal.criterion(0)).support(
+            np.asarray(self.information + added)
+        )
+        worth, prices = self._worth(profiles, line.root)
+        total = worth[combinations].sum(axis=1) + prices * self.budget
+        carried = total.min(axis=1)
+        prior = float(np.sum((self.information @ line.root) * line.root))
+        return np.asarray(line.value + np.log(prior + carried) + ROUNDING)
+
+    def _worth(self, profiles: Sequence[Array], root: Array) -> tuple[Array, Array]:
+        """Worth (options + 1, P) of each option at each price, and the prices (P,).
+
+        The last row stands for "no option".
+        """
+        gains = [
+            part.gain(profile, root)
+            for part, profile in zip(self.parts, profiles, strict=True)
+        ]
+        rates = [
+            float((gain / part.cost).max())
+            for gain, part in zip(gains, self.parts, strict=True)
+        ]
+        prices = PRICES * max(rates)
+        rows = []
+        for s, part in enumerate(self.parts):
+            constant = float(np.sum((profiles[s] @ root) ** 2))
+            readings = part.worth(gains[s], prices)
+            rows.append(readings + constant - prices * self.mounting[s])
+        return np.vstack([*rows, np.zeros(len(prices))]), prices
+
+
+def _joint_rows(parts: Sequence[OptionBound], n: int) -> Array:
+    """Rows (C, k, w) of all candidates over machine and all set-ups' parameters."""
+    width = n + sum(part.setup.shape[2] for part in parts)
+    height = max(part.machine.shape[1] for part in parts)
+    blocks = []
+    start = n
+    for part in parts:
+        count, k = part.machine.shape[:2]
+        end = start + part.setup.shape[2]
+        block = np.zeros((count, height, width))
+        block[:, :k, :n] = part.machine
+        block[:, :k, start:end] = part.setup
+        blocks.append(block)
+        start = end
+    return np.concatenate(blocks)
+
+
+def _last_smooth(criterion: Criterion) -> Criterion:
+    """The sharpest smooth criterion on the ladder to this one."""
+    return [c for c in criterion.continuation() if c.smooth][-1]

@@ -1,0 +1,130 @@
+"""Lower bound of the goal over all plans within the budget: a certificate for a plan.
+
+Each combination T of options has an upper bound of log phi, phi = 1 / value^2. One
+supporting line bounds all combinations at once (`combination_bound`). The combination
+with the highest bound is then solved as a relaxation, which gives a new line, tight
+there. This goes on until no combination can be better than the loss allows.
+
+A machine out of the travel of every reading of every option in T stays as it is,
+whatever is mounted first. Their share bounds the goal from below (`uncaptured`).
+Other losses of readings, and the linearisation residual, only make plans worse and are
+left out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array, Index
+from oed.design.stages.bound.combination_bound import CombinationBound
+from oed.design.stages.bound.uncaptured import bound_uncaptured
+from oed.design.stages.goal import Goal
+from oed.design.stages.option import Option
+
+#: largest number of combinations that are bounded
+COMBINATIONS = 200_000
+#: combinations that are reported as promising
+PROMISING = 4
+#: gain of a line in log phi below which a relaxation has reached its own tolerance
+STUCK = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class GoalBound:
+    """No plan within the budget has a smaller goal value than `value`.
+
+    lines      supporting lines that were computed
+    certified  whether the best known plan is within the loss of `value`
+    promising  combinations that can hold a better plan, most promising first, as
+               {position of the option: relaxed number of readings}
+    """
+
+    value: float
+    lines: int
+    certified: bool
+    promising: tuple[dict[int, float], ...] = ()
+
+    def certify(self, value: float, loss: float) -> GoalBound:
+        """The same bound, with `certified` for a plan of this value."""
+        limit = self.value * (1.0 + loss) * (1.0 + 1e-9)
+        return dataclasses.replace(self, certified=value <= limit)
+
+
+def bound_goal(
+    options: Sequence[Option],
+    goal: Goal,
+    information: Array,
+    budget: float,
+    stages: int,
+    value: float,
+    rng: np.random.Generator,
+    loss: float = 0.05,
+    lines: int = 150,
+) -> GoalBound:
+    """Bound the goal over all plans of at most `stages` options within `budget` (s).
+
+    Lines are added until a plan with `value` is certified to be within the share `loss`
+    of the best plan, or until there are `lines` of them.
+
+    information  (n, n) about the machine before
+    rng          draws the machines that no reading captures
+
+    Raises ValueError where there are too many combinations.
+    """
+    mounting = np.array([option.mounting_seconds for option in options])
+    combinations = _combinations(mounting, budget, stages)
+    if not len(combinations):
+        return GoalBound(np.inf, 0, True)
+    least = bound_uncaptured(options, goal, information, combinations, rng)
+    upper = -2.0 * np.log(least)
+    goal_bound = CombinationBound.of(options, goal, information, budget)
+    target = _log_phi(value) + 2.0 * math.log1p(loss)
+    relaxed: dict[int, dict[int, float]] = {}
+    computed = 0
+    while computed < lines:
+        best = int(np.argmax(upper))
+        if upper[best] <= target:
+            break
+        members = [position for position in combinations[best] if position >= 0]
+        weights = goal_bound.relax(members)
+        relaxed[best] = {int(s): float(w.sum()) for s, w in weights.items()}
+        line = goal_bound.bound_all(combinations, weights)
+        is_stuck = line[best] >= upper[best] - STUCK
+        upper = np.minimum(upper, line)
+        computed += 1
+        if is_stuck:
+            break
+    highest = float(upper.max())
+    better = [k for k in relaxed if upper[k] > _log_phi(value)]
+    ranked = sorted(better, key=lambda k: -upper[k])
+    promising = tuple(relaxed[k] for k in ranked[:PROMISING])
+    return GoalBound(math.exp(-0.5 * highest), computed, highest <= target, promising)
+
+
+def _log_phi(value: float) -> float:
+    return -2.0 * math.log(value)
+
+
+def _combinations(mounting: Array, budget: float, stages: int) -> Index:
+    """Combinations (T, stages) of options that the budget mounts, padded with -1."""
+    count = len(mounting)
+    stages = min(stages, count)
+    total = sum(math.comb(count, size) for size in range(1, stages + 1))
+    if total > COMBINATIONS:
+        raise ValueError(
+            f"{total} combinations of {stages} of {count} measurements are too many to"
+            " bound"
+        )
+    tables = []
+    for size in range(1, stages + 1):
+        rows = list(itertools.combinations(range(count), size))
+        table = np.array(rows, dtype=np.intp)
+        table = table[mounting[table].sum(axis=1) < budget]
+        padding = ((0, 0), (0, stages - size))
+        tables.append(np.pad(table, padding, constant_values=-1))
+    return np.concatenate(tables)

@@ -1,0 +1,72 @@
+"""Selection of a stage's readings by greedy choice and exchange.
+
+Each candidate's information is weighted with the probability that it is captured.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed.base.arrays import Array, Index
+from oed.design.criterion import Criterion, Variance
+from oed.design.evaluator import CriterionEvaluator
+from oed.design.rules import Rules
+from oed.design.search import improve, select_greedily
+from oed.design.stages.option import Option
+from oed.design.stages.stage.row_exchange import RowExchange
+
+#: capture probability below which a candidate is not worth a look
+HOPELESS = 1e-3
+
+
+def select_readings(
+    option: Option,
+    count: int,
+    prior_information: Array,
+    criterion: Criterion,
+    probability: Array,
+    sweeps: int = 1,
+    seconds: float = np.inf,
+) -> Index:
+    """Select `count` candidates; fewer where `seconds` do not pay for them.
+
+    prior_information  (n, n) about the machine's parameters
+    probability        (C,) that each candidate is captured
+    sweeps             exchange sweeps; 0: greedy choice alone
+    """
+    base = np.eye(option.unknowns)
+    n = len(prior_information)
+    base[:n, :n] = prior_information
+    pool = np.flatnonzero(probability > HOPELESS)
+    if len(pool) < count:
+        pool = np.argsort(-probability, kind="stable")[:count]
+    weights = np.sqrt(probability[pool])[:, None, None]
+    blocks = option.candidates.blocks[pool] * weights
+    time = option.candidate_seconds[pool]
+    designs = []
+    if np.ptp(time) == 0.0:  # readings of equal length: their number limits the time
+        if blocks.shape[1] == 1 and isinstance(criterion, Variance):
+            exchange = RowExchange(blocks[:, 0], criterion.factor, base)
+            greedy = exchange.select_greedily(count)
+            return np.sort(pool[exchange.exchange(greedy, sweeps)])
+        rules = Rules(size=count)
+    else:
+        rules = Rules(size=count, budget=seconds, cost=time)
+        designs.append(_shortest(time, count, seconds))
+    evaluator = CriterionEvaluator(blocks, criterion, base)
+    designs.append(select_greedily(evaluator, rules, 0.0, level=0))
+    if sweeps:
+        for level in range(evaluator.levels):
+            designs = [improve(evaluator, rules, d, level, sweeps) for d in designs]
+    best = max(designs, key=evaluator.value)
+    if not len(best):
+        order = np.argsort(option.candidate_seconds, kind="stable")
+        return np.sort(order[:count])
+    return np.sort(pool[best])
+
+
+def _shortest(time: Array, count: int, seconds: float) -> Index:
+    """The shortest candidates, at most `count`, within `seconds`."""
+    order = np.argsort(time, kind="stable")[:count]
+    in_time = np.cumsum(time[order]) <= seconds
+    return np.asarray(order[in_time], dtype=np.intp)

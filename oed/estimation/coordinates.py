@@ -1,0 +1,182 @@
+"""Identifiable coordinates: the directions that some reading determines, and the others.
+
+With T = diag(tolerances) and the whitened, tolerance-scaled H = U S V^T,
+
+    theta = origin + T V_r z,        z ~ N(0, I) a priori,
+
+(T S in place of T where tolerances are correlated, S the root of their correlation)
+where V_r spans the directions that some reading determines. The others keep their
+prior: to first order no reading says anything about them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array, Index
+from oed.base.linear_algebra import canonical_rows, right_singular
+from oed.identifiability import identifiability, information
+from oed.measurement.measurement import Measurement, Series
+from oed.noise.covariance import Noise
+
+#: Gauss-Newton steps to the coordinates of exact readings
+STEPS = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class IdentifiableCoordinates:
+    """Coordinates about an origin: theta = origin + basis @ z + null_basis @ w; SI.
+
+    z (r,) and w are N(0, I) a priori; n parameters, k of them free.
+
+    origin      (n,)
+    basis       (n, r) orthonormal directions times tolerances
+    null_basis  (n, k - r) the directions that no reading determines, likewise
+    dual        (r, n) the directions of `basis` over tolerances, so that
+                z = dual @ (theta - origin)
+    """
+
+    origin: Array
+    basis: Array
+    null_basis: Array
+    dual: Array
+
+    def from_theta(self, theta: Array) -> Array:
+        """Coordinates z (r,) of parameters (n,); null directions are dropped."""
+        return np.asarray(self.dual @ (theta - self.origin))
+
+    def to_theta(self, z: Array) -> Array:
+        """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
+        return self.origin + z @ self.basis.T
+
+
+def identifiable_coordinates(
+    measurement: Measurement,
+    series: Sequence[Series],
+    theta: Array,
+    noise: Noise | Array,
+    tolerance: Array | None = None,
+) -> IdentifiableCoordinates:
+    """Identifiable coordinates of readings, with H taken at theta (n,), SI.
+
+    noise      of the readings, or its standard deviations (N,)
+    tolerance  (n,) prior standard deviations, 0 for parameters that are held; the
+               measurement's by default
+
+    The origin is nominal, where the tolerances hold, wherever H is taken; held
+    parameters stay at theta. Raises AssemblyError.
+    """
+    scale = measurement.tolerance if tolerance is None else tolerance
+    free = np.flatnonzero(scale > 0)
+    units = _PriorUnits(scale[free], measurement.correlation_root(free))
+    jacobian = measurement.jacobian(series, theta)
+    whitened = units.slopes(information.whiten(jacobian, noise)[:, free])
+    null_space = _null_space(measurement, series, jacobian, free)
+    lost, determined = _split_directions(units.changes(null_space))
+    # The right singular vectors of H, strongest first, decouple the sampler's
+    # coordinates.
+    _, vectors = right_singular(whitened @ determined)
+    directions = determined @ vectors.T
+    return IdentifiableCoordinates(
+        origin=np.where(scale > 0, measurement.nominal, theta),
+        basis=_at_rows(free, units.directions(directions), len(scale)),
+        null_basis=_at_rows(free, units.directions(lost), len(scale)),
+        dual=_at_rows(free, units.duals(directions), len(scale)).T,
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _PriorUnits:
+    """Units z of k free parameters: their changes are tolerance * S z.
+
+    scale  (k,) tolerances, SI
+    shape  (k, k) S, symmetric; None: 1
+    """
+
+    scale: Array
+    shape: Array | None
+
+    def slopes(self, rows: Array) -> Array:
+        """Slopes (N, k) over the parameters as slopes over z."""
+        scaled = rows * self.scale
+        return scaled if self.shape is None else np.asarray(scaled @ self.shape)
+
+    def changes(self, rows: Array) -> Array:
+        """Changes (m, k) of the parameters as changes of z."""
+        scaled = rows / self.scale
+        if self.shape is None:
+            return scaled
+        return np.asarray(np.linalg.solve(self.shape, scaled.T).T, dtype=float)
+
+    def directions(self, columns: Array) -> Array:
+        """Directions (k, m) of z as changes of the parameters, SI."""
+        shaped = columns if self.shape is None else self.shape @ columns
+        return np.asarray(self.scale[:, None] * shaped)
+
+    def duals(self, columns: Array) -> Array:
+        """Slopes (k, m) over the parameters of the shares of directions (k, m) of z."""
+        if self.shape is not None:
+            columns = np.asarray(np.linalg.solve(self.shape, columns), dtype=float)
+        return np.asarray(columns / self.scale[:, None])
+
+
+def coordinates_of_readings(
+    measurement: Measurement,
+    series: Sequence[Series],
+    coordinates: IdentifiableCoordinates,
+    exact: Array,
+    start: Array,
+) -> Array:
+    """Coordinates z (r,) whose readings are exact ones (N,), SI, from a start (r,).
+
+    It is what readings can say of a machine: a lost direction of a millimetre moves
+    the machine's own coordinates by micrometres, to second order, and its readings not
+    at all. Gauss-Newton in units of the stated noise. Raises AssemblyError.
+    """
+    sigma = measurement.sigma(series)
+    z = start
+    for _ in range(STEPS):
+        theta = coordinates.to_theta(z)
+        slopes = measurement.jacobian(series, theta) @ coordinates.basis
+        missing = exact - measurement.readings(series, theta)
+        step = np.linalg.lstsq(slopes / sigma[:, None], missing / sigma, rcond=None)[0]
+        z = z + step
+    return z
+
+
+def _null_space(
+    measurement: Measurement, series: Sequence[Series], jacobian: Array, free: Index
+) -> Array:
+    """Changes (rows, k) of the free parameters that change no reading, SI.
+
+    The rank is judged with lengths, so that a generous tolerance or a quiet instrument
+    does not change it.
+    """
+    lengths = measurement.length_factors
+    reading_lengths = measurement.reading_length_factors(series)
+    h = (jacobian * reading_lengths[:, None] / lengths)[:, free]
+    names = [measurement.names[k] for k in free]
+    scale = 1.0 / lengths[free]
+    identified = identifiability.analyse(h, names, scale)
+    return np.asarray(identified.null_space / lengths[free])
+
+
+def _split_directions(null_space: Array) -> tuple[Array, Array]:
+    """Orthonormal columns (k, .) of the null space, given as rows, and of the rest."""
+    count, size = null_space.shape
+    if not count:
+        return np.zeros((size, 0)), np.eye(size)
+    basis = np.linalg.qr(null_space.T)[0]
+    complete = np.linalg.qr(basis, mode="complete")[0].T
+    lost, determined = complete[:count], complete[count:]
+    return canonical_rows(lost).T, canonical_rows(determined).T
+
+
+def _at_rows(rows: Index, values: Array, count: int) -> Array:
+    """A matrix (count, k) with values (len(rows), k) at rows, and 0 elsewhere."""
+    matrix = np.zeros((count, values.shape[1]))
+    matrix[rows] = values
+    return matrix

@@ -1,0 +1,85 @@
+"""The result of an identification: parameters, covariance, residuals and noise."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.estimation.coordinates import IdentifiableCoordinates
+from oed.noise.covariance import Noise
+from oed.noise.marginal import NoisePosterior
+
+#: posterior over prior standard deviation above which a parameter is weakly identified,
+#: and above which it stays at its prior
+WEAK, AT_PRIOR = 0.3, 0.7
+
+
+@dataclasses.dataclass(frozen=True)
+class FitStage:
+    """One stage of an identification.
+
+    patterns    of the names of the parameters that it frees
+    iterations  evaluations of the model
+    rms_before  root mean square of the whitened residuals where it starts
+    rms_after   the same where it ends
+    """
+
+    patterns: tuple[str, ...]
+    iterations: int
+    rms_before: float
+    rms_after: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """Identified parameters.
+
+    theta             (n,) maximum a posteriori, SI
+    covariance        (n, n) posterior (Laplace), SI; directions that no reading
+                      determines keep their prior variance
+    prior_sd          (n,) tolerances of the last stage, SI
+    coordinates       identifiable coordinates of the last stage
+    z                 (r,) the solution in them
+    residuals         (N,) y - f(theta), SI
+    residuals_before  (N,) the same at the start
+    noise             noise used, SI; of the most probable law where it was estimated
+    dof               readings less effectively determined directions
+    chi2              sum of squared residuals whitened by the stated noise, of a fit
+                      with that noise: whether the readings agree with it
+    stages            the stages of the fit
+    warnings          sentences that a user must read
+    noise_posterior   of the noise law; None where the noise is as stated
+    robust_readings   (N,) readings, SI, with those far off replaced; None likewise
+    """
+
+    theta: Array
+    covariance: Array
+    prior_sd: Array
+    coordinates: IdentifiableCoordinates
+    z: Array
+    residuals: Array
+    residuals_before: Array
+    noise: Noise
+    dof: float
+    chi2: float
+    stages: tuple[FitStage, ...]
+    warnings: tuple[str, ...]
+    noise_posterior: NoisePosterior | None = None
+    robust_readings: Array | None = None
+
+    @property
+    def sd(self) -> Array:
+        """Posterior standard deviations (n,), SI."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def shrinkage(self) -> Array:
+        """Posterior over prior standard deviation (n,); 0 for held parameters.
+
+        1 means that the readings carry no information.
+        """
+        free = self.prior_sd > 0
+        ratio = np.zeros_like(self.sd)
+        return np.divide(self.sd, self.prior_sd, out=ratio, where=free)

@@ -1,0 +1,95 @@
+"""Warnings on a fit, in sentences: weak parameters, far estimates, large residuals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed.base import text, units
+from oed.estimation.estimate import AT_PRIOR, WEAK, Estimate
+from oed.measurement.measurement import Measurement
+from oed.result.trust import FAR, GUESS, chi2_is_large
+
+#: standard deviations from a bound within which an estimate is near it
+NEAR = 2.0
+
+
+def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
+    """Sentences that a user must read; none where the fit is sound."""
+    sentences = []
+    unchanged = _wide_parameters(measurement, estimate, AT_PRIOR, np.inf)
+    if unchanged:
+        sentences.append(
+            "these stay near their tolerance, the readings hardly determine them: "
+            + ", ".join(unchanged)
+        )
+    weak = _wide_parameters(measurement, estimate, WEAK, AT_PRIOR)
+    if weak:
+        sentences.append(
+            "these are weakly identified, their posterior stays wide: "
+            + ", ".join(weak)
+        )
+    far = _far_parameters(measurement, estimate)
+    if far:
+        sentences.append(
+            f"these ended more than {FAR:.0f} tolerances from where they began; widen"
+            f" [prior] or doubt the model: {', '.join(far)}"
+        )
+    near = _near_bounds(measurement, estimate)
+    if near:
+        sentences.append(
+            "these lie near a bound of theirs, which estimate and sd ignore; draws of the"
+            f" posterior and predictions keep to it: {', '.join(near)}"
+        )
+    return [*sentences, *large_residuals(estimate)]
+
+
+def large_residuals(estimate: Estimate) -> list[str]:
+    """A sentence on residuals that the stated noise does not explain."""
+    if not chi2_is_large(estimate.chi2, estimate.dof):
+        return []
+    ratio = np.sqrt(estimate.chi2 / estimate.dof)
+    opening = f"the residuals are {ratio:.1f} times the stated noise"
+    if ratio > GUESS:
+        return [
+            f"{opening}: an effect of this size is not in the model, or the readings have"
+            " a mistake"
+        ]
+    remedy = "[noise] estimate = true widens the intervals"
+    if estimate.noise_posterior is not None:
+        remedy = "the intervals are as wide as the residuals ask for"
+    return [
+        f"{opening}: noise is understated, or an effect is not in the model; {remedy}"
+    ]
+
+
+def _wide_parameters(
+    measurement: Measurement, estimate: Estimate, above: float, below: float
+) -> list[str]:
+    """Parameters whose shrinkage lies between the two, with their posterior."""
+    phrases = []
+    rows = zip(measurement.parameters, estimate.sd, estimate.shrinkage, strict=True)
+    for parameter, sd, shrinkage in rows:
+        if above < shrinkage <= below:
+            unit = units.display(parameter.unit)
+            suffix = "" if unit == "1" else f" {unit}"
+            value = f"{units.number(sd, unit):.2g}{suffix}"
+            share = text.percent(shrinkage)
+            phrases.append(f"{parameter.name} (sd {value}, {share} of its tolerance)")
+    return phrases
+
+
+def _far_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:
+    deviation = np.abs(estimate.theta - estimate.coordinates.origin)
+    free = estimate.prior_sd > 0
+    far = np.flatnonzero(free & (deviation > FAR * estimate.prior_sd))
+    return [measurement.names[k] for k in far]
+
+
+def _near_bounds(measurement: Measurement, estimate: Estimate) -> list[str]:
+    """Parameters whose bound is within two standard deviations, or was passed."""
+    margin = NEAR * estimate.sd
+    bounds = measurement.bounds
+    near = (estimate.theta - margin < bounds[:, 0]) | (
+        estimate.theta + margin > bounds[:, 1]
+    )
+    return [measurement.names[k] for k in measurement.bounded if near[k]]

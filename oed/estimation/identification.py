@@ -1,0 +1,301 @@
+"""Identification: Gauss-Newton on the exact nonlinear readings, with tolerance priors.
+
+Minimised is |W (y - f(theta))|^2 + |z|^2 over the identifiable coordinates z (see
+`oed.estimation.coordinates`), where W whitens the noise. Where asked for, the noise law is
+estimated from the readings too and integrated over (`oed.noise.marginal`): theta is the
+mean over laws, its covariance holds what is not known of the noise.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import optimize
+
+from oed.base.arrays import Array
+from oed.estimation import fit_warnings
+from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
+from oed.estimation.estimate import Estimate, FitStage
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_structure import reading_structure
+from oed.noise.covariance import Noise, as_noise
+from oed.noise.marginal import ResidualModel, integrate, most_probable
+from oed.noise.prior import noise_prior
+from oed.noise.process import stated_laws
+from oed.noise.process_noise import process_noise
+from oed.noise.robust import robust_residuals
+
+__all__ = ["Estimate", "IdentificationError", "identify"]
+
+#: rounds of fit and noise law, and change of a law's coordinates, in prior standard
+#: deviations, below which they have settled
+NOISE_ROUNDS, SETTLED = 6, 0.03
+
+
+class IdentificationError(RuntimeError):
+    """The readings cannot be fitted: too few, not finite, or without convergence."""
+
+
+def identify(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    *,
+    stages: Sequence[Sequence[str]] = (("*",),),
+    estimate_noise: bool = False,
+    noise: Noise | Array | None = None,
+    start: Array | None = None,
+    max_iterations: int = 100,
+) -> Estimate:
+    """Fit all readings y (N,), SI.
+
+    stages          patterns of parameter names, freed in turn ("dq*", then "*"). Stages
+                    before the last only find a start: large errors of few parameters
+                    are gone before the others are free. The tolerances hold about
+                    nominal in all of them
+    estimate_noise  estimate the noise law from the readings, and integrate over it;
+                    otherwise the noise is as stated
+    noise           of the readings; as stated by default
+    start           (n,) where to begin; nominal by default
+    max_iterations  of each solution
+
+    Raises IdentificationError, and AssemblyError where the start cannot be assembled.
+    """
+    fit = _Fit(measurement, series, y, max_iterations)
+    fit.check_readings()
+    stated = measurement.noise(series) if noise is None else as_noise(noise)
+    theta = measurement.nominal if start is None else start
+    residuals_before = residuals = fit.residuals(theta)
+    done = []
+    for patterns in stages[:-1]:
+        theta, residuals, stage = _preliminary_stage(
+            fit, stated, theta, residuals, patterns
+        )
+        done.append(stage)
+    last = _integrated_stage if estimate_noise else _last_stage
+    estimate = last(fit, stated, theta, residuals, stages[-1])
+    estimate = dataclasses.replace(
+        estimate,
+        residuals_before=residuals_before,
+        stages=(*done, *estimate.stages),
+    )
+    sentences = fit_warnings.warnings(measurement, estimate)
+    return dataclasses.replace(estimate, warnings=tuple(sentences))
+
+
+@dataclasses.dataclass(frozen=True)
+class _Fit:
+    """Readings y (N,) of a measurement, and how they are fitted."""
+
+    measurement: Measurement
+    series: Sequence[Series]
+    y: Array
+    max_iterations: int
+
+    def check_readings(self) -> None:
+        """Raise IdentificationError for a wrong number of readings, or NaN."""
+        expected = len(self.measurement.setup_of_readings(self.series))
+        if self.y.shape != (expected,):
+            raise IdentificationError(
+                f"{expected} readings were planned, {self.y.shape} are given"
+            )
+        bad = np.flatnonzero(~np.isfinite(self.y))
+        if bad.size:
+            raise IdentificationError(
+                f"readings number {bad[:5].tolist()} are not finite"
+            )
+
+    def tolerances(self, patterns: Sequence[str]) -> Array:
+        """Prior standard deviations (n,), 0 where no pattern frees a parameter."""
+        names = self.measurement.names
+        freed = self.measurement.freed(patterns)
+        if not freed.any():
+            raise IdentificationError(
+                f"the patterns {list(patterns)} free no parameter of {list(names)}"
+            )
+        return np.where(freed, self.measurement.tolerance, 0.0)
+
+    def coordinates(
+        self, theta: Array, noise: Noise, tolerance: Array
+    ) -> IdentifiableCoordinates:
+        """Identifiable coordinates with H taken at theta (n,)."""
+        return identifiable_coordinates(
+            self.measurement, self.series, theta, noise, tolerance
+        )
+
+    def residuals(self, theta: Array) -> Array:
+        """y - f(theta) (N,), SI."""
+        return np.asarray(self.y - self.measurement.readings(self.series, theta))
+
+    def solve(
+        self, noise: Noise, coordinates: IdentifiableCoordinates, theta: Array
+    ) -> tuple[Array, int]:
+        """Minimise over z by trust-region Gauss-Newton, from theta (n,).
+
+        Steps to parameters at which the machine cannot be assembled are rejected.
+        Returns z (r,) and the number of evaluations.
+        """
+        r = coordinates.basis.shape[1]
+
+        def residual(z: Array) -> Array:
+            y = self.measurement.try_readings(self.series, coordinates.to_theta(z))
+            return np.concatenate([noise.whiten(y - self.y), z])
+
+        def slope(z: Array) -> Array:
+            theta = coordinates.to_theta(z)
+            h = noise.whiten(self.measurement.jacobian(self.series, theta))
+            return np.vstack([h @ coordinates.basis, np.eye(r)])
+
+        solution = optimize.least_squares(
+            residual,
+            coordinates.from_theta(theta),
+            slope,
+            method="trf",
+            xtol=1e-12,
+            ftol=1e-14,
+            gtol=1e-10,
+            max_nfev=self.max_iterations,
+        )
+        if solution.status <= 0:
+            raise IdentificationError(
+                f"the fit did not converge in {self.max_iterations} iterations (cost"
+                f" {solution.cost:.3g}); check units and signs of the readings, or free"
+                " fewer parameters in a stage before"
+            )
+        return solution.x, int(solution.nfev)
+
+    def covariance(
+        self, theta: Array, noise: Noise, tolerance: Array
+    ) -> tuple[Array, Array]:
+        """Posterior covariance (n, n), SI, and leverage (N,) of each reading.
+
+        The leverage is the share of a reading that the fit uses up.
+        """
+        freed = tolerance > 0.0
+        white = noise.whiten(self.measurement.jacobian(self.series, theta))
+        h = self.measurement.in_prior_units(white, freed)
+        scaled = information.posterior_covariance(h)
+        leverage = np.einsum("ij,jk,ik->i", h, scaled, h)
+        return self.measurement.from_prior_units(scaled, freed), leverage
+
+
+def _preliminary_stage(
+    fit: _Fit,
+    noise: Noise,
+    theta: Array,
+    residuals: Array,
+    patterns: Sequence[str],
+) -> tuple[Array, Array, FitStage]:
+    """A stage that only finds a start: theta (n,), residuals (N,) there, a summary."""
+    coordinates = fit.coordinates(theta, noise, fit.tolerances(patterns))
+    z, iterations = fit.solve(noise, coordinates, theta)
+    solution = coordinates.to_theta(z)
+    after = fit.residuals(solution)
+    stage = FitStage(
+        patterns=tuple(patterns),
+        iterations=iterations,
+        rms_before=_rms(noise.whiten(residuals)),
+        rms_after=_rms(noise.whiten(after)),
+    )
+    return solution, after, stage
+
+
+def _last_stage(
+    fit: _Fit,
+    noise: Noise,
+    theta: Array,
+    start_residuals: Array,
+    patterns: Sequence[str],
+) -> Estimate:
+    """The last stage from theta (n,), with known noise."""
+    tolerance = fit.tolerances(patterns)
+    # Twice: the coordinates of the result are those of H at the result.
+    for _ in range(2):
+        coordinates = fit.coordinates(theta, noise, tolerance)
+        z, iterations = fit.solve(noise, coordinates, theta)
+        theta = coordinates.to_theta(z)
+    residuals = fit.residuals(theta)
+    covariance, leverage = fit.covariance(theta, noise, tolerance)
+    white = noise.whiten(residuals)
+    stage = FitStage(
+        patterns=tuple(patterns),
+        iterations=iterations,
+        rms_before=_rms(noise.whiten(start_residuals)),
+        rms_after=_rms(white),
+    )
+    return Estimate(
+        theta=theta,
+        covariance=covariance,
+        prior_sd=tolerance,
+        coordinates=coordinates,
+        z=z,
+        residuals=residuals,
+        residuals_before=start_residuals,
+        noise=noise,
+        dof=len(fit.y) - float(leverage.sum()),
+        chi2=float(white @ white),
+        stages=(stage,),
+        warnings=(),
+    )
+
+
+def _integrated_stage(
+    fit: _Fit,
+    stated: Noise,
+    theta: Array,
+    start_residuals: Array,
+    patterns: Sequence[str],
+) -> Estimate:
+    """The last stage from theta (n,), with the noise law integrated over.
+
+    Fit, outliers and law are found in turn until the most probable law has settled.
+    """
+    first = _last_stage(fit, stated, theta, start_residuals, patterns)
+    structure = reading_structure(fit.measurement, fit.series, first.theta)
+    freedom = len(structure) - first.coordinates.basis.shape[1]
+    prior = noise_prior(structure, freedom)
+    theta, noise, law = first.theta, stated, stated_laws(structure)
+    robust = fit
+    mode = None
+    for _ in range(NOISE_ROUNDS):
+        coordinates = fit.coordinates(theta, stated, first.prior_sd)
+        z, iterations = robust.solve(noise, coordinates, theta)
+        theta = coordinates.to_theta(z)
+        jacobian = fit.measurement.jacobian(fit.series, theta)
+        slopes = structure.standardise(jacobian @ coordinates.basis)
+        residual = structure.standardise(fit.residuals(theta))
+        about_nominal = residual + slopes @ z
+        clean = robust_residuals(structure, law, about_nominal, slopes)
+        replaced = clean - slopes @ z
+        change = structure.restore(replaced - residual)
+        robust = dataclasses.replace(fit, y=fit.y + change)
+        model = ResidualModel(structure, replaced, slopes, z)
+        before, mode = mode, most_probable(model, prior, mode)
+        law = prior.laws(mode[None])
+        noise = process_noise(structure, law)
+        if before is not None and np.abs(mode - before).max() < SETTLED:
+            break
+    posterior = integrate(model, prior, mode)
+    theta = coordinates.to_theta(posterior.mean)
+    residuals = fit.residuals(theta)
+    basis, null = coordinates.basis, coordinates.null_basis
+    stage = dataclasses.replace(first.stages[-1], iterations=iterations)
+    return dataclasses.replace(
+        first,
+        theta=theta,
+        covariance=basis @ posterior.covariance @ basis.T + null @ null.T,
+        coordinates=coordinates,
+        z=posterior.mean,
+        residuals=residuals,
+        noise=noise,
+        stages=(stage,),
+        noise_posterior=posterior,
+        robust_readings=robust.y,
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,139 @@
+"""The noise law as estimated: its numbers with standard deviations, over all laws.
+
+A number departs from the stated noise where a difference that matters has the
+probability `SURE`: single readings that scatter by a fifth more or less, an error of a
+run or of a seat that is half the stated noise, a quarter of the variance carried along.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from oed.base.arrays import Array, Mask
+from oed.model.instrument import Setup
+from oed.noise.marginal import NoisePosterior
+from oed.noise.prior import CARRIED, RUN
+from oed.noise.process import Laws
+
+#: probability from which on a departure is reported
+SURE = 0.95
+#: factor on the stated noise, share of it that a run shares, and share of the variance
+#: carried along, beyond which a law is another than the stated one
+SCATTER, SHARED, MOST_CARRIED = 1.2, 0.5, 0.25
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class NoiseNumber:
+    """One number of the noise law.
+
+    kind     reading, run, seat (standard deviations), carried (share of the variance) or
+             reach (in readings)
+    of       set-up and channel, `cup.length`; set-up for a seat; "" for all readings
+    unit     SI unit of a standard deviation; 1 for a share, `readings` for the reach
+    value    posterior mean, SI; the reach at most as long as the longest run
+    sd       posterior standard deviation, SI
+    stated   what the stated noise has, SI; None for the reach
+    departs  whether it surely differs from that by more than matters
+    """
+
+    kind: str
+    of: str
+    unit: str
+    value: float
+    sd: float
+    stated: float | None
+    departs: bool
+
+
+def noise_numbers(
+    posterior: NoisePosterior, setups: Mapping[str, Setup]
+) -> list[NoiseNumber]:
+    """The numbers of an estimated law, for readings of these set-ups."""
+    return list(_numbers(posterior, setups))
+
+
+def _numbers(
+    posterior: NoisePosterior, setups: Mapping[str, Setup]
+) -> Iterator[NoiseNumber]:
+    laws, weights = posterior.prior.laws(posterior.draws), posterior.weights
+
+    def number(
+        kind: str, of: str, unit: str, values: Array, stated: float | None, far: Mask
+    ) -> NoiseNumber:
+        mean = float(weights @ values)
+        sd = float(np.sqrt(weights @ (values - mean) ** 2))
+        departs = bool(weights @ far > SURE)
+        return NoiseNumber(kind, of, unit, mean, sd, stated, departs)
+
+    seated: dict[str, NoiseNumber] = {}
+    for g, name in enumerate(posterior.structure.names):
+        setup_name, _, channel = name.rpartition(".")
+        setup = setups[setup_name]
+        stated = _stated(setup, channel)
+        sigma, unit = stated.sigma, stated.unit
+        scale = laws.scale[:, g]
+        far = (scale > SCATTER) if weights @ scale > 1.0 else (scale < 1.0 / SCATTER)
+        yield number("reading", name, unit, sigma * scale, sigma, far)
+        level, known = _run_errors(stated, scale, laws)
+        if stated.shared > 0.0 if stated.is_level else RUN in posterior.prior.names:
+            whole = sigma * np.hypot(level, known)
+            grown = known - stated.shared if stated.is_level else level
+            expected = sigma * stated.shared
+            yield number("run", name, unit, whole, expected, grown > SHARED)
+        if setup.instrument.renewed and setup.statement.seating != 0.0:
+            seat, expected = _seating(setup, sigma, scale, laws)
+            far = seat - expected > SHARED * sigma
+            seated[setup.name] = number("seat", setup.name, unit, seat, expected, far)
+    yield from seated.values()
+    if CARRIED in posterior.prior.names:
+        statement = posterior.structure.statement
+        share = statement.carried_share
+        far = laws.carried - share > MOST_CARRIED
+        yield number("carried", "", "1", laws.carried, share, far)
+        never = np.zeros(len(laws), dtype=bool)
+        # beyond the longest run, readings cannot tell how far it goes
+        reach = np.minimum(laws.reach, posterior.structure.longest)
+        yield number("reach", "", "readings", reach, statement.reach, never)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _StatedChannel:
+    """What is stated of a channel: sd, SI, error of a run over it, SI unit.
+
+    is_level  whether that error is all that the level of a run moves by
+    """
+
+    sigma: float
+    shared: float
+    unit: str
+    is_level: bool
+
+
+def _stated(setup: Setup, channel: str) -> _StatedChannel:
+    names = [c.name for c in setup.instrument.channels]
+    k = names.index(channel)
+    stated = setup.instrument.channels[k]
+    is_level = channel in setup.statement.levels
+    return _StatedChannel(setup.sigma[k], stated.shared, stated.unit, is_level)
+
+
+def _run_errors(
+    stated: _StatedChannel, scale: Array, laws: Laws
+) -> tuple[Array, Array]:
+    """Errors (L,) of a run's level, of unknown and of known size, over the stated noise."""
+    if stated.is_level:
+        return np.zeros(len(laws)), scale * stated.shared * laws.stated_level
+    return scale * laws.level, scale * stated.shared
+
+
+def _seating(
+    setup: Setup, sigma: float, scale: Array, laws: Laws
+) -> tuple[Array, float]:
+    """Errors (L,) of what a run seats anew, SI, and what is stated of them."""
+    seating = setup.statement.seating
+    if seating is None:
+        return sigma * scale * laws.seat, 0.0
+    return scale * laws.stated_seat * seating, seating

@@ -1,0 +1,139 @@
+"""Each run predicted from all other runs: the leave-one-run-out score.
+
+With tolerances T and noise S, readings have the covariance K = S + J T^2 J^T about those
+of the nominal machine. Of a run b the others leave the error Q_bb^-1 (Q r)_b with the
+covariance Q_bb^-1, Q = K^-1 (Dubrule 1983, Mathematical Geology 15, 687-699), so that
+
+    chi2_b = (Q r)_b^T Q_bb^-1 (Q r)_b,
+    log p(y_b | others) = -1/2 [ n_b log 2 pi - log |Q_bb| + chi2_b ].
+
+Noise is that of the estimate; it is independent between runs. The model is linear at the
+estimate.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg, special
+
+from oed.base.arrays import Array, Index
+from oed.estimation.estimate import Estimate
+from oed.measurement.measurement import Measurement, Series
+
+#: probability below which a run is surprising, over the number of runs
+SURPRISE = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class PredictedRun:
+    """One run against what all others predict of it.
+
+    chi2       squared standardised errors, of as many degrees of freedom as values
+    p_high     probability of a larger chi2
+    log_score  log predictive density of its readings in units of their noise
+    """
+
+    setup: str
+    run: str
+    values: int
+    chi2: float
+    p_high: float
+    log_score: float
+
+    @property
+    def ratio(self) -> float:
+        """Size of the errors over what is predicted."""
+        return float(np.sqrt(self.chi2 / self.values))
+
+
+@dataclasses.dataclass(frozen=True)
+class RunPrediction:
+    """All runs, each predicted from the others."""
+
+    runs: tuple[PredictedRun, ...]
+
+    @property
+    def log_score(self) -> float:
+        """Sum of the log predictive densities: higher is better."""
+        return float(sum(one.log_score for one in self.runs))
+
+    @property
+    def log_score_sd(self) -> float:
+        """Standard deviation of that sum, from its scatter between runs."""
+        scores = [one.log_score for one in self.runs]
+        return float(np.sqrt(len(scores)) * np.std(scores, ddof=1))
+
+    @property
+    def surprising(self) -> tuple[PredictedRun, ...]:
+        """Runs that the others contradict, the worst first."""
+        limit = SURPRISE / len(self.runs)
+        far = [one for one in self.runs if one.p_high < limit]
+        return tuple(sorted(far, key=lambda one: one.p_high))
+
+
+def predict_runs(
+    measurement: Measurement, series: Sequence[Series], estimate: Estimate
+) -> RunPrediction | None:
+    """Each run predicted from the others; None where there is one run alone."""
+    labels, members = _runs(measurement, series)
+    if len(members) < 2:
+        return None
+    jacobian = measurement.jacobian(series, estimate.theta)
+    origin = np.where(estimate.prior_sd > 0.0, measurement.nominal, estimate.theta)
+    residual = _residuals(measurement, series, estimate)
+    about_nominal = residual + jacobian @ (estimate.theta - origin)
+    white = estimate.noise.whiten(about_nominal)
+    freed = estimate.prior_sd > 0.0
+    slopes = estimate.noise.whiten(measurement.in_prior_units(jacobian, freed))
+    gram = np.eye(slopes.shape[1]) + slopes.T @ slopes
+    root = linalg.cholesky(gram, lower=True)
+    shared = linalg.solve_triangular(root, slopes.T, lower=True).T
+    error = white - shared @ (shared.T @ white)
+    runs = [
+        _predicted(label, error[rows], shared[rows])
+        for label, rows in zip(labels, members, strict=True)
+    ]
+    return RunPrediction(tuple(runs))
+
+
+def _residuals(
+    measurement: Measurement, series: Sequence[Series], estimate: Estimate
+) -> Array:
+    """Residuals (N,), SI; those far off replaced, where the fit replaced them."""
+    if estimate.robust_readings is None:
+        return estimate.residuals
+    predicted = measurement.readings(series, estimate.theta)
+    return np.asarray(estimate.robust_readings - predicted)
+
+
+def _predicted(label: tuple[str, str], error: Array, shared: Array) -> PredictedRun:
+    """A run of whitened errors (Q r)_b (n,), with Q_bb = 1 - B B^T, B (n, r)."""
+    count = len(error)
+    # By the smaller of the two matrices: Q_bb^-1 = 1 + B (1 - B^T B)^-1 B^T.
+    inner = np.eye(shared.shape[1]) - shared.T @ shared
+    root = linalg.cholesky(inner, lower=True)
+    half = linalg.solve_triangular(root, shared.T @ error, lower=True)
+    chi2 = float(error @ error + half @ half)
+    log_det = 2.0 * float(np.log(np.diag(root)).sum())
+    score = -0.5 * (count * np.log(2.0 * np.pi) - log_det + chi2)
+    p_high = float(special.chdtrc(count, chi2))
+    return PredictedRun(*label, count, chi2, p_high, float(score))
+
+
+def _runs(
+    measurement: Measurement, series: Sequence[Series]
+) -> tuple[list[tuple[str, str]], list[Index]]:
+    """Set-up and label of each run, and its values by number."""
+    labels: dict[tuple[str, str], list[Index]] = {}
+    start = 0
+    for s in series:
+        channels = len(measurement.setups[s.setup].instrument.channels)
+        places = start + np.arange(len(s) * channels).reshape(len(s), channels)
+        for run in dict.fromkeys(s.run):
+            rows = places[np.flatnonzero(s.run == run)].ravel()
+            labels.setdefault((s.setup, str(run)), []).append(rows)
+        start += len(s) * channels
+    return list(labels), [np.concatenate(rows) for rows in labels.values()]

@@ -1,0 +1,96 @@
+"""Whitened and scaled slopes of readings, their Fisher information and covariance.
+
+There are three scalings of the parameter columns; a report must never mix them:
+
+"si"         SI units
+"length"     every parameter as a length: angles times the machine's lever (the papers'
+             d * dbeta), noise 1
+"tolerance"  every parameter in units of its prior standard deviation, readings in units
+             of their noise; a singular value of 1 means that the readings determine a
+             direction as well as the drawing does
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement, Series
+from oed.noise.covariance import Noise, as_noise
+
+Scaling = Literal["si", "length", "tolerance"]
+
+
+def column_scale(measurement: Measurement, scaling: Scaling) -> Array:
+    """Factor (n,) by which each column of H is multiplied."""
+    if scaling == "si":
+        return np.ones(len(measurement.parameters))
+    if scaling == "length":
+        return 1.0 / measurement.length_factors
+    if scaling == "tolerance":
+        return measurement.tolerance
+    raise ValueError(f"scaling {scaling!r} is none of {get_args(Scaling)}")
+
+
+def whiten(rows: Array, noise: Noise | Array) -> Array:
+    """Rows (N, ...) whitened by their noise.
+
+    `noise` is a Noise, or standard deviations (N,) of independent readings.
+    """
+    return as_noise(noise).whiten(rows)
+
+
+def scaled(
+    measurement: Measurement, series: Sequence[Series], at: Array, scaling: Scaling
+) -> Array:
+    """H (N, n) of readings at theta `at` (n,) in the stated scaling.
+
+    "length" turns the readings into lengths too. Only "tolerance" whitens them.
+    """
+    rows = measurement.jacobian(series, at) * column_scale(measurement, scaling)
+    if scaling == "tolerance":
+        return measurement.noise(series).whiten(rows)
+    if scaling == "length":
+        return rows * measurement.reading_length_factors(series)[:, None]
+    return rows
+
+
+def fisher(h: Array) -> Array:
+    """Fisher information (n, n) of whitened rows (N, n): M = H^T H."""
+    return np.asarray(h.T @ h)
+
+
+def prior_information(measurement: Measurement) -> Array:
+    """Information (k, k) of the prior on the k free parameters, in tolerance units."""
+    free = np.flatnonzero(measurement.free)
+    correlation = measurement.correlation
+    if correlation is None:
+        return np.eye(len(free))
+    block = correlation[np.ix_(free, free)]
+    return np.asarray(np.linalg.inv(block), dtype=float)
+
+
+def parameter_covariance(
+    measurement: Measurement, series: Sequence[Series], at: Array
+) -> Array:
+    """Posterior covariance (n, n), SI, of theta from readings at theta `at` (n,)."""
+    white = measurement.noise(series).whiten(measurement.jacobian(series, at))
+    scaled = posterior_covariance(measurement.in_prior_units(white))
+    return measurement.from_prior_units(scaled)
+
+
+def posterior_covariance(h: Array) -> Array:
+    """Covariance (I + H^T H)^-1 (n, n), in units of the tolerances.
+
+    H (N, n) is in "tolerance" scaling. The singular values give directions that no
+    reading determines exactly their prior variance 1.
+    """
+    readings, n = h.shape
+    # all n right vectors are needed, but never a square of the many readings
+    _, singular_values, vt = np.linalg.svd(h, full_matrices=readings < n)
+    gain = np.zeros(n)
+    gain[: singular_values.size] = singular_values**2
+    return np.asarray((vt.T / (1.0 + gain)) @ vt)

@@ -1,0 +1,264 @@
+"""How the readings of a measurement hang together: runs, chains, renewed unknowns."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy import sparse
+
+from oed.base.arrays import Array, Index, Mask
+from oed.measurement.measurement import Measurement, Series
+from oed.noise.covariance import block_noise
+from oed.noise.stated import StatedErrors
+from oed.noise.statement import NOTHING_STATED, NoiseStatement
+from oed.noise.structure import (
+    KNOWN,
+    LEVEL,
+    RENEWED,
+    STATED_LEVEL,
+    STATED_SEAT,
+    ReadingStructure,
+)
+
+
+def reading_structure(
+    measurement: Measurement, series: Sequence[Series], theta: Array
+) -> ReadingStructure:
+    """Structure of readings, with the slopes of renewed unknowns taken at theta (n,)."""
+    names: dict[str, int] = {}
+    parts = _Parts([], [], [], [], [], [])
+    blocks: list[sparse.csr_array] = []
+    runs = 0
+    for s in series:
+        setup = measurement.setups[s.setup]
+        channels = setup.instrument.channels
+        labels = [f"{s.setup}.{c.name}" for c in channels]
+        groups = [names.setdefault(label, len(names)) for label in labels]
+        number = {label: runs + k for k, label in enumerate(dict.fromkeys(s.run))}
+        run = np.array([number[label] for label in s.run])
+        place = _places(run)
+        count = len(channels)
+        parts.run.append(np.repeat(run, count))
+        parts.channel.append(np.tile(np.arange(count), len(s)))
+        parts.group.append(np.tile(groups, len(s)))
+        parts.position.append(np.repeat(place, count))
+        common = [c.shared * sd for c, sd in zip(channels, setup.sigma, strict=True)]
+        parts.shared.append(np.tile(common, len(s)))
+        stated = [c.name in setup.statement.levels for c in channels]
+        parts.stated.append(np.tile(stated, len(s)))
+        blocks.append(_decoupling(measurement.reading_covariances(s)))
+        runs += len(number)
+    run, channel = (
+        np.concatenate(parts.run),
+        np.concatenate(parts.channel).astype(np.intp),
+    )
+    pairs, chain = np.unique(
+        np.column_stack([run, channel]), axis=0, return_inverse=True
+    )
+    decouple = sparse.csr_array(sparse.block_diag(blocks))
+    diagonal = decouple.diagonal()
+    independent = decouple.nnz == len(run)
+    errors = _RunErrors(
+        decouple=decouple,
+        channel=channel,
+        shared=np.concatenate(parts.shared),
+        stated=np.concatenate(parts.stated),
+        renewed=renewed_slopes(measurement, series, theta) / diagonal[:, None],
+        seated=seated_slopes(measurement, series, theta),
+    )
+    columns, kinds = errors.columns()
+    return ReadingStructure(
+        names=tuple(names),
+        group=np.concatenate(parts.group).astype(np.intp),
+        chain=chain.ravel().astype(np.intp),
+        run=pairs[:, 0].astype(np.intp),
+        position=np.concatenate(parts.position).astype(float),
+        unit=1.0 / diagonal,
+        decouple=None if independent else decouple,
+        columns=columns,
+        kinds=kinds,
+        statement=common_statement(measurement, series),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Parts:
+    """Arrays of each series, readings one after the other."""
+
+    run: list[Array]
+    channel: list[Array]
+    group: list[Array]
+    position: list[Array]
+    shared: list[Array]
+    stated: list[Array]
+
+
+def common_statement(
+    measurement: Measurement, series: Sequence[Series]
+) -> NoiseStatement:
+    """What is stated of the noise of all set-ups together.
+
+    Raises ValueError where set-ups state different shares, reaches or tails.
+    """
+    used = [measurement.setups[s.setup].statement for s in series]
+    common = {
+        dataclasses.replace(s, levels=frozenset(), seating=None) for s in used
+    } or {NOTHING_STATED}
+    if len(common) > 1:
+        raise ValueError(
+            "one law holds for all readings: give each set-up the same carried share,"
+            " reach and tails"
+        )
+    return common.pop()
+
+
+def stated_errors(
+    measurement: Measurement, series: Sequence[Series], sigma: Array
+) -> StatedErrors | None:
+    """Stated errors of readings of noise sigma (N,), SI; None where all are independent."""
+    statement = common_statement(measurement, series)
+    setups = [measurement.setups[s.setup] for s in series]
+    errors = [measurement.run_errors(s) for s in series]
+    related = any(setup.instrument.sources is not None for setup in setups)
+    if not (related or statement.carried_share or any(e.size for e in errors)):
+        return None
+    roots, places, lines = [], [], []
+    for s in series:
+        blocks = np.linalg.cholesky(measurement.reading_covariances(s))
+        count, channels = blocks.shape[:2]
+        roots += list(blocks)
+        run = np.unique(s.run, return_inverse=True)[1]
+        places.append(np.repeat(_places(run), channels))
+        lines.append(np.tile(np.arange(channels), count))
+    widest = max(e.shape[2] for e in errors)
+    padded = [np.pad(e, ((0, 0), (0, 0), (0, widest - e.shape[2]))) for e in errors]
+    # the number of rows is stated: it does not follow where nothing is shared
+    flat = [e.reshape(e.shape[0] * e.shape[1], widest) for e in padded]
+    shared = np.concatenate(flat)
+    root = sparse.csr_array(sparse.block_diag(roots))
+    inverse = sparse.csr_array(sparse.block_diag([np.linalg.inv(r) for r in roots]))
+    for matrix in (root, inverse):
+        matrix.eliminate_zeros()
+    return StatedErrors(
+        root=sparse.csr_array(sparse.diags_array(1.0 / sigma) @ root),
+        inverse=sparse.csr_array(inverse @ sparse.diags_array(sigma)),
+        carried=statement.carried_share,
+        reach=statement.reach_median,
+        place=np.concatenate(places).astype(float),
+        line=np.concatenate(lines).astype(np.intp),
+        shared=shared / sigma[:, None],
+    )
+
+
+def _places(run: Index) -> Index:
+    """Number of each reading within its run."""
+    place = np.empty(len(run), dtype=np.intp)
+    for number in np.unique(run):
+        members = np.flatnonzero(run == number)
+        place[members] = np.arange(len(members))
+    return place
+
+
+def _decoupling(covariances: Array) -> sparse.csr_array:
+    """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
+    places = np.arange(covariances.shape[0] * covariances.shape[1])
+    noise = block_noise(covariances, places.reshape(covariances.shape[:2]))
+    assert noise.whitening is not None
+    whitening = noise.whitening.copy()
+    whitening.eliminate_zeros()
+    return whitening
+
+
+def renewed_slopes(
+    measurement: Measurement, series: Sequence[Series], theta: Array
+) -> Array:
+    """Slopes (N, s) over the unknowns that each run seats anew, by their names.
+
+    Set-ups that state their seating are left out. One column serves the unknown of a
+    name in every set-up: no reading sees two.
+    """
+    sizes = {
+        name: 1.0
+        for name, setup in measurement.setups.items()
+        if setup.statement.seating is None
+    }
+    return _slopes_over_unknowns(measurement, series, theta, sizes)
+
+
+def seated_slopes(
+    measurement: Measurement, series: Sequence[Series], theta: Array
+) -> Array:
+    """The same (N, s) of the set-ups that state their seating, times it, SI."""
+    sizes = {
+        name: setup.statement.seating
+        for name, setup in measurement.setups.items()
+        if setup.statement.seating
+    }
+    return _slopes_over_unknowns(measurement, series, theta, sizes)
+
+
+def _slopes_over_unknowns(
+    measurement: Measurement,
+    series: Sequence[Series],
+    theta: Array,
+    sizes: Mapping[str, float],
+) -> Array:
+    """Slopes (N, s) over the renewed unknowns of some set-ups, times a size of each."""
+    columns: dict[str, list[tuple[int, float]]] = {}
+    for name in dict.fromkeys(s.setup for s in series):
+        if name not in sizes:
+            continue
+        for unknown in measurement.setups[name].instrument.renewed:
+            full = measurement.names.index(f"{name}.{unknown}")
+            columns.setdefault(unknown, []).append((full, sizes[name]))
+    if not columns:
+        return np.zeros((len(measurement.setup_of_readings(series)), 0))
+    slopes = measurement.jacobian(series, theta)
+    summed = [
+        np.sum([size * slopes[:, k] for k, size in members], axis=0)
+        for members in columns.values()
+    ]
+    return np.column_stack(summed)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _RunErrors:
+    """What the errors that runs share follow from, for N readings.
+
+    decouple  (N, N) sparse
+    channel   (N,)
+    shared    (N,) error of a run's level, SI
+    stated    (N,) whether it is stated, and is all that the level moves by
+    renewed   (N, s) slopes times the stated noise; what one set-up does not have is 0
+    seated    (N, s) slopes times the stated seating, SI
+    """
+
+    decouple: sparse.csr_array
+    channel: Index
+    shared: Array
+    stated: Mask
+    renewed: Array
+    seated: Array
+
+    def columns(self) -> tuple[Array, Index]:
+        """Errors common to a run (N, K), and their kinds (K,)."""
+        channels = np.arange(self.channel.max() + 1)
+        of_channel = (self.channel[:, None] == channels).astype(float)
+        stated = self.stated[:, None]
+        level = of_channel * self.shared[:, None]
+        errors = (
+            (KNOWN, level * ~stated),
+            (RENEWED, self.renewed),
+            (STATED_LEVEL, level * stated),
+            (STATED_SEAT, self.seated),
+        )
+        blocks = [(of_channel * ~stated, LEVEL)]
+        for kind, values in errors:
+            if values.any():
+                blocks.append((np.asarray(self.decouple @ values), kind))
+        columns = np.hstack([values for values, _ in blocks])
+        kinds = np.concatenate([np.full(v.shape[1], kind) for v, kind in blocks])
+        used = columns.any(axis=0)
+        return columns[:, used], kinds[used].astype(np.intp)

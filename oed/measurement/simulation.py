@@ -1,0 +1,91 @@
+"""Virtual machines: true parameters drawn from the tolerances, and their readings.
+
+A virtual machine obeys the exact closure at its true parameters, which the
+identification does not know; its controller uses the nominal ones. Tests of the model
+itself use machines that are written independently of this code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_structure import common_statement, reading_structure
+from oed.noise.process import Whitening, stated_laws
+
+#: draws of a machine at most, until it keeps to the bounds of its parameters
+MOST_DRAWS = 1000
+
+
+def draw_parameters(
+    measurement: Measurement, rng: np.random.Generator, machines: int | None = None
+) -> Array:
+    """Draw true parameters theta (n,) or (machines, n), SI, about nominal."""
+    n = len(measurement.parameters)
+    shape = (n,) if machines is None else (machines, n)
+    theta = measurement.nominal + draw_deviations(measurement, rng, shape)
+    if not measurement.bounded.size:
+        return np.asarray(theta)
+    return _redraw_outside(measurement, np.atleast_2d(theta), rng).reshape(shape)
+
+
+def _redraw_outside(
+    measurement: Measurement, theta: Array, rng: np.random.Generator
+) -> Array:
+    """Parameters (m, n), those out of bounds drawn anew until none is left.
+
+    Raises ValueError where hardly any keep to the bounds.
+    """
+    for _ in range(MOST_DRAWS):
+        outside = np.flatnonzero(~measurement.in_bounds(theta))
+        if not outside.size:
+            return theta
+        shape = (len(outside), theta.shape[1])
+        theta[outside] = measurement.nominal + draw_deviations(measurement, rng, shape)
+    raise ValueError(
+        f"{measurement.machine.name}: hardly any machine drawn from the tolerances keeps"
+        " to the bounds of its parameters; widen the bounds, or narrow the tolerances"
+    )
+
+
+def draw_deviations(
+    measurement: Measurement, rng: np.random.Generator, shape: tuple[int, ...]
+) -> Array:
+    """Deviations (..., n) from nominal, SI, drawn from the tolerances."""
+    normal = rng.standard_normal(shape)
+    if measurement.correlation is None:
+        return measurement.tolerance * normal
+    return np.asarray(normal @ measurement.prior_root().T)
+
+
+def draw_readings(
+    measurement: Measurement,
+    series: Sequence[Series],
+    truth: Array,
+    rng: np.random.Generator,
+) -> Array:
+    """Draw noisy readings y (N,) or (m, N), SI, of machines at `truth` (n,) or (m, n).
+
+    Raises AssemblyError where a pose cannot be assembled.
+    """
+    exact = measurement.readings(series, truth)
+    return exact + draw_errors(measurement, series, rng, exact.shape)
+
+
+def draw_errors(
+    measurement: Measurement,
+    series: Sequence[Series],
+    rng: np.random.Generator,
+    shape: tuple[int, ...],
+) -> Array:
+    """Errors (..., N), SI, of the stated noise with the tails that are stated."""
+    tails = common_statement(measurement, series)
+    if tails.student_dof is None and not tails.outlier_share:
+        return measurement.noise(series).draw(rng, shape)
+    structure = reading_structure(measurement, series, measurement.nominal)
+    laws = stated_laws(structure, int(np.prod(shape[:-1])))
+    errors = Whitening(structure, laws).draw(rng, tails)
+    return structure.restore(errors).reshape(shape)

@@ -1,0 +1,163 @@
+"""Forward kinematics: poses at joints and parameters, and slopes of the equations there.
+
+Many poses are solved together, entry by entry (`oed.mechanism.array_code.newton`). Where its steps do
+not show that a pose is solved, careful steps from the start follow (`oed.mechanism.newton`).
+
+Poses of many parameter vectors often share their starts. Newton's first step is then
+almost linear in the parameters, and one factorisation at the nominal ones serves all.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import casadi as ca
+import numpy as np
+
+from oed.base.arrays import Array, Index, Mask
+from oed.mechanism import newton
+from oed.mechanism.batch import ARRAY_SIZE, BatchedFunction
+from oed.mechanism.twist import twist_slopes
+from oed.model.expressions import MachineExpressions
+from oed.model.machine import Machine
+
+
+class ForwardKinematics:
+    """Equations of one machine's poses: its closure, balanced where it is redundant.
+
+    Shapes: n poses, m parameter vectors, nx pose coordinates, nq joints, np parameters.
+
+    equations  value (n, nx) and slope (n, nx, nx) over the pose
+    """
+
+    def __init__(self, machine: Machine, e: MachineExpressions) -> None:
+        self.machine, self._expressions = machine, e
+        self._nominal = machine.nominal
+        balance, inputs = e.balance, [e.x, e.q, e.p]
+        by_x = ca.jacobian(balance, e.x)
+        self.equations = BatchedFunction("forward", inputs, [balance, by_x])
+
+    @functools.cached_property
+    def _over_twist(self) -> tuple[BatchedFunction, tuple[int, ...]]:
+        """The equations with slopes over the platform's twist, and the angles."""
+        e = self._expressions
+        twist = twist_slopes(self.machine, e.balance, e)
+        if twist is None:
+            return self.equations, ()
+        outputs = [e.balance, twist.slope, twist.change]
+        return BatchedFunction("twist", [e.x, e.q, e.p], outputs), twist.angles
+
+    @functools.cached_property
+    def slopes(self) -> BatchedFunction:
+        """Slopes (n, nx, ...) of the equations over pose, parameters and joints."""
+        e = self._expressions
+        balance, inputs = e.balance, [e.x, e.q, e.p]
+        slopes = [ca.jacobian(balance, over) for over in (e.x, e.p, e.q)]
+        return BatchedFunction("slopes", inputs, slopes)
+
+    @functools.cached_property
+    def by_pose_and_parameter(self) -> BatchedFunction:
+        """Slopes (n, nx, nx) and (n, nx, np) of the equations."""
+        e = self._expressions
+        slopes = [ca.jacobian(e.balance, over) for over in (e.x, e.p)]
+        return BatchedFunction("by_pose_and_parameter", [e.x, e.q, e.p], slopes)
+
+    @functools.cached_property
+    def misfit(self) -> BatchedFunction:
+        """Value (n, nx) of the equations."""
+        e = self._expressions
+        return BatchedFunction("balance", [e.x, e.q, e.p], [e.balance])
+
+    @functools.cached_property
+    def _at_nominal(self) -> BatchedFunction:
+        """Value and slopes over pose and parameters, at the nominal parameters."""
+        e, nominal = self._expressions, ca.DM(self._nominal)
+        balance = e.balance
+        slopes = [ca.jacobian(balance, over) for over in (e.x, e.p)]
+        outputs = [ca.substitute(ca.SX(f), e.p, nominal) for f in (balance, *slopes)]
+        return BatchedFunction("at_nominal", [e.x, e.q], outputs)
+
+    @functools.cached_property
+    def adjoint(self) -> BatchedFunction:
+        """Slope (n, nx, nx) of the equations over the pose, and factors (n, nx) times
+        that over the parameters, (n, 1, np).
+        """
+        e = self._expressions
+        factors = ca.SX.sym("factors", e.x.numel())
+        by_x = ca.jacobian(e.balance, e.x)
+        row = ca.jtimes(e.balance, e.p, factors, True).T
+        return BatchedFunction("adjoint", [e.x, e.q, e.p, factors], [by_x, row])
+
+    def solve_all(
+        self,
+        q: Array,
+        vectors: Array,
+        start: Array,
+        step_tolerance: float,
+        wanted: Mask | None = None,
+    ) -> tuple[Array, Mask]:
+        """Poses (m, n, nx) at all joints (n, nq) and vectors (m, np), and which failed.
+
+        Starts are (n, nx) or (m, n, nx), and so can joints be. Poses that are not
+        `wanted` (m, n) are not solved, and count as failed.
+        """
+        m, (n, nq), nx = len(vectors), q.shape[-2:], start.shape[-1]
+        near = starts = np.broadcast_to(start, (m, n, nx))
+        if q.ndim == start.ndim == 2 and m > 1 and m * n >= ARRAY_SIZE:
+            near = starts + self._first_step(q, vectors, start)
+        every_q = np.broadcast_to(q, (m, n, nq)).reshape(m * n, nq)
+        every_p = np.repeat(vectors, n, axis=0)
+        inputs = near.reshape(m * n, nx), every_q, every_p
+        every_start = starts.reshape(m * n, nx)
+        if wanted is None:
+            x, failed = self.solve(inputs, every_start, step_tolerance)
+            return x.reshape(m, n, nx), failed.reshape(m, n)
+        rows = np.flatnonzero(wanted)
+        x, failed = np.full((m * n, nx), np.nan), np.ones(m * n, dtype=bool)
+        chosen = inputs[0][rows], every_q[rows], every_p[rows]
+        x[rows], failed[rows] = self.solve(chosen, every_start[rows], step_tolerance)
+        return x.reshape(m, n, nx), failed.reshape(m, n)
+
+    def solve(
+        self, inputs: tuple[Array, Array, Array], start: Array, step_tolerance: float
+    ) -> tuple[Array, Mask]:
+        """Poses (n, nx), and the mask (n,) of those that failed.
+
+        inputs  poses nearby (n, nx), joints and parameters, one a pose
+        start   (n, nx) from which careful steps start where others do not arrive
+        """
+        _, q, p = inputs
+        longest = newton.longest_step(self.machine.lever)
+        many = len(q) >= ARRAY_SIZE
+        equations, angles = self._over_twist if many else (self.equations, ())
+        (x,), solved, near = equations.solve(inputs, 1, step_tolerance, longest, angles)
+        failed, rest = np.zeros(len(x), dtype=bool), np.flatnonzero(~solved)
+        if rest.size:
+            first = np.where(near[rest, None], x[rest], start[rest])
+
+            def at(x: Array, rows: Index) -> list[Array]:
+                return self.equations(x, q[rest[rows]], p[rest[rows]])
+
+            x[rest], failed[rest] = newton.solve(
+                at, first, step_tolerance, longest=longest
+            )
+        return x, failed
+
+    def _first_step(self, q: Array, vectors: Array, start: Array) -> Array:
+        """Newton's first step (m, n, nx), with the slopes at the nominal parameters.
+
+        It is 0 where it is longer than a step may be, and where it is not defined.
+        """
+        value, by_x, by_p = self._at_nominal(start, q)
+        identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
+        inverse = newton.solve_linear(by_x, identity)
+        offset = (inverse @ value[:, :, None]).ravel()
+        slopes = (inverse @ by_p).reshape(offset.size, -1)
+        change = vectors - self._nominal
+        longest = newton.longest_step(self.machine.lever)
+        with np.errstate(all="ignore"):
+            step = -(offset + change @ slopes.T).reshape(len(vectors), *start.shape)
+            size = np.abs(step)
+            if not size.max() <= longest:
+                step[~(size.max(axis=2) <= longest)] = 0.0
+        return step

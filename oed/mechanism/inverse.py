@@ -1,0 +1,353 @@
+"""Inverse kinematics: pose and joints at a command, in the machine's assembly mode.
+
+Equations such as |A - B| = l have several solutions: a carriage above the platform or
+below it, a platform over its legs or mirrored. They meet at singular poses alone, where
+one of these changes its sign:
+
+* det(phi_x), of the closure over the pose (direct singularity);
+* det of closure and command over pose and joints (inverse singularity);
+* the slope of a joint's equation over the joint, one a joint (a limb is stretched).
+
+These signs are the mode. Newton's method starts at the machine's own start value. Where
+it fails or ends in another mode, the solution is followed from the home pose, and the
+home pose from that of the machine as drawn, in steps that keep the mode.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+
+from oed.base.arrays import Array, Index, Mask
+from oed.mechanism import newton
+from oed.mechanism.batch import BatchedFunction
+from oed.model.expressions import MachineExpressions
+from oed.model.machine import Machine
+
+#: change of the slopes, over the largest, that is steady within Newton's last step
+STEADY = 1e-3
+#: steps in which a solution is followed, first few, then more
+PATH_STEPS = (8, 64, 512)
+#: starts about the machine's own for a home pose that fails, and how far they reach,
+#: over the lever and in radians
+SEVERAL_STARTS, START_SPREAD = 64, 1.0
+
+OUT_OF_REACH = "out of reach or singular"
+MIRRORED = (
+    "the equations hold there in another (mirrored) assembly mode only, or past a"
+    " singular pose"
+)
+
+
+class AssemblyError(RuntimeError):
+    """The closure cannot be satisfied at some poses: out of reach, or singular.
+
+    `indices` are the indices of these poses, flat. Of commanded ones, `first` is the
+    command (n_dof,), SI, of the first, and `reason` why it fails.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        indices: Index,
+        first: Array | None = None,
+        reason: str = "",
+    ) -> None:
+        super().__init__(message)
+        self.indices = indices
+        self.first = first
+        self.reason = reason
+
+
+class InverseKinematics:
+    """The controller of one machine: commands to poses and joints.
+
+    Shapes: n poses, nx pose coordinates, nq joints, np parameters.
+    """
+
+    def __init__(self, machine: Machine, e: MachineExpressions) -> None:
+        self.machine = machine
+        pairs = zip(e.commanded, e.target, strict=True)
+        unmet = ca.vertcat(e.phi, *[held - wanted for held, wanted in pairs])
+        slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
+        start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
+        inputs = [e.x, e.q, e.p, e.c, e.tool]
+        by_x, by_joint = ca.jacobian(e.phi, e.x), ca.vertcat(*_joint_slopes(e))
+        self._start = BatchedFunction("start", [e.c, e.p], start)
+        self._inverse = BatchedFunction("inverse", inputs, [unmet, slope])
+        self._mode = BatchedFunction("mode", inputs, [by_x, slope, by_joint])
+        self._home: tuple[Array, Array] | None = None
+
+    def solve(self, command: Array, p: Array, tool: Array) -> tuple[Array, Array]:
+        """Pose (n, nx) and joints (n, nq) at commands (n, n_dof).
+
+        p     (np,) or (n, np)
+        tool  (3,)
+
+        Raises AssemblyError, with the poses out of reach.
+        """
+        z = self._starts(command, p)
+        z, failed = self._newton(z, command, p, tool)
+        home, mode = self._home_for(command, failed)
+        reached = self.modes(z, command, p, tool)
+        mirrored = ~failed & _differ(reached, mode)
+        lost = np.flatnonzero(failed | mirrored)
+        for steps in PATH_STEPS:
+            if not lost.size:
+                break
+            followed, done = self._from_home(
+                (home, mode), command[lost], _at(p, lost), tool, steps
+            )
+            done &= self._has_slopes(followed, command[lost], _at(p, lost), tool)
+            z[lost[done]] = followed[done]
+            lost = lost[~done]
+        if lost.size:
+            reason = MIRRORED if mirrored[lost].any() else OUT_OF_REACH
+            raise self._error(command, lost, reason)
+        nx = len(self.machine.pose)
+        return z[:, :nx], z[:, nx:]
+
+    def _home_for(self, command: Array, failed: Mask) -> tuple[Array, Array]:
+        """Home and its mode; where it fails as well, the error lists the poses."""
+        try:
+            return self.home()
+        except AssemblyError:
+            lost = np.flatnonzero(failed)
+            if lost.size:
+                raise self._error(command, lost, OUT_OF_REACH) from None
+            raise
+
+    def home(self) -> tuple[Array, Array]:
+        """Pose and joints (nx + nq,) of the home pose, and its mode. Raises AssemblyError.
+
+        The mode is that of the machine as drawn, at whatever its start leads to.
+        """
+        if self._home is None:
+            self._home = self._assemble_home()
+        return self._home
+
+    def modes(self, z: Array, command: Array, p: Array, tool: Array) -> Array:
+        """Signs (n, 2 + nq) of the mode; 0 where the machine does not define one."""
+        nx = len(self.machine.pose)
+        by_x, slope, by_joint = self._mode(z[:, :nx], z[:, nx:], p, command, tool)
+        square = by_x.shape[1] == by_x.shape[2]
+        direct = _determinant_signs(by_x) if square else np.zeros(len(z))
+        inverse = _determinant_signs(slope)
+        return np.column_stack([direct, inverse, np.sign(np.nan_to_num(by_joint))])
+
+    # -- home --------------------------------------------------------------------------
+
+    def _assemble_home(self) -> tuple[Array, Array]:
+        machine = self.machine
+        drawn = machine.drawn or machine
+        tool = np.zeros(3)
+        z, mode = self._drawn_home(drawn.home_command, drawn.nominal, tool)
+        same = np.array_equal(drawn.nominal, machine.nominal)
+        if same and np.array_equal(drawn.home_command, machine.home_command):
+            return z, mode
+        command, p = machine.home_command[None], machine.nominal
+        solution = self._directly(command, p, tool, mode)
+        if solution is None:
+            start = z, drawn.home_command, drawn.nominal
+            solution = self._from_drawn(start, command, p, tool, mode)
+        if solution is None:
+            solution = self._from_several(command, p, tool, mode)
+        if solution is None:
+            raise self._error(command, np.array([0]), self._why_not(command, p, tool))
+        return solution, self.modes(solution[None], command, p, tool)[0]
+
+    def _drawn_home(self, command: Array, p: Array, tool: Array) -> tuple[Array, Array]:
+        """Home of the machine as drawn, from its own start. Raises AssemblyError."""
+        command = command[None]
+        z, failed = self._newton(self._starts(command, p), command, p, tool)
+        if failed.any():
+            raise self._error(command, np.array([0]), OUT_OF_REACH)
+        return z[0], self.modes(z, command, p, tool)[0]
+
+    def _directly(
+        self, command: Array, p: Array, tool: Array, mode: Array
+    ) -> Array | None:
+        z, failed = self._newton(self._starts(command, p), command, p, tool)
+        if failed[0] or _differ_by_joints(self.modes(z, command, p, tool), mode)[0]:
+            return None
+        return np.asarray(z[0])
+
+    def _from_drawn(
+        self,
+        drawn: tuple[Array, Array, Array],
+        command: Array,
+        p: Array,
+        tool: Array,
+        mode: Array,
+    ) -> Array | None:
+        """Home, followed from that of the machine as drawn; None where the way ends."""
+        z, drawn_command, drawn_p = drawn
+
+        def point(share: float) -> tuple[Array, Array, Array]:
+            at = drawn_command + share * (command - drawn_command)
+            return at, drawn_p + share * (p - drawn_p), tool
+
+        for steps in PATH_STEPS:
+            followed, done = self._follow(z[None], mode, point, steps)
+            if done[0]:
+                return np.asarray(followed[0])
+        return None
+
+    def _from_several(
+        self, command: Array, p: Array, tool: Array, mode: Array
+    ) -> Array | None:
+        """The solution in this mode nearest to the machine's start, from several."""
+        start = self._starts(command, p)
+        size = [_size(c.unit, self.machine.lever) for c in self.machine.pose]
+        size += [_size(c.unit, self.machine.lever) for c in self.machine.joints]
+        from scipy.stats import qmc  # takes a second to import
+
+        sequence = qmc.Halton(len(size), scramble=False)
+        cloud = 2.0 * sequence.random(SEVERAL_STARTS) - 1.0
+        z = start + START_SPREAD * np.array(size) * cloud
+        commands = np.repeat(command, len(z), axis=0)
+        z, failed = self._newton(z, commands, p, tool)
+        z = z[~failed]
+        if not len(z):
+            return None
+        wrong = _differ_by_joints(self.modes(z, commands[: len(z)], p, tool), mode)
+        z = z[~wrong]
+        if not len(z):
+            return None
+        distance = np.linalg.norm((z - start) / size, axis=1)
+        return np.asarray(z[np.argmin(distance)])
+
+    def _why_not(self, command: Array, p: Array, tool: Array) -> str:
+        _, failed = self._newton(self._starts(command, p), command, p, tool)
+        return OUT_OF_REACH if failed[0] else MIRRORED
+
+    # -- paths -------------------------------------------------------------------------
+
+    def _from_home(
+        self,
+        home: tuple[Array, Array],
+        command: Array,
+        p: Array,
+        tool: Array,
+        steps: int,
+    ) -> tuple[Array, Mask]:
+        """Solutions (n, nx + nq) followed from the home pose, and which were reached."""
+        z, mode = home
+        start_command, start_p = self.machine.home_command, self.machine.nominal
+
+        def point(share: float) -> tuple[Array, Array, Array]:
+            at = start_command + share * (command - start_command)
+            return at, start_p + share * (p - start_p), share * tool
+
+        starts = np.repeat(z[None], len(command), axis=0)
+        return self._follow(starts, mode, point, steps)
+
+    def _follow(
+        self,
+        z: Array,
+        mode: Array,
+        point: Callable[[float], tuple[Array, Array, Array]],
+        steps: int,
+    ) -> tuple[Array, Mask]:
+        """Follow solutions z (n, nx + nq) in steps that keep the mode.
+
+        point  commands, parameters and tool at a share 0 to 1 of the way
+
+        Returns the last solutions, and the mask (n,) of those that arrived.
+        """
+        alive = np.ones(len(z), dtype=bool)
+        z = z.copy()
+        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+            command, p, tool = point(float(share))
+            z, failed = self._newton(z, command, p, tool)
+            z = np.where(np.isfinite(z), z, 0.0)
+            alive &= ~failed & ~_differ(self.modes(z, command, p, tool), mode)
+            if not alive.any():
+                break
+        return z, alive
+
+    def _has_slopes(self, z: Array, command: Array, p: Array, tool: Array) -> Mask:
+        """Whether the equations have slopes at solutions (n, nx + nq).
+
+        A leg of no length has a direction from every side, and none there: the slopes
+        then change over the last step that Newton's method may leave.
+        """
+        nx = len(self.machine.pose)
+        x, q = z[:, :nx], z[:, nx:]
+        _, at = self._inverse(x, q, p, command, tool)
+        _, near = self._inverse(x + newton.STEP_TOLERANCE, q, p, command, tool)
+        change = np.abs(near - at).max(axis=(1, 2))
+        regular: Mask = change < STEADY * np.abs(at).max(axis=(1, 2))
+        return regular
+
+    # -- equations ---------------------------------------------------------------------
+
+    def _starts(self, command: Array, p: Array) -> Array:
+        return np.hstack(self._start(command, p))
+
+    def _newton(
+        self, z: Array, command: Array, p: Array, tool: Array
+    ) -> tuple[Array, Mask]:
+        nx = len(self.machine.pose)
+
+        def equations(values: Array, rows: Index) -> list[Array]:
+            x, q = values[:, :nx], values[:, nx:]
+            return self._inverse(x, q, _at(p, rows), command[rows], tool)
+
+        longest = newton.longest_step(self.machine.lever)
+        return newton.solve(equations, z.copy(), limited=nx, longest=longest)
+
+    def _error(self, command: Array, lost: Index, reason: str) -> AssemblyError:
+        values = ", ".join(
+            f"{coordinate.name} = {value:.6g} {coordinate.unit}"
+            for coordinate, value in zip(
+                self.machine.command, command[lost[0]], strict=True
+            )
+        )
+        return AssemblyError(
+            f"{self.machine.name}: {len(lost)} of {len(command)} commanded poses"
+            f" cannot be assembled, the first at {values}: {reason}; move it into the"
+            " workspace, check tool and unit, or, well inside, the machine's guess",
+            lost,
+            command[lost[0]],
+            reason,
+        )
+
+
+def _joint_slopes(e: MachineExpressions) -> list[ca.SX]:
+    """Slope of each joint's own equation over the joint; 0 where it has several."""
+    slopes = []
+    for k in range(e.q.numel()):
+        rows = [i for i in range(e.phi.numel()) if ca.depends_on(e.phi[i], e.q[k])]
+        only = len(rows) == 1
+        slopes.append(ca.jacobian(e.phi[rows[0]], e.q[k]) if only else ca.SX(0.0))
+    return slopes
+
+
+def _determinant_signs(matrices: Array) -> Array:
+    """Signs (n,) of the determinants of (n, k, k); 0 where entries are not finite."""
+    finite = np.isfinite(matrices).all(axis=(1, 2))
+    signs = np.zeros(len(matrices))
+    signs[finite] = np.linalg.slogdet(matrices[finite])[0]
+    return signs
+
+
+def _at(p: Array, rows: Index) -> Array:
+    """Parameters of the rows, from one vector for all or one a row."""
+    return p if p.ndim == 1 else p[rows]
+
+
+def _differ(modes: Array, mode: Array) -> Mask:
+    """Mask (n,) of the modes (n, k) that contradict one mode (k,)."""
+    return np.asarray(np.any(modes * mode < 0.0, axis=1))
+
+
+def _differ_by_joints(modes: Array, mode: Array) -> Mask:
+    """As `_differ`, det(phi_x) aside: it changes with the order of the limbs as well."""
+    return _differ(modes[:, 1:], mode[1:])
+
+
+def _size(unit: str, lever: float) -> float:
+    return lever if unit == "m" else 1.0

@@ -1,0 +1,388 @@
+"""Inverse and forward kinematics of a machine and their derivatives, from its closure.
+
+With the closure phi(x, q, p) = 0:
+
+* the controller (inverse): given a command c and the parameters it believes in, find
+  pose and joints with phi = 0 and commanded(x) = target(c);
+* the machine (forward): given joints q and true parameters p, find x with phi = 0 by
+  Newton's method;
+* dx/dp = -phi_x^-1 phi_p and dx/dq = -phi_x^-1 phi_q at fixed joints (implicit function
+  theorem).
+
+A redundant machine has more equations than pose components: joints that disagree leave
+no pose with phi = 0. It settles where the sum of squares of phi is least, as on equally
+stiff legs: phi_x^T phi = 0. These are as many equations as unknowns and take the place
+of phi above, so that poses and slopes are exact whatever the misfit. Where legs are not
+equally stiff, scale the rows of the closure by their compliance.
+
+All functions run over many poses and many parameter vectors at once.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import casadi as ca
+import numpy as np
+
+from oed.base.arrays import Array, Index, Mask
+from oed.mechanism import newton
+from oed.mechanism.batch import BatchedFunction
+from oed.mechanism.forward import ForwardKinematics
+from oed.mechanism.inverse import AssemblyError, InverseKinematics
+from oed.model.expressions import (
+    MachineExpressions,
+    machine_expressions,
+    strut_ends,
+    twist_slope,
+)
+from oed.model.machine import Machine
+
+#: reciprocal condition number of phi_x (lengths over the lever) below which a pose
+#: counts as singular
+SINGULAR_BELOW = 1e-6
+#: steps in which joints without a command are followed from the home pose
+HOMING_STEPS = 20
+#: the same, where the first steps are too long
+FINER_HOMING_STEPS = 400
+#: pose numbers that an error lists
+LISTED = 8
+
+
+__all__ = ["AssemblyError", "Kinematics"]
+
+
+class Kinematics:
+    """Numeric kinematics of one machine.
+
+    Shapes: n poses, m parameter vectors, nx pose coordinates, nq joints, np parameters.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self._expressions = e = machine_expressions(machine)
+        self._inverse = InverseKinematics(machine, e)
+        self._forward = ForwardKinematics(machine, e)
+        self._components, self._components_slope = _component_functions(machine, e)
+        self._struts = _strut_function(machine, e)
+        self._skeleton = _skeleton_functions(machine, e)
+
+    @functools.cached_property
+    def _closure_slope(self) -> BatchedFunction:
+        e = self._expressions
+        slope = ca.jacobian(e.phi, e.x)
+        return BatchedFunction("closure_slope", [e.x, e.q, e.p], [slope])
+
+    @functools.cached_property
+    def _commanded_slope(self) -> BatchedFunction:
+        e = self._expressions
+        slope = ca.jacobian(ca.vertcat(*e.commanded), e.x)
+        return BatchedFunction("commanded_slope", [e.x, e.tool], [slope])
+
+    @functools.cached_property
+    def _frame(self) -> BatchedFunction:
+        e = self._expressions
+        frame = [e.rotation, e.tip, twist_slope(e.rotation, e.tip, e.x)]
+        return BatchedFunction("frame", [e.x, e.tool], frame)
+
+    # -- the controller ----------------------------------------------------------------
+
+    def inverse(
+        self, command: Array, p: Array | None = None, tool: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Pose (n, nx) and joints (n, nq) that hold the command (n, n_dof).
+
+        p     (np,) or (n, np) parameters of the controller; nominal by default
+        tool  (3,) tool point relative to the reference tool's, m
+
+        Raises AssemblyError, with the poses out of reach.
+        """
+        command = np.atleast_2d(np.asarray(command, dtype=float))
+        parameters = self.machine.nominal if p is None else p
+        tool = np.zeros(3) if tool is None else np.asarray(tool, dtype=float)
+        return self._inverse.solve(command, parameters, tool)
+
+    # -- the machine -------------------------------------------------------------------
+
+    def forward(self, q: Array, p: Array, start: Array) -> Array:
+        """Pose x with phi(x, q, p) = 0, from a start in the wanted assembly mode.
+
+        q      (n, nq), or (m, n, nq): each vector's own
+        p      (np,) or (m, np)
+        start  (n, nx) or (m, n, nx)
+
+        Returns (n, nx) or (m, n, nx). Raises AssemblyError.
+        """
+        x, failed = self.try_forward(q, p, start)
+        if failed.any():
+            poses = np.unique(np.argwhere(failed)[:, -1])
+            raise AssemblyError(
+                f"{self.machine.name}: {int(failed.sum())} of {failed.size} poses cannot"
+                f" be assembled (pose numbers {_listed(poses)}): the joints do not close"
+                " at these parameters, or the pose is singular; check joint values and"
+                " their unit, the parameters' size, and the distance to singular poses",
+                poses,
+            )
+        return x
+
+    def try_forward(
+        self,
+        q: Array,
+        p: Array,
+        start: Array,
+        step_tolerance: float = newton.STEP_TOLERANCE,
+        wanted: Mask | None = None,
+    ) -> tuple[Array, Mask]:
+        """As `forward`, with a mask (n,) or (m, n) of failed poses in place of an error.
+
+        Newton stops after a step (m, rad) shorter than `step_tolerance`, which leaves
+        an error of about step_tolerance^2 / lever. Poses that are not `wanted` (m, n)
+        count as failed.
+        """
+        q, vectors = np.atleast_2d(q), np.atleast_2d(p)
+        arguments = (q, vectors, start, step_tolerance)
+        x, failed = self._forward.solve_all(*arguments, wanted)
+        return (x[0], failed[0]) if p.ndim == 1 else (x, failed)
+
+    def forward_per_pose(self, q: Array, p: Array, start: Array) -> Array:
+        """As `forward`, with one parameter vector a pose: p (n, np), result (n, nx)."""
+        x, failed = self.try_forward_per_pose(q, p, start)
+        if failed.any():
+            poses = np.flatnonzero(failed)
+            raise AssemblyError(
+                f"{self.machine.name}: pose numbers {_listed(poses)} cannot be"
+                " assembled with their changes; make the effects smaller, or keep away"
+                " from singular poses",
+                poses,
+            )
+        return x
+
+    def try_forward_per_pose(
+        self,
+        q: Array,
+        p: Array,
+        start: Array,
+        step_tolerance: float = newton.STEP_TOLERANCE,
+    ) -> tuple[Array, Mask]:
+        """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
+        return self._forward.solve((start, q, p), start, step_tolerance)
+
+    def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
+        """Ends of the struts at base and platform, each (n, nq, 3), m, and joint change.
+
+        The last (n, nq) is the joint change that equals a strut longer by 1 m. Raises
+        ValueError where the machine states no struts.
+        """
+        if self._struts is None:
+            raise ValueError(
+                f"machine {self.machine.name} does not state its struts: give"
+                " Machine.struts"
+            )
+        base, platform, by_joint = self._struts(x, q, p)
+        return base.swapaxes(1, 2), platform.swapaxes(1, 2), -1.0 / by_joint
+
+    def start_poses(self, q: Array, *, patient: bool = True) -> Array:
+        """Start poses (n, nx) for joints (n, nq) without a command.
+
+        They are followed from the home pose in small steps, in finer ones where that
+        fails and one is `patient`. Raises AssemblyError.
+        """
+        home_x, home_q = self.inverse(self.machine.home_command)
+        try:
+            return self._follow_joints(home_x, home_q, q, HOMING_STEPS)
+        except AssemblyError:
+            if not patient:
+                raise
+            return self._follow_joints(home_x, home_q, q, FINER_HOMING_STEPS)
+
+    def _follow_joints(
+        self, home_x: Array, home_q: Array, q: Array, steps: int
+    ) -> Array:
+        """Poses (n, nx) followed from home to joints q (n, nq). Raises AssemblyError."""
+        p = self.machine.nominal
+        x = np.broadcast_to(home_x, (q.shape[0], home_x.shape[1]))
+        side = self.assembly_side(home_x, home_q, p)
+        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+            joints = home_q + share * (q - home_q)
+            x = self.forward(joints, p, x)
+            crossed = np.flatnonzero(side * self.assembly_side(x, joints, p) < 0.0)
+            if crossed.size:
+                raise AssemblyError(
+                    f"{self.machine.name}: pose numbers {_listed(crossed)} change the"
+                    " assembly mode on the way from the home pose; check joint values"
+                    " and their unit, or give the commanded poses",
+                    crossed,
+                )
+        return x
+
+    def assembly_side(self, x: Array, q: Array, p: Array) -> Array:
+        """Sign (n,) of det(phi_x), which differs between assembly modes on either side
+        of a singularity; 0 for a redundant machine.
+        """
+        phi_x = self._closure_slope(x, q, p)[0]
+        if phi_x.shape[1] != phi_x.shape[2]:
+            return np.zeros(len(x))
+        return np.asarray(np.linalg.slogdet(phi_x)[0])
+
+    def closure_slope_over_parameters(self, x: Array, q: Array) -> Array:
+        """d phi / dp (rows, np) of one pose (nx,) and joints (nq,), nominal parameters.
+
+        Of a redundant machine, the rows are its balanced equations.
+        """
+        slopes = self._forward.slopes(x[None], q[None], self.machine.nominal)
+        return np.asarray(slopes[1][0])
+
+    def misfit(self, x: Array, q: Array, p: Array) -> Array:
+        """phi (n, nx) at poses, joints and parameters, one a row; 0 when assembled.
+
+        Of a redundant machine, the balanced equations.
+        """
+        return self._forward.misfit(x, q, p)[0]
+
+    def closure_slopes(self, x: Array, q: Array, p: Array) -> list[Array]:
+        """Slopes of phi (n, nx, ...) over pose, parameters and joints."""
+        return self._forward.slopes(x, q, p)
+
+    def parameter_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
+        """dx/dp (n, nx, np) at fixed joints."""
+        by_x, by_p, _ = self._forward.slopes(x, q, p)
+        return -newton.solve_linear(by_x, by_p)
+
+    def pull_back(
+        self, x: Array, q: Array, p: Array, slopes: Array
+    ) -> tuple[Array, Array]:
+        """Slopes (n, channels, np) over the parameters of what has these over the pose.
+
+        slopes  (n, channels, nx)
+
+        Also returns bounds (n,) on the condition numbers; see `surely_regular`.
+        """
+        rows, condition, accurate = self._forward.adjoint.pull_back(
+            [x, q, p], slopes, self._scale
+        )
+        rest = np.flatnonzero(~accurate)
+        if rest.size:
+            sensitivity, condition[rest] = self.sensitivity(x[rest], q[rest], p[rest])
+            rows[rest] = -slopes[rest] @ sensitivity
+        return -rows, condition
+
+    def sensitivity(self, x: Array, q: Array, p: Array) -> tuple[Array, Array]:
+        """dx/dp (n, nx, np) at fixed joints, and bounds (n,) on condition numbers.
+
+        The bound is the product of Frobenius norms of phi_x and its inverse.
+        """
+        by_x, by_p = self._forward.by_pose_and_parameter(x, q, p)
+        identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
+        inverse = newton.solve_linear(by_x, identity)
+        norm = np.einsum("nij,nij->nj", by_x, by_x) @ self._scale**2
+        norm_of_inverse = np.einsum("nij,nij->ni", inverse, inverse) @ self._scale**-2
+        return -(inverse @ by_p), np.sqrt(norm * norm_of_inverse)
+
+    def surely_regular(self, condition: Array) -> bool:
+        """Whether bounds (n,) on condition numbers show that all poses are regular.
+
+        A redundant machine's balanced equations do not show it.
+        """
+        if self._expressions.phi.numel() != self._expressions.x.numel():
+            return False
+        return bool(np.all(condition < 1.0 / SINGULAR_BELOW))
+
+    def joint_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
+        """dx/dq (n, nx, nq) at fixed parameters."""
+        by_x, _, by_q = self._forward.slopes(x, q, p)
+        return -newton.solve_linear(by_x, by_q)
+
+    def check_regular(self, x: Array, q: Array, p: Array) -> None:
+        """Raise AssemblyError for poses so near a singular one that slopes are useless."""
+        singular = self.reciprocal_condition(x, q, p) < SINGULAR_BELOW
+        if singular.any():
+            poses = np.flatnonzero(singular)
+            raise AssemblyError(
+                f"{self.machine.name}: pose numbers {_listed(poses)} are singular: the"
+                " machine can move there while its joints stand still, and a reading"
+                " carries no information; keep a distance from them",
+                poses,
+            )
+
+    def reciprocal_condition(self, x: Array, q: Array, p: Array) -> Array:
+        """Reciprocal condition number (n,) of phi_x: 0 where singular.
+
+        Lengths are in units of the machine's lever.
+        """
+        phi_x = self._closure_slope(x, q, p)[0]
+        values = np.linalg.svd(phi_x * self._scale, compute_uv=False)
+        return np.asarray(values[:, -1] / values[:, 0])
+
+    @functools.cached_property
+    def _scale(self) -> Array:
+        """Pose coordinates' units (nx,) for condition numbers: the lever, or 1 rad."""
+        lever = self.machine.lever
+        return np.array([1.0 if c.unit == "rad" else lever for c in self.machine.pose])
+
+    # -- tool frame and pose errors ----------------------------------------------------
+
+    def commanded_jacobian(self, x: Array, tool: Array) -> Array:
+        """d commanded / dx (n, n_dof, nx)."""
+        return self._commanded_slope(x, tool)[0]
+
+    def frames(self, x: Array, tool: Array) -> tuple[Array, Array, Array]:
+        """Rotation (n, 3, 3), tool point (n, 3) and twist slope (n, 6, nx).
+
+        The twist slope is that of [tool point, rotation vector] over x, base frame.
+        """
+        rotation, tip, twist = self._frame(x, tool)
+        return rotation, tip, twist
+
+    def error_components(self, command: Array, twist: Array) -> Array:
+        """Pose error components (n, k) of twists (n, 6) [m, rad] at commands (n, n_dof)."""
+        return self._components(command, twist)[0]
+
+    def error_components_jacobian(self, command: Array) -> Array:
+        """Linear map (n, k, 6) from twists to pose error components."""
+        return self._components_slope(command)[0]
+
+    def skeleton(self, x: Array, q: Array, p: Array) -> list[Array]:
+        """Polylines (points, 3), m, of one pose (nx,) for a drawing."""
+        point = (x[None], q[None], p[None])
+        return [line(*point)[0][0].T for line in self._skeleton]
+
+
+def _component_functions(
+    machine: Machine, e: MachineExpressions
+) -> tuple[BatchedFunction, BatchedFunction]:
+    """Pose error components of a twist, and their slope over it."""
+    twist = ca.SX.sym("twist", 6)
+    entries = [twist[i] for i in range(6)]
+    components = ca.vertcat(*machine.read_error(e.c_by_name, entries))
+    slope = ca.jacobian(components, twist)
+    return (
+        BatchedFunction("components", [e.c, twist], [components]),
+        BatchedFunction("components_slope", [e.c], [slope]),
+    )
+
+
+def _strut_function(machine: Machine, e: MachineExpressions) -> BatchedFunction | None:
+    ends = strut_ends(machine, e)
+    if ends is None:
+        return None
+    return BatchedFunction("struts", [e.x, e.q, e.p], ends)
+
+
+def _skeleton_functions(
+    machine: Machine, e: MachineExpressions
+) -> list[BatchedFunction]:
+    """One function a polyline; none where the machine has no skeleton."""
+    if machine.skeleton is None:
+        return []
+    lines = machine.skeleton(e.x_by_name, e.q_by_name, e.p_by_name)
+    inputs = [e.x, e.q, e.p]
+    return [
+        BatchedFunction(f"line{i}", inputs, [ca.horzcat(*line)])
+        for i, line in enumerate(lines)
+    ]
+
+
+def _listed(indices: Index) -> str:
+    """Pose numbers for an error message, the first few."""
+    numbers = ", ".join(str(i) for i in indices[:LISTED])
+    return numbers + (" ..." if indices.size > LISTED else "")

@@ -1,0 +1,76 @@
+"""Newton's method on many small systems of equations at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from oed.base.arrays import Array, Index, Mask
+
+#: Newton stops after a step (m, rad) below this. Convergence is quadratic, so that the
+#: next step would be at rounding level.
+STEP_TOLERANCE = 1e-8
+MAX_ITERATIONS = 30
+#: Longest step (m, rad). Longer ones are shortened, which keeps the assembly mode of
+#: the start.
+MAX_STEP = 0.2
+#: Longest step of a large machine, over its lever
+LARGE_STEP = 0.1
+
+#: values (n, k) and slopes (n, k, k) of the rows of z, and which rows they are
+Equations = Callable[[Array, Index], list[Array]]
+
+
+def solve(
+    equations: Equations,
+    z: Array,
+    step_tolerance: float = STEP_TOLERANCE,
+    limited: int | None = None,
+    longest: float = MAX_STEP,
+) -> tuple[Array, Mask]:
+    """Solve for all rows of z (n, k), in place; rows are left alone once they converge.
+
+    step_tolerance  size of a step (m, rad) after which a row has converged
+    limited         number of leading entries whose steps are limited, all by default:
+                    a pose; joints may count turns
+    longest         longest step of these entries
+
+    Returns z, and the mask (n,) of the rows that failed.
+    """
+    failed = np.zeros(z.shape[0], dtype=bool)
+    active = np.arange(z.shape[0])
+    for _ in range(MAX_ITERATIONS):
+        value, slope = equations(z[active], active)
+        step = solve_linear(slope, value[..., None])[..., 0]
+        size = np.abs(step).max(axis=1)
+        move = np.abs(step[:, :limited]).max(axis=1)
+        finite = np.isfinite(size)
+        failed[active[~finite]] = True
+        factor = np.minimum(1.0, longest / np.maximum(move[finite], longest))
+        z[active[finite]] -= step[finite] * factor[:, None]
+        active = active[finite & (size > step_tolerance)]
+        if not active.size:
+            break
+    failed[active] = True
+    return z, failed
+
+
+def longest_step(lever: float) -> float:
+    """Longest step for a machine of this size (its lever, m)."""
+    return max(min(MAX_STEP, lever), LARGE_STEP * lever)
+
+
+def solve_linear(matrix: Array, right: Array) -> Array:
+    """Solve matrices (n, k, k) with right sides (n, k, m); NaN where singular.
+
+    An exactly singular matrix means a singular pose, which callers report by number.
+    """
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=float)
+    except np.linalg.LinAlgError:
+        size = matrix.shape[-1]
+        singular = np.linalg.matrix_rank(np.nan_to_num(matrix)) < size
+        singular = singular[:, None, None]
+        regular = np.where(singular, np.eye(size), matrix)
+        return np.where(singular, np.nan, np.linalg.solve(regular, right))

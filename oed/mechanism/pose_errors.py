@@ -1,0 +1,53 @@
+"""Exact pose errors: where joints put a machine, against where it ought to be."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import Kinematics
+
+#: the reference tool
+NO_TOOL = np.zeros(3)
+
+
+def pose_error(
+    kinematics: Kinematics,
+    command: Array,
+    q: Array,
+    truth: Array,
+    tool: Array = NO_TOOL,
+) -> Array:
+    """Exact twist error (n, 6) [m, rad] of a machine sent to joints q (n, nq).
+
+    The machine has parameters `truth` (np,) and ought to be at commands (n, n_dof).
+    Raises AssemblyError.
+    """
+    x, _ = kinematics.inverse(command, kinematics.machine.nominal, tool)
+    wanted_rotation, wanted_point, _ = kinematics.frames(x, tool)
+    rotation, point, _ = kinematics.frames(kinematics.forward(q, truth, x), tool)
+    return twist_between(wanted_rotation, wanted_point, rotation, point)
+
+
+def twist_between(
+    rotation: Array, point: Array, other_rotation: Array, other_point: Array
+) -> Array:
+    """Displacement (n, 6) from one frame to another: [points, rotation vector].
+
+    Rotations (n, 3, 3), points (n, 3), all in the base frame.
+    """
+    turn = Rotation.from_matrix(other_rotation @ np.swapaxes(rotation, 1, 2))
+    return np.hstack([other_point - point, turn.as_rotvec()])
+
+
+def component_errors(
+    kinematics: Kinematics,
+    command: Array,
+    joints: Array,
+    parameters: Array,
+    tool: Array = NO_TOOL,
+) -> Array:
+    """Exact errors (n, k) of the machine's pose components, SI, as in `pose_error`."""
+    twist = pose_error(kinematics, command, joints, parameters, tool)
+    return kinematics.error_components(command, twist)
