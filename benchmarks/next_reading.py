@@ -32,9 +32,8 @@ from oed.base.arrays import Array
 from oed.design import candidates
 from oed.measurement import simulation
 from oed.measurement.measurement import Series
-from pkm_studies import shipped
-from pkm_studies.next_reading import AS_PLANNED, Advice, Adviser
-from pkm_studies.study import load
+from pkm_studies.sessions.next_reading import AS_PLANNED, Advice, Adviser
+from pkm_studies.study import load, shipped
 
 #: readings at which a machine counts as not reached
 MOST = 60

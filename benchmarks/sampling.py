@@ -20,7 +20,7 @@ from pathlib import Path
 
 import oed
 from oed.posterior.posterior import import_samplers
-from pkm_studies import shipped
+from pkm_studies.study import shipped
 
 READINGS, REPEATS = 60, 3
 

@@ -15,7 +15,7 @@ from oed.result import StudyResult
 from pkm_reports import style
 from pkm_reports.figures import accuracy, kappa, machine
 from pkm_reports.figures.gap import polar
-from pkm_studies.result_folder import load_result
+from pkm_studies.stages.result_folder import load_result
 
 DPI = 110
 

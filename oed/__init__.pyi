@@ -10,20 +10,20 @@ from oed.model.machine import Coordinate as Coordinate
 from oed.model.machine import Machine as Machine
 from oed.model.machine import Parameter as Parameter
 from oed.result import StudyResult as StudyResult
-from pkm_studies.errors import InputError as InputError
-from pkm_studies.notebook import build_study as build_study
-from pkm_studies.notebook import choose_design as choose_design
-from pkm_studies.notebook import diagnose as diagnose
-from pkm_studies.notebook import identify as identify
-from pkm_studies.notebook import load_study as load_study
-from pkm_studies.notebook import plan as plan
-from pkm_studies.notebook import predict as predict
-from pkm_studies.notebook import read_readings as read_readings
-from pkm_studies.notebook import run as run
-from pkm_studies.notebook import sample as sample
-from pkm_studies.notebook import simulate as simulate
-from pkm_studies.notebook import write_compensation as write_compensation
-from pkm_studies.notebook import write_report as write_report
+from pkm_studies.base.errors import InputError as InputError
+from pkm_studies.notebook.notebook import build_study as build_study
+from pkm_studies.notebook.notebook import choose_design as choose_design
+from pkm_studies.notebook.notebook import diagnose as diagnose
+from pkm_studies.notebook.notebook import identify as identify
+from pkm_studies.notebook.notebook import load_study as load_study
+from pkm_studies.notebook.notebook import plan as plan
+from pkm_studies.notebook.notebook import predict as predict
+from pkm_studies.notebook.notebook import read_readings as read_readings
+from pkm_studies.notebook.notebook import run as run
+from pkm_studies.notebook.notebook import sample as sample
+from pkm_studies.notebook.notebook import simulate as simulate
+from pkm_studies.notebook.notebook import write_compensation as write_compensation
+from pkm_studies.notebook.notebook import write_report as write_report
 from pkm_studies.study import Study as Study
 
 __version__: str

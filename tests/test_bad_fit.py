@@ -9,7 +9,7 @@ import bar_readings
 import numpy as np
 import pytest
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 STUDY = """\
 schema = 1

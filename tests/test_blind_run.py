@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 TEN_MB = 10_000_000
 LONGEST = 600

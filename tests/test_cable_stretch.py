@@ -13,7 +13,7 @@ from oracles import planar_cables
 from sample import refused, resolved
 
 from oed.result import StudyResult
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 #: E A of the cables, N; tensions, N
 STIFFNESS, LOW, HIGH = 2.0e4, 20.0, 200.0

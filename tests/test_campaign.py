@@ -12,9 +12,9 @@ import pytest
 import sample
 
 from oed import compensate
-from pkm_studies import cli
+from pkm_studies.base.errors import InputError
 from pkm_studies.campaign import results, runner, tables
-from pkm_studies.errors import InputError
+from pkm_studies.commands import cli
 
 STUDY = sample.changed(
     sample.STUDY,

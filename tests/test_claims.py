@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import claims, study
+from pkm_studies import study
+from pkm_studies.results import claims
 
 RESULT = {
     "identifiability": {

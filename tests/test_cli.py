@@ -14,8 +14,10 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import catalogue, cli, files
-from pkm_studies.errors import InputError
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
+from pkm_studies.catalogue import catalogue
+from pkm_studies.commands import cli
 from pkm_studies.study import load
 
 Run = Callable[..., tuple[int, str, str]]
@@ -54,7 +56,7 @@ def test_help_is_there_at_once() -> None:
     for _ in range(3):
         start = time.perf_counter()
         done = subprocess.run(
-            [sys.executable, "-m", "pkm_studies.cli", "--help"],
+            [sys.executable, "-m", "pkm_studies.commands.cli", "--help"],
             capture_output=True,
             check=True,
         )
@@ -65,7 +67,7 @@ def test_help_is_there_at_once() -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     heavy = {"numpy", "casadi", "pandas", "rich.console"}
-    code = f"import sys, pkm_studies.cli; sys.exit(len({heavy} & set(sys.modules)))"
+    code = f"import sys, pkm_studies.commands.cli; sys.exit(len({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -280,7 +282,7 @@ def test_interrupted_in_earnest(tmp_path: Path) -> None:
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
         " import sys; "
     )
-    code += "from pkm_studies.cli import main; sys.exit(main())"
+    code += "from pkm_studies.commands.cli import main; sys.exit(main())"
     process = subprocess.Popen(
         [sys.executable, "-c", code, "run", str(study), "--out", str(tmp_path / "out")],
         stdout=subprocess.PIPE,
@@ -309,7 +311,7 @@ def test_interrupted_in_earnest(tmp_path: Path) -> None:
 
 def test_a_reader_that_goes_away_is_no_error() -> None:
     code = (
-        "import sys, os; os.close(sys.stdin.fileno()); from pkm_studies.cli import"
+        "import sys, os; os.close(sys.stdin.fileno()); from pkm_studies.commands.cli import"
         " main; sys.exit(main())"
     )
     process = subprocess.Popen(

@@ -13,7 +13,8 @@ from scipy import stats
 
 from oed.estimation import session_change, session_drift
 from oed.estimation.session_change import Session
-from pkm_studies import cli, comparison
+from pkm_studies.commands import cli
+from pkm_studies.results import comparison
 
 N, SETUP = 5, 2
 NAMES = [f"p{k}" for k in range(N)]

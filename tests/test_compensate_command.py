@@ -18,7 +18,7 @@ from oed.compensate import compensated_joints
 from oed.mechanism.kinematics import Kinematics
 from oed.result import GoodnessSection, NoiseRecord, StudyResult
 from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
-from pkm_studies import cli
+from pkm_studies.commands import cli
 from pkm_studies.stages import describe
 
 Run = Callable[..., tuple[int, str, str]]
@@ -204,7 +204,7 @@ def test_a_format_of_the_users_own(
 ) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
-        "from pkm_studies.compensation.content import ControllerFormat\n"
+        "from pkm_studies.catalogue.controller_format import ControllerFormat\n"
         "controller = ControllerFormat(name='mine', about='', source='',\n"
         "    write=lambda c: {'.txt': f'{c.parameter(\"radius\"):.4f}'})\n",
         "utf-8",

@@ -17,7 +17,7 @@ from oed.compensate import compensated_joints
 from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import delta as delta_family
 from pkm_models.machines import linear_delta
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 Run = Callable[..., tuple[int, str, str]]
 #: an identified delta: radius, arms, angles, endstops

@@ -18,7 +18,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.result import BudgetLine, BudgetSection, PredictionSection
 from oed.result.prediction import ComponentAccuracy, SpreadRecord
 from pkm_models.machines import a3_head
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 GRID = """
 [prediction]
@@ -46,7 +46,7 @@ import dataclasses
 
 import numpy as np
 
-from pkm_studies.compensation.content import ControllerFormat
+from pkm_studies.catalogue.controller_format import ControllerFormat
 from pkm_studies.compensation.formats import json_file
 
 

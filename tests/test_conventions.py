@@ -29,8 +29,9 @@ from pkm_models.machines import (
     planar_2dof,
     prs_spindle,
 )
-from pkm_studies import catalogue, cli
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
+from pkm_studies.catalogue import catalogue
+from pkm_studies.commands import cli
 
 PLACE = Place("catalogue")
 MACHINES = [e.name for e in catalogue.listing("machines")]

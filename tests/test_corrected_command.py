@@ -8,8 +8,9 @@ import pytest
 import sample
 
 from oed.result import CoefficientRecord, StudyResult
-from pkm_studies import cli, outcome, result_folder
-from pkm_studies.accuracy_table import shown_components
+from pkm_studies.commands import cli
+from pkm_studies.stages import outcome, result_folder
+from pkm_studies.stages.accuracy_table import shown_components
 from pkm_studies.stages.gap import implausible
 from pkm_studies.stages.predict.budget import improvements
 
@@ -43,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _shipped(name: str) -> str:
-    from pkm_studies import shipped
+    from pkm_studies.study import shipped
 
     return shipped.study_path(Path(name)).read_text(encoding="utf-8")
 

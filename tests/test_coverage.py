@@ -16,7 +16,7 @@ from oed.estimation.identification import identify
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import noise_prior
 from oed.posterior import laplace
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("a3_30", "a3_60", "a3_circles", "planar", "delta", "hexapod")

@@ -12,7 +12,7 @@ from test_delta_real import Session, fitted, heights_of, measurement, sessions
 
 from oed.measurement.measurement import Measurement
 from pkm_models.machines.linear_delta import machine
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 __all__ = ["measurement", "sessions"]  # fixtures
 

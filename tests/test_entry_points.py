@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies import catalogue
-from pkm_studies.cli import main
+from pkm_studies.catalogue import catalogue
+from pkm_studies.commands.cli import main
 
 MODULE = """
 import dataclasses
 from pkm_models.machines import planar_2dof
 from pkm_models.effects import backlash
 from pkm_models.instruments import camera
-from pkm_studies.compensation.content import ControllerFormat
+from pkm_studies.catalogue.controller_format import ControllerFormat
 from pkm_studies.importers.base import ImportedSession
 
 arm = dataclasses.replace(planar_2dof.machine, name="shop_arm", about="the shop's arm")

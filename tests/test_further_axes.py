@@ -27,7 +27,8 @@ from pkm_models.machines import (
     tripod_prs,
     tripod_rps,
 )
-from pkm_studies import cli, result_folder
+from pkm_studies.commands import cli
+from pkm_studies.stages import result_folder
 
 ARCSEC = np.pi / 648000.0
 CUP = np.array([0.0, 0.0, a3.Z_TEACH])
@@ -324,7 +325,7 @@ def test_a_format_without_offsets_says_where_they_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: Path
 ) -> None:
     (tmp_path / "bare.py").write_text(
-        "from pkm_studies.compensation.content import ControllerFormat\n"
+        "from pkm_studies.catalogue.controller_format import ControllerFormat\n"
         "from pkm_studies.compensation.formats import json_file\n"
         "controller = ControllerFormat(name='bare', about='', source='',"
         " write=json_file.write, joints=json_file.joints)\n"

@@ -27,7 +27,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from pkm_studies.cli import app
+from pkm_studies.commands.cli import app
 
 STUDIES = Path(__file__).resolve().parents[1] / "studies"
 #: effects that need a covariate which neither file has: time, direction, feed

@@ -11,10 +11,10 @@ import pytest
 
 from oed.gap.data import problem
 from oed.gap.data.diagnosis import Diagnosis
-from pkm_studies.progress import Silent
-from pkm_studies.run_state import start
+from pkm_studies.base.progress import Silent
 from pkm_studies.stages.gap import traces as gap_traces
-from pkm_studies.steps.readings import planned_series, simulate_readings
+from pkm_studies.stages.run_state import start
+from pkm_studies.stages.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 
 

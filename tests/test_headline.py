@@ -11,8 +11,7 @@ import report_fixture
 
 from oed.result import StudyResult
 from pkm_reports.sections import answer
-from pkm_studies import accuracy_table, outcome
-from pkm_studies.stages import headline
+from pkm_studies.stages import accuracy_table, headline, outcome
 
 COMPONENTS = ("z", "psi", "theta")
 

@@ -11,7 +11,7 @@ import sample
 
 from oed.estimation import session_drift
 from oed.estimation.session_change import Session
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 N = 4
 NAMES = [f"p{k}" for k in range(N)]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 TOLERANCE = "[[prior.tolerance]]\nparameters = ['dq*']\nsigma_mm = 1e30\n[report]"
 

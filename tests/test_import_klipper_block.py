@@ -10,7 +10,7 @@ from oracles.firmware.geometry import Probe, delta, spiral
 from oracles.firmware.klipper import HEADER, Klipper, example
 from printers import fitted, nominal, take
 
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
 
 REAL = delta(110.3, 250.0, [210.3, 329.8, 90.0], [260.2, 259.7, 260.3])
 

@@ -15,8 +15,8 @@ from oracles.firmware.geometry import Delta, Probe, contact, delta, spiral
 from printers import compensate, endstops, fitted, nominal, said, take
 
 import oed
-from pkm_studies.cli import main
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands.cli import main
 
 REAL = delta(125.63, 250.0, [210.31, 329.74, 90.0], [300.42, 299.71, 300.13])
 OLD_LOG = """\

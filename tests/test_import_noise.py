@@ -11,8 +11,8 @@ from oracles.firmware.geometry import Delta, Probe, delta, spiral
 from oracles.firmware.klipper import Klipper, example
 from printers import take
 
-from pkm_studies.cli import main
-from pkm_studies.result_folder import load_result
+from pkm_studies.commands.cli import main
+from pkm_studies.stages.result_folder import load_result
 
 SETTINGS = "M665 L250 R125 H300\nM666 X-0.2 Y-0.2 Z-0.2"
 

@@ -15,7 +15,7 @@ from oracles.firmware.geometry import bed, delta
 from printers import compensate, endstops, fitted, nominal, said, take
 
 import oed
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
 
 CONFIG = """\
 M574 X2 Y2 Z2 S1

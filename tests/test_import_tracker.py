@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 import oed
 from oed.base import units
-from pkm_studies.cli import main
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands.cli import main
 from pkm_studies.importers import session
 
 #: the shipped delta, and a true one: mm and rad

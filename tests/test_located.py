@@ -20,7 +20,7 @@ from oed import checks
 from oed.checks import sentences
 from oed.checks.goodness import Goodness
 from oed.checks.outliers import find_outliers
-from pkm_studies import cli
+from pkm_studies.commands import cli
 from pkm_studies.importers import session
 
 NO_POSTERIOR = "\n[posterior]\nenabled = false\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 LINES = """\
 schema = 1

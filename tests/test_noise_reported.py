@@ -12,7 +12,7 @@ import sample
 import test_bad_fit
 
 from oed.noise.law import reach_words
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 ESTIMATED = sample.changed(
     test_bad_fit.STUDY, ("length_um = 0.5", "length_um = 0.5\nestimate = true")

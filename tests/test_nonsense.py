@@ -12,7 +12,7 @@ from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import camera
 from pkm_models.machines import delta
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 STUDY = """\
 schema = 1

@@ -11,7 +11,7 @@ import pytest
 import sample
 
 from oed.base import own_files
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 #: readings of a few poses, nothing to choose
 PLAN = (

@@ -12,8 +12,9 @@ from oed.base import orientation
 from oed.base.orientation import Orientation
 from oed.model.instrument import Instrument
 from pkm_models.machines import prs_spindle
-from pkm_studies import catalogue, conventions
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
+from pkm_studies.catalogue import catalogue
+from pkm_studies.resolve import conventions
 
 
 def instrument(name: str) -> Instrument:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-OED = f"{sys.executable} -m pkm_studies.cli"
+OED = f"{sys.executable} -m pkm_studies.commands.cli"
 FULL = Path("/dev/full")
 
 

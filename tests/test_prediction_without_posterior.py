@@ -13,8 +13,8 @@ from oracles import a3_geometry as a3
 
 import oed
 from oed.base.linear_algebra import covariance_root
-from pkm_studies import cli
-from pkm_studies.steps import prediction
+from pkm_studies.commands import cli
+from pkm_studies.stages.steps import prediction
 
 
 @pytest.fixture(scope="module")

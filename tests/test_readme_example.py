@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)

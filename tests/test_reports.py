@@ -24,7 +24,7 @@ from oed.result import StudyResult
 from pkm_reports import document, sections, write_report
 from pkm_reports import html as html_writer
 from pkm_reports import pdf as pdf_writer
-from pkm_studies import result_folder
+from pkm_studies.stages import result_folder
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
 VOID = {"meta", "img", "link", "br", "hr", "input"}

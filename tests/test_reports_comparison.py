@@ -14,7 +14,8 @@ from report_fixture import result_of, text_of
 from oed.result import StudyResult
 from pkm_reports import text, write_comparison
 from pkm_reports.comparison import accuracy, content, glance, parameters
-from pkm_studies import cli, stored_result
+from pkm_studies.commands import cli
+from pkm_studies.results import stored_result
 
 
 @pytest.fixture

@@ -24,10 +24,10 @@ from pkm_reports.figures.gap import map as gap_map
 from pkm_reports.figures.gap import polar as gap_polar
 from pkm_reports.figures.gap import trace as gap_trace
 from pkm_reports.sections.gap import coefficients, explanations
-from pkm_studies.progress import Silent
-from pkm_studies.run_state import start
+from pkm_studies.base.progress import Silent
 from pkm_studies.stages.gap.section import gap_section
-from pkm_studies.steps.readings import planned_series, simulate_readings
+from pkm_studies.stages.run_state import start
+from pkm_studies.stages.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'

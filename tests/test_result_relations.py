@@ -21,7 +21,7 @@ from oed.result import StudyResult, relations
 from pkm_reports import sections
 from pkm_reports.sections import answer
 from pkm_reports.view import scene
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 Change = Callable[[Any], None]
 

@@ -15,7 +15,7 @@ import sample
 import xarray as xr
 
 from oed.posterior import checkpoint
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 STUDY = (
     sample.DELTA
@@ -84,7 +84,7 @@ def test_killed_ten_times_at_random_in_earnest(tmp_path: Path) -> None:
         name: [
             sys.executable,
             "-m",
-            "pkm_studies.cli",
+            "pkm_studies.commands.cli",
             *command(study, tmp_path / name),
         ]
         for name in ("unbroken", "killed")

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.second import __main__ as command
 from benchmarks.second import adapter, cases, run, score
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 

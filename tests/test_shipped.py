@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies import cli, pipeline, shipped
-from pkm_studies.errors import InputError
-from pkm_studies.study import SUFFIX, Study, load
+from pkm_studies import pipeline
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands import cli
+from pkm_studies.study import SUFFIX, Study, load, shipped
 
 Run = Callable[..., tuple[int, str, str]]
 STUDIES = Path(__file__).resolve().parents[1] / "studies"

@@ -13,10 +13,10 @@ import pytest
 import sample
 
 from oed import result
-from pkm_studies import cli, schemas
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands import cli
 from pkm_studies.resolve.gap import gap_request
-from pkm_studies.study import load, parse
+from pkm_studies.study import load, parse, schemas
 
 Run = Callable[..., tuple[int, str, str]]
 FOLDER = Path(__file__).resolve().parent

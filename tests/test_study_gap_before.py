@@ -24,7 +24,7 @@ from pkm_models.effects import encoder_scale, gravity
 from pkm_reports import sections, style
 from pkm_reports.figures.gap import confusable
 from pkm_studies import pipeline, study
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
 from pkm_studies.resolve.resolved import resolve
 
 HERE = Path("before.study.toml")

@@ -10,7 +10,7 @@ import pytest
 import sample
 import test_bad_fit
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 NOISE = "length_um = 0.5"
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import sample
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 LEGS = '[[prior.correlated]]\nparameters = ["dq*"]\ncorrelation = 0.9\n\n'
 

@@ -10,7 +10,7 @@ import pytest
 from kernel import a3_plans, test_corrected, test_senses
 from test_bad_fit import STUDY
 
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 ONE_SETUP = STUDY.partition('[[setup]]\nname = "long_tool"')
 TEXT = ONE_SETUP[0] + "[noise]" + ONE_SETUP[2].partition("[noise]")[2]

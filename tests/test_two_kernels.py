@@ -49,7 +49,7 @@ def run(folder: Path, kernel: str) -> tuple[dict[str, Any], str, str]:
     """Result, text of the report, and the kernel that ran."""
     environment = {**os.environ, "OPENBLAS_CORETYPE": kernel, "OPENBLAS_VERBOSE": "2"}
     environment["OPENBLAS_NUM_THREADS"] = "1"
-    command = [sys.executable, "-m", "pkm_studies.cli", "run", "s.study.toml"]
+    command = [sys.executable, "-m", "pkm_studies.commands.cli", "run", "s.study.toml"]
     done = subprocess.run(
         [*command, "--quiet", "--out", kernel],
         cwd=folder,

@@ -14,7 +14,7 @@ from oracles import delta_trilateration as trilateration
 
 from oed.checks import judgement
 from oed.estimation.identification import identify
-from pkm_studies import cli
+from pkm_studies.commands import cli
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 #: limbs and towers that a reflection of x exchanges

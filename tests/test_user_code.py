@@ -19,8 +19,10 @@ import sample
 
 import oed
 from pkm_models.machines import linear_delta
-from pkm_studies import cli, permissions, study
-from pkm_studies.errors import InputError
+from pkm_studies import study
+from pkm_studies.base import permissions
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands import cli
 from pkm_studies.resolve.resolved import resolve
 
 Run = Callable[..., tuple[int, str, str]]
@@ -109,7 +111,13 @@ def test_consent_holds_while_the_file_is_unchanged(folder: Path, call: Run) -> N
 
 
 def test_consent_is_remembered_by_other_processes(folder: Path) -> None:
-    command = [sys.executable, "-m", "pkm_studies.cli", "check", "s.study.toml"]
+    command = [
+        sys.executable,
+        "-m",
+        "pkm_studies.commands.cli",
+        "check",
+        "s.study.toml",
+    ]
     codes = [
         subprocess.run([*command, *more], cwd=folder, check=False).returncode
         for more in ([], ["--allow-code"], [])
@@ -153,7 +161,7 @@ def test_a_trusted_folder_needs_no_consent(
         ("link.py", "does not lie in the folder"),
         ("mine:machine", "belongs to no installed machine"),
         ("os:machine", "belongs to no installed machine"),
-        ("pkm_studies.cli:machine", "belongs to no installed machine"),
+        ("pkm_studies.commands.cli:machine", "belongs to no installed machine"),
     ],
 )
 def test_a_study_names_files_of_its_folder_alone(
@@ -240,7 +248,7 @@ def test_drafts_and_formats_need_consent(
     assert call(*new)[0] == 2
     assert call(*new, "--allow-code")[0] == 0
     (folder / "form.py").write_text(
-        "from pkm_studies.compensation.content import ControllerFormat\n"
+        "from pkm_studies.catalogue.controller_format import ControllerFormat\n"
         "controller = ControllerFormat(name='mine', about='', source='',\n"
         "    write=lambda c: {'.txt': 'written'})\n",
         "utf-8",

@@ -14,13 +14,13 @@ import pytest
 import sample
 
 from oed.measurement.measurement import Series
-from pkm_studies import cli
-from pkm_studies.progress import Silent
+from pkm_studies.base.progress import Silent
+from pkm_studies.commands import cli
 from pkm_studies.resolve.conditions import planned_covariates
 from pkm_studies.resolve.gap import gap_request
-from pkm_studies.run_state import start
 from pkm_studies.stages.gap.virtual_readings import empty_readings
-from pkm_studies.steps.readings import planned_series
+from pkm_studies.stages.run_state import start
+from pkm_studies.stages.steps.readings import planned_series
 from pkm_studies.study import load
 
 Run = Callable[..., tuple[int, str, str]]

@@ -14,8 +14,8 @@ from report_fixture import result_of
 from oed.result import StudyResult
 from pkm_reports.blocks import Table
 from pkm_reports.sections.answer import accuracy
-from pkm_studies import cli
-from pkm_studies import next_reading as advice
+from pkm_studies.commands import cli
+from pkm_studies.sessions import next_reading as advice
 from pkm_studies.study import load
 
 WANTED = "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n"

@@ -15,9 +15,11 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import catalogue, cli, console, files
-from pkm_studies.errors import InputError, Place
-from pkm_studies.user_code import Origin
+from pkm_studies.base import console, files
+from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base.user_code import Origin
+from pkm_studies.catalogue import catalogue
+from pkm_studies.commands import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("oed", "models", "studies", "reports", "benchmarks")
@@ -41,7 +43,7 @@ PLAN = sample.changed(
 def oed(*arguments: object, encoding: str) -> subprocess.CompletedProcess[bytes]:
     """The command in a process whose terminal has an encoding."""
     return subprocess.run(
-        [sys.executable, "-m", "pkm_studies.cli", *map(str, arguments)],
+        [sys.executable, "-m", "pkm_studies.commands.cli", *map(str, arguments)],
         env=os.environ | {"PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"},
         capture_output=True,
         check=False,

@@ -15,9 +15,9 @@ from benchmarks.random_machines import instruments, machines, noise, plans
 from benchmarks.random_machines.instruments import Bench, Mounted
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
-from pkm_studies.notebook import build_study
-from pkm_studies.progress import Silent
-from pkm_studies.run_state import start
+from pkm_studies.base.progress import Silent
+from pkm_studies.notebook.notebook import build_study
+from pkm_studies.stages.run_state import start
 
 Array = np.ndarray
 SIGMAS = (0.1e-6, 0.5e-3)

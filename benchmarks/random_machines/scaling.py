@@ -20,7 +20,7 @@ from oed.gap.cause.compare import compare, probabilities
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.model.effect import Effect
-from pkm_studies.notebook import build_study, identify, read_readings
+from pkm_studies.notebook.notebook import build_study, identify, read_readings
 from pkm_studies.resolve.gap import gap_request
 
 FACTOR = 1000.0

@@ -3,7 +3,7 @@
     pytest studies/a3_ball_bar.study.toml::rank
 
 Tests of a user's own sweep over varied studies with the mark `study_sweep` and the
-fixture `varied_study`: see `pkm_studies.sweep`.
+fixture `varied_study`: see `pkm_studies.campaign.sweep`.
 
 A study runs once a session, into a folder of its own that is removed afterwards.
 Studies with `slow = true` carry the mark `slow`. Where the data that a study reads is
@@ -23,8 +23,8 @@ import pytest
 
 if TYPE_CHECKING:
     from oed.result import Claim
+    from pkm_studies.campaign.sweep import VariedStudy
     from pkm_studies.study import Study
-    from pkm_studies.sweep import VariedStudy
 
 SUFFIX = ".study.toml"
 #: fixture of the studies of a sweep
@@ -36,7 +36,7 @@ class ClaimNotMet(Exception):  # noqa: N818 - pytest shows the claim, not the cl
 
     def __init__(self, claim: Claim, where: str) -> None:
         """State what was measured and what is claimed."""
-        from pkm_studies import claims
+        from pkm_studies.results import claims
 
         super().__init__(claims.failure(claim, where))
 
@@ -54,7 +54,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """One test for each study of a sweep."""
     if FIXTURE in metafunc.fixturenames:
-        from pkm_studies import sweep
+        from pkm_studies.campaign import sweep
 
         sweep.parametrize(metafunc, FIXTURE)
 
@@ -64,7 +64,7 @@ def varied_study(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> VariedStudy:
     """A study of the sweep, which runs at most once a session: at its first figure."""
-    from pkm_studies import sweep
+    from pkm_studies.campaign import sweep
 
     folder = sweep.shared_folder(tmp_path_factory)
     return sweep.VariedStudy(request.param, folder)
@@ -86,7 +86,7 @@ class StudyCollector(pytest.File):
 
     def collect(self) -> Iterator[pytest.Item]:
         """One item a claim. A study that cannot be read is an error of collection."""
-        from pkm_studies.errors import InputError
+        from pkm_studies.base.errors import InputError
         from pkm_studies.study import load
 
         try:
@@ -121,7 +121,7 @@ class ClaimItem(pytest.Item):
 
     def runtest(self) -> None:
         """Measure the claim."""
-        from pkm_studies.errors import SourceAbsentError
+        from pkm_studies.base.errors import SourceAbsentError
 
         assert isinstance(self.parent, StudyCollector)
         try:
@@ -136,7 +136,7 @@ class ClaimItem(pytest.Item):
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
     ) -> Any:
         """The claim, or the paragraph of a bad input; else a traceback."""
-        from pkm_studies.errors import InputError
+        from pkm_studies.base.errors import InputError
 
         if isinstance(excinfo.value, ClaimNotMet | InputError):
             return str(excinfo.value)

@@ -12,14 +12,15 @@ import msgspec
 import oed
 from oed import dataset, result
 from oed.result import StudyResult
-from pkm_studies import claims, files, result_folder
-from pkm_studies.progress import Progress, Silent
-from pkm_studies.run_state import Readings, RunState, start
-from pkm_studies.stages import describe, headline
+from pkm_studies.base import files
+from pkm_studies.base.progress import Progress, Silent
+from pkm_studies.results import claims
+from pkm_studies.stages import describe, headline, result_folder
 from pkm_studies.stages.plan.earlier import read_earlier_session
-from pkm_studies.steps.checks import check_readings
-from pkm_studies.steps.correct import correct_for_effects
-from pkm_studies.steps.design import (
+from pkm_studies.stages.run_state import Readings, RunState, start
+from pkm_studies.stages.steps.checks import check_readings
+from pkm_studies.stages.steps.correct import correct_for_effects
+from pkm_studies.stages.steps.design import (
     analyse_identifiability,
     draw_machine,
     plan_stages,
@@ -27,10 +28,10 @@ from pkm_studies.steps.design import (
     report_single_stage,
     select_design,
 )
-from pkm_studies.steps.fit import fit_parameters, sample_posterior
-from pkm_studies.steps.gap import diagnose_always, diagnose_gap, preview_gap
-from pkm_studies.steps.prediction import predict_accuracy, predict_held_out
-from pkm_studies.steps.readings import (
+from pkm_studies.stages.steps.fit import fit_parameters, sample_posterior
+from pkm_studies.stages.steps.gap import diagnose_always, diagnose_gap, preview_gap
+from pkm_studies.stages.steps.prediction import predict_accuracy, predict_held_out
+from pkm_studies.stages.steps.readings import (
     planned_series,
     simulate_readings,
     take_readings,

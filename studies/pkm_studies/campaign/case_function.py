@@ -16,10 +16,10 @@ import numpy as np
 
 from oed.estimation.identification import IdentificationError
 from oed.mechanism.kinematics import AssemblyError
-from pkm_studies import catalogue
+from pkm_studies.base.errors import Place, shorten
+from pkm_studies.base.user_code import Origin
 from pkm_studies.campaign.case import COLUMNS
-from pkm_studies.errors import Place, shorten
-from pkm_studies.user_code import Origin
+from pkm_studies.catalogue import catalogue
 
 #: failures of a case that are no fault of its function
 EXPECTED = (IdentificationError, AssemblyError, np.linalg.LinAlgError)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from pkm_studies import files
+from pkm_studies.base import files
 from pkm_studies.campaign import pool
 
 #: digits of case numbers in messages and files that a row may hold: plain JSON

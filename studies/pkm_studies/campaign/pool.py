@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent import futures
 from typing import Any, Generic, TypeVar
 
+from pkm_studies.base.errors import InputError
 from pkm_studies.campaign.memory import keep_freed_memory
-from pkm_studies.errors import InputError
 
 #: items that each process has at once, so that none waits for the next
 AHEAD = 2

@@ -18,16 +18,16 @@ from oed.estimation.estimate import Estimate
 from oed.identifiability.assessment import assess
 from oed.measurement.measurement import Series
 from oed.result import GoodnessSection, trust
+from pkm_studies.base.progress import Silent
+from pkm_studies.base.user_code import Consent
 from pkm_studies.campaign.interval import HALF_WIDTH
-from pkm_studies.progress import Silent
-from pkm_studies.run_state import Readings, RunState, start
 from pkm_studies.stages.predict.virtual_machines import errors_after
-from pkm_studies.steps import design as design_steps
-from pkm_studies.steps import fit as fit_steps
-from pkm_studies.steps import gap as gap_steps
-from pkm_studies.steps import readings as readings_steps
+from pkm_studies.stages.run_state import Readings, RunState, start
+from pkm_studies.stages.steps import design as design_steps
+from pkm_studies.stages.steps import fit as fit_steps
+from pkm_studies.stages.steps import gap as gap_steps
+from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.study import Study, loader
-from pkm_studies.user_code import Consent
 
 #: prepared combinations that a process remembers
 REMEMBERED = 4

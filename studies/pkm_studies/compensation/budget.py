@@ -24,7 +24,7 @@ from oed.compensate.export_errors import (
 )
 from oed.mechanism.kinematics import AssemblyError
 from oed.result import BudgetLine, BudgetSection, PredictionSection, StudyResult
-from pkm_studies.compensation.content import Compensation, ControllerFormat
+from pkm_studies.catalogue.controller_format import Compensation, ControllerFormat
 from pkm_studies.stages.predict.budget import advice_on, quantities
 
 #: end of the name of the file with the budget

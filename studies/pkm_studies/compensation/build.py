@@ -14,16 +14,17 @@ from oed.compensate.command_grid import GridAxis
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import StudyResult
-from pkm_studies.compensation import identified, table_grid
-from pkm_studies.compensation.content import (
+from pkm_studies.base.errors import InputError
+from pkm_studies.catalogue.controller_format import (
     Compensation,
     ControllerFormat,
     MeasuringPose,
 )
-from pkm_studies.errors import InputError
+from pkm_studies.compensation import identified
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.workspace import workspace_axes, workspace_commands
+from pkm_studies.stages.corrected import table_grid
 from pkm_studies.study import Study
 
 

@@ -13,17 +13,23 @@ from oed.base.own_files import write_own
 from oed.base.text import quantity
 from oed.compensate import ParameterCompensator, component_errors
 from oed.result import StudyResult, trust
-from pkm_studies import catalogue, files, result_folder
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
+from pkm_studies.base.user_code import Consent, Origin
+from pkm_studies.catalogue import catalogue
+from pkm_studies.catalogue.controller_format import (
+    Compensation,
+    ControllerFormat,
+    Texts,
+)
 from pkm_studies.compensation import build
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
-from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
-from pkm_studies.compensation.table_grid import COMMANDS
-from pkm_studies.errors import InputError
+from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.workspace import regular
-from pkm_studies.stored_study import result_study
+from pkm_studies.stages import result_folder
+from pkm_studies.stages.corrected.table_grid import COMMANDS
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
-from pkm_studies.user_code import Consent, Origin
 
 #: the end of a file's name that is no part of the name itself
 ENDING = re.compile(r"\.[A-Za-z]\w*")

@@ -7,7 +7,7 @@ import numpy as np
 from oed.base import units
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, StudyResult
-from pkm_studies.compensation.content import Identified
+from pkm_studies.catalogue.controller_format import Identified
 
 
 def identified_parameters(

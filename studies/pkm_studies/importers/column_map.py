@@ -20,15 +20,17 @@ import tomli_w
 
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies import catalogue, files, template, user_code
-from pkm_studies.errors import Place, shorten
+from pkm_studies.base import files, user_code
+from pkm_studies.base.errors import Place, shorten
+from pkm_studies.base.user_code import Origin
+from pkm_studies.catalogue import catalogue
+from pkm_studies.importers import template
 from pkm_studies.importers.base import ImportRequest, readings_name
 from pkm_studies.resolve.machine import described_machine, study_machine
 from pkm_studies.study import decode, loader
 from pkm_studies.study.tables.column_map import ColumnMap
 from pkm_studies.study.tables.fit import PredictionReference
 from pkm_studies.study.tables.machine import MachineTable
-from pkm_studies.user_code import Origin
 
 LIMIT = 200_000
 

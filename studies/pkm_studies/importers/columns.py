@@ -18,9 +18,9 @@ from oed.dataset.columns import (
 )
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies import csv_table
-from pkm_studies.csv_table import CsvTable
-from pkm_studies.errors import InputError, Place, suggest
+from pkm_studies.base import csv_table
+from pkm_studies.base.csv_table import CsvTable
+from pkm_studies.base.errors import InputError, Place, suggest
 from pkm_studies.importers import column_map, orientations
 from pkm_studies.importers.base import (
     ImportedSession,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from pkm_studies.errors import suggest
+from pkm_studies.base.errors import suggest
 from pkm_studies.importers import gcode
 from pkm_studies.importers.gcode import TextLine
 

@@ -8,8 +8,8 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
-from pkm_studies import files
-from pkm_studies.errors import InputError
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
 from pkm_studies.importers.base import line_field
 from pkm_studies.importers.words import WordAccount, WordTable, WrittenWord, account
 

@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterator
 
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
 from pkm_studies.importers import klipper_config
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.delta_study import (

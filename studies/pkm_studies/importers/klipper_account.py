@@ -6,7 +6,7 @@ import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
 from pkm_studies.importers.klipper_config import Entry, KlipperConfig
 from pkm_studies.importers.klipper_words import COSTLY_SECTIONS, WORDS
 from pkm_studies.importers.words import WrittenWord, account, cost_sentence

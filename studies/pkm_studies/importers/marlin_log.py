@@ -11,7 +11,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
 from pkm_studies.importers import gcode
 from pkm_studies.importers.gcode import NUMBER, Command, TextLine
 from pkm_studies.importers.marlin_g33 import ReportScan, report_contacts

@@ -6,7 +6,7 @@ import importlib
 import warnings
 from importlib import metadata
 
-from pkm_studies.errors import InputError, shorten, suggest
+from pkm_studies.base.errors import InputError, shorten, suggest
 from pkm_studies.importers.base import Importer
 
 #: group of entry points that add importers

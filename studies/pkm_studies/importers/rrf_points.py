@@ -6,7 +6,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
 from pkm_studies.importers import gcode
 from pkm_studies.importers.delta_probe import ProbedPoint
 from pkm_studies.importers.gcode import Command, TextLine

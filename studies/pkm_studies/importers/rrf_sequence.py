@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from pkm_studies.errors import InputError
+from pkm_studies.base.errors import InputError
 from pkm_studies.importers import gcode
 from pkm_studies.importers.gcode import Command, TextLine
 from pkm_studies.importers.rrf_words import WORDS

@@ -6,13 +6,14 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from pkm_studies import conventions, files
-from pkm_studies.errors import InputError
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
+from pkm_studies.base.user_code import Consent
 from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest
+from pkm_studies.resolve import conventions
 from pkm_studies.study import SUFFIX
 from pkm_studies.study.loader import parse
-from pkm_studies.user_code import Consent
 
 
 def import_files(

@@ -19,9 +19,9 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
-from pkm_studies import csv_table
-from pkm_studies.csv_table import CsvTable
-from pkm_studies.errors import InputError, Place
+from pkm_studies.base import csv_table
+from pkm_studies.base.csv_table import CsvTable
+from pkm_studies.base.errors import InputError, Place
 from pkm_studies.importers import column_map, columns, orientations
 from pkm_studies.importers.base import (
     ImportedSession,

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import special
 
 from oed.model.machine import Machine
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve import lookup, quantities
 from pkm_studies.study import Study
 from pkm_studies.study.tables import BoundsTable

@@ -6,7 +6,7 @@ import numpy as np
 
 from oed.base import units
 from oed.model.machine import Machine
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve.quantities import split_key
 
 

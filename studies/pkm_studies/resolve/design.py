@@ -12,7 +12,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.design.quotas import QuotaSet
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve import grids, lookup, quantities, quotas
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
@@ -241,7 +241,7 @@ def _retained(
         return plans[lookup.known_name(table.keep, plans, at, "reference plan")].series
     if table.keep_readings is None:
         return ()
-    from pkm_studies import sources  # pandas takes a second to import
+    from pkm_studies.study import sources
 
     path = study.folder / table.keep_readings
     return tuple(sources.from_files([path], measurement).series)

@@ -18,7 +18,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate, Machine
-from pkm_studies.errors import Place, suggest
+from pkm_studies.base.errors import Place, suggest
 from pkm_studies.resolve import poses, quantities
 from pkm_studies.resolve.quantities import format_as, format_value
 from pkm_studies.study.tables import Axis, GridTable, Span

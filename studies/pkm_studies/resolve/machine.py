@@ -12,12 +12,12 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Coordinate, Dimension, Machine
-from pkm_studies import catalogue
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
+from pkm_studies.base.user_code import Origin
+from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve import quantities
 from pkm_studies.study import Study
 from pkm_studies.study.tables import MachineTable
-from pkm_studies.user_code import Origin
 
 #: values of each coordinate at which the workspace is tried
 TRIED = 3

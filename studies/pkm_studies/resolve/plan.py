@@ -16,7 +16,7 @@ from oed.base.arrays import Array
 from oed.design.candidates import reading_time
 from oed.design.stages.option import Option, build_option
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve import grids, lookup, quantities
 from pkm_studies.study import Study
 from pkm_studies.study.tables import GridTable, MeasuredTable, PlanTable

@@ -100,7 +100,7 @@ def dataset(
         return None
     if readings is not None and not readings:
         return None
-    from pkm_studies import sources  # pandas takes a second to import
+    from pkm_studies.study import sources
 
     if readings is not None:
         return sources.from_files(readings, measurement)

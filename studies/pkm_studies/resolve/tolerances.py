@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from oed.model.instrument import Setup
 from oed.model.machine import Machine, Parameter
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve import bounds, correlation, lookup, quantities
 from pkm_studies.resolve.noise import LARGEST, with_noise
 from pkm_studies.resolve.quantities import check_not_negative

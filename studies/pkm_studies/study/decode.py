@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from pkm_studies.errors import InputError, Place, suggest
+from pkm_studies.base.errors import InputError, Place, suggest
 
 T = TypeVar("T")
 #: msgspec's names of types, as words

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from oed.base import units
 from oed.model.machine import Machine
-from pkm_studies.compensation.build import sentences_of
-from pkm_studies.compensation.content import (
+from pkm_studies.base.errors import InputError
+from pkm_studies.catalogue.controller_format import (
     Compensation,
     ControllerFormat,
     MeasuringPose,
     Texts,
 )
-from pkm_studies.errors import InputError
+from pkm_studies.compensation.build import sentences_of
 from pkm_studies.resolve.quantities import display_unit
 
 #: seconds of rest before a reading, and feed, mm/min

@@ -15,7 +15,11 @@ from oed.compensate import (
     corrected_commands,
     joint_corrections,
 )
-from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
+from pkm_studies.catalogue.controller_format import (
+    Compensation,
+    ControllerFormat,
+    Texts,
+)
 from pkm_studies.resolve.quantities import column, display_unit
 
 

@@ -10,8 +10,12 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
+from pkm_studies.catalogue.controller_format import (
+    Compensation,
+    ControllerFormat,
+    Texts,
+)
 from pkm_studies.compensation.build import sentences_of
-from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 
 #: kinematics module by number of struts
 MODULES = {6: "genhexkins", 3: "tripodkins"}

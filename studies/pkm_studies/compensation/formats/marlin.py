@@ -8,8 +8,13 @@ import re
 import numpy as np
 
 from oed.base.arrays import Array
+from pkm_studies.base.errors import InputError
+from pkm_studies.catalogue.controller_format import (
+    Compensation,
+    ControllerFormat,
+    Texts,
+)
 from pkm_studies.compensation.build import sentences_of
-from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats.delta import (
     ANGLES,
     DeltaNumbers,
@@ -20,7 +25,6 @@ from pkm_studies.compensation.formats.delta import (
     trim_notes,
     trims,
 )
-from pkm_studies.errors import InputError
 from pkm_studies.importers import marlin_version
 from pkm_studies.importers.marlin_version import (
     LEAST_STEPS,

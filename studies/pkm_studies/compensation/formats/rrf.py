@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base.arrays import Array
+from pkm_studies.catalogue.controller_format import (
+    Compensation,
+    ControllerFormat,
+    Texts,
+)
 from pkm_studies.compensation.build import sentences_of
-from pkm_studies.compensation.content import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats.delta import (
     ANGLES,
     DeltaNumbers,

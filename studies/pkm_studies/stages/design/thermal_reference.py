@@ -10,7 +10,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.design import move_times, order, schedule
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve import grids
 from pkm_studies.study.tables import Axis, OrderTable
 

@@ -18,7 +18,7 @@ from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.noise.law import stated_law
 from oed.result.gap_before import ChosenRun, ChosenRuns, SeparationRecord
-from pkm_studies import conventions
+from pkm_studies.resolve import conventions
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest
 

@@ -16,7 +16,7 @@ from oed.design.stages.option import Option
 from oed.measurement.measurement import Measurement
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, ParameterEstimate, StudyResult
-from pkm_studies.errors import Place
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve.plan import plan_request
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.base import units
 from oed.design.stages.search import PlanSearchResult
-from pkm_studies.progress import Progress
+from pkm_studies.base.progress import Progress
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.alternatives import list_alternatives
 from pkm_studies.stages.plan.comparison import compare_sequence

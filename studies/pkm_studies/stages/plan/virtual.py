@@ -9,7 +9,7 @@ from oed import result
 from oed.base.arrays import Array
 from oed.design.stages.sequence.stage_plan import StagePlan
 from oed.design.stages.virtual_machines.propagation import StageRealisation, propagate
-from pkm_studies.progress import Progress
+from pkm_studies.base.progress import Progress
 from pkm_studies.stages.plan.task import PlanTask
 
 

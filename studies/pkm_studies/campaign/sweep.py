@@ -1,0 +1,229 @@
+"""Sweeps over varied studies in a user's own tests: the fixture `varied_study`.
+
+    @pytest.mark.study_sweep("a3_ball_bar", vary={"noise.length_um": [0.5, 1.0]})
+    def test_the_plan_is_good_enough(varied_study):
+        varied_study.check("prediction.components.z.after.rms", max=120.0)
+
+Each combination of values is a test. Tests of one combination share its result, within
+a process and between the processes of pytest-xdist.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import msgspec
+import pytest
+
+from oed.result import StudyResult
+from pkm_studies import pipeline
+from pkm_studies.base.errors import InputError, Place, SourceAbsentError
+from pkm_studies.results import claims
+from pkm_studies.stages import result_folder
+from pkm_studies.study import Study, load, shipped, vary
+from pkm_studies.study.tables import ClaimTable
+
+MARK = "study_sweep"
+#: environment variable that the processes of pytest-xdist have
+WORKER = "PYTEST_XDIST_WORKER"
+#: characters of a value in the name of a test
+LONGEST = 30
+
+
+class Combination(NamedTuple):
+    """A study of a sweep, and the values by field in which it differs from its base."""
+
+    study: Study
+    setting: Mapping[str, Any]
+
+
+class VariedStudy:
+    """A study of a sweep with its result, as a test gets it.
+
+    study    the study with its values
+    setting  the values by field
+    """
+
+    def __init__(self, combination: Combination, folder: Path) -> None:
+        self.study, self.setting = combination
+        self._folder = folder
+
+    @functools.cached_property
+    def result(self) -> StudyResult:
+        """Everything that `oed run` computes. The study runs at the first use.
+
+        Where the data that it reads is absent, the test is skipped.
+        """
+        folder = self._folder / _digest(self.study)
+        try:
+            if not folder.is_dir():
+                _run(self.study, folder)
+        except SourceAbsentError as absent:
+            pytest.skip(str(absent))
+        except InputError as error:
+            _fail(str(error))
+        return result_folder.load_result(folder)
+
+    def figure(self, path: str) -> Any:
+        """What stands in result.json at a dotted path, as in [expect]."""
+        try:
+            return claims.lookup(self._plain, path)
+        except LookupError as error:
+            _fail(str(error))
+
+    def check(
+        self,
+        of: str,
+        *,
+        min: float | None = None,
+        max: float | None = None,
+        equals: bool | float | str | None = None,
+        contains: str | None = None,
+    ) -> None:
+        """Fail the test unless the figure at a path is as claimed, as in [expect]."""
+        table = ClaimTable(of=of, min=min, max=max, equals=equals, contains=contains)
+        claim = claims.check_claim(of.rpartition(".")[2], table, self._plain)
+        if not claim.met:
+            _fail(claims.failure(claim, self._where))
+
+    def check_claims(self, *names: str) -> None:
+        """Fail the test unless the study's own claims hold: all, or those named."""
+        by_name = {claim.claim: claim for claim in self.result.claims}
+        unknown = [name for name in names if name not in by_name]
+        if unknown:
+            known = ", ".join(by_name) or "no claims"
+            _fail(f"{self._where}: no claim {unknown[0]}; it has {known}")
+        chosen = [by_name[name] for name in names or by_name]
+        failures = [claims.failure(c, self._where) for c in chosen if not c.met]
+        if failures:
+            _fail("\n".join(failures))
+
+    @property
+    def _where(self) -> str:
+        """The study's file, and its values."""
+        words = ", ".join(f"{k} = {_short(v)}" for k, v in self.setting.items())
+        name = self.study.path.name
+        return f"{name} with {words}" if words else name
+
+    @functools.cached_property
+    def _plain(self) -> Mapping[str, Any]:
+        plain: Mapping[str, Any] = msgspec.to_builtins(self.result)
+        return plain
+
+
+# -- tests of a sweep ------------------------------------------------------------------
+
+
+def parametrize(metafunc: pytest.Metafunc, fixture: str) -> None:
+    """Make a test of each combination of the marks `study_sweep` of a test.
+
+    Raises UsageError where there is no mark, or a study cannot be read.
+    """
+    marks = list(metafunc.definition.iter_markers(MARK))
+    if not marks:
+        raise pytest.UsageError(
+            f"{metafunc.definition.nodeid}: {fixture} needs the mark {MARK}, such as"
+            f' @pytest.mark.{MARK}("a3_ball_bar", vary={{"design.readings": [24, 30]}})'
+        )
+    folder = metafunc.definition.path.parent
+    parameters: list[Any] = []
+    for mark in marks:
+        bases, values = _arguments(*mark.args, **mark.kwargs)
+        for base in bases:
+            parameters += _parameters(base, values, folder, several=len(bases) > 1)
+    metafunc.parametrize(fixture, parameters, indirect=True)
+
+
+def _arguments(
+    base: str | Path | Sequence[str | Path],
+    vary: Mapping[str, Sequence[Any]] | None = None,
+) -> tuple[Sequence[str | Path], Mapping[str, Sequence[Any]]]:
+    """Arguments of the mark: studies, and values by field."""
+    bases = [base] if isinstance(base, str | Path) else list(base)
+    return bases, vary or {}
+
+
+def _parameters(
+    base: str | Path,
+    values: Mapping[str, Sequence[Any]],
+    folder: Path,
+    *,
+    several: bool,
+) -> Iterable[Any]:
+    """The combinations of one base. Raises UsageError."""
+    try:
+        study = _base(base, folder)
+        for setting in vary.combinations(values):
+            varied = vary.with_setting(study, setting, Place(f"@{MARK}", "vary"))
+            names = [f"{k}={_short(v)}" for k, v in setting.items()]
+            if several or not names:
+                names = [study.name, *names]
+            marks = [pytest.mark.slow] if study.slow else []
+            combination = Combination(varied, setting)
+            yield pytest.param(combination, id="-".join(names), marks=marks)
+    except InputError as error:
+        raise pytest.UsageError(str(error)) from None
+
+
+def _base(base: str | Path, folder: Path) -> Study:
+    """A study's file, relative to that of the test, or a shipped study's name."""
+    file = folder / base
+    return load(file if file.is_file() else shipped.study_path(Path(base)))
+
+
+def _short(value: Any) -> str:
+    """A value in the name of a test; of a table its model, instrument or name."""
+    if isinstance(value, Mapping):
+        for key in ("model", "instrument", "name"):
+            if key in value:
+                return str(value[key])
+    if isinstance(value, list) and value and isinstance(value[0], Mapping):
+        return "+".join(_short(entry) for entry in value)
+    return str(value)[:LONGEST]
+
+
+# -- results ---------------------------------------------------------------------------
+
+
+def shared_folder(factory: pytest.TempPathFactory) -> Path:
+    """Folder of the session's results, which all processes of pytest-xdist see."""
+    base = factory.getbasetemp()
+    if WORKER in os.environ:
+        base = base.parent
+    folder = base / "studies"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+def _digest(study: Study) -> str:
+    content = f"{study.path.resolve()}\n{study.text}".encode()
+    return hashlib.sha256(content).hexdigest()[:24]
+
+
+def _run(study: Study, folder: Path) -> None:
+    """Run a study into a folder, which then appears whole.
+
+    Where another process was faster, its result, which is the same, stays.
+    """
+    working = Path(tempfile.mkdtemp(dir=folder.parent, prefix="running-"))
+    report = any(table.of.startswith("report") for table in study.expect.values())
+    try:
+        pipeline.run(study, working, report=report)
+        working.rename(folder)
+    except OSError:
+        if not folder.is_dir():
+            raise
+    finally:
+        shutil.rmtree(working, ignore_errors=True)
+
+
+def _fail(message: str) -> NoReturn:
+    """Fail the test with a message and no traceback."""
+    pytest.fail(message, pytrace=False)

@@ -1,0 +1,257 @@
+"""What there is to choose from, and how a name in a study becomes an object.
+
+A model is named by its short name (`a3_head`), by `package.module:attribute`, or by
+`path/to/file.py:attribute` in the study's folder; in the last two the attribute may be
+left out where it is `machine`, `instrument` or `effect`. An installed package adds its
+own under the entry points `pkm_oed.machines`, `pkm_oed.instruments`, `pkm_oed.effects`,
+`pkm_oed.formats`; only modules of these entry points and of this project have a long
+name. A file runs once the user allowed it: see `user_code`. A controller's format is
+found likewise; its attribute is `controller`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib
+import inspect
+import pkgutil
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from types import ModuleType
+from typing import Any
+
+from pkm_studies.base import user_code
+from pkm_studies.base.errors import Place, shorten, suggest
+from pkm_studies.base.user_code import Origin
+
+#: characters of an error that are shown
+LONGEST_REASON = 120
+
+KINDS = ("machines", "instruments", "effects", "criteria", "formats")
+#: packages with the shipped ones of a kind, and attribute that may be left out, where
+#: these are not `pkm_models.KIND` and the kind's singular
+PACKAGES = {"formats": "pkm_studies.compensation.formats"}
+ATTRIBUTES = {"formats": "controller"}
+#: how the groups of entry points begin whose modules have a long name
+GROUPS = "pkm_oed."
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class CatalogueEntry:
+    """One entry of the catalogue.
+
+    where    the long name that a study may use as well
+    frames   of a machine: base frame, tool axis, orientation, in sentences
+    columns  of a machine or an instrument: name with unit, role and meaning
+    """
+
+    name: str
+    about: str
+    source: str
+    where: str
+    frames: list[str] = dataclasses.field(default_factory=list)
+    columns: list[dict[str, str]] = dataclasses.field(default_factory=list)
+
+
+def listing(kind: str) -> list[CatalogueEntry]:
+    """The catalogue of one of KINDS, by name."""
+    if kind == "criteria":
+        return [
+            CatalogueEntry(c.name, c.about, c.source, f"oed.design.criteria:{c.name}")
+            for c in _criteria().values()
+        ]
+    return [
+        CatalogueEntry(name, item.about, item.source, where)
+        for name, (where, item) in sorted(named_items(kind).items())
+    ]
+
+
+def machine(
+    reference: str, origin: Origin, place: Place, *, assembled: bool = True
+) -> Any:
+    """The `oed.model.machine.Machine` that `reference` names. Raises InputError.
+
+    assembled  whether the home pose of a user's own must assemble
+    """
+    from oed.model.machine import Machine
+    from pkm_studies.catalogue import machine_check as soundness
+
+    machine = _lookup(reference, "machines", Machine, origin, place)
+    if ":" in reference or user_code.is_file(reference):
+        soundness.check_machine(machine, place, assembled=assembled)
+    return machine
+
+
+def instrument(reference: str, origin: Origin, place: Place) -> Any:
+    """The `oed.model.instrument.Instrument` that `reference` names. Raises InputError."""
+    from oed.model.instrument import Instrument
+
+    return _lookup(reference, "instruments", Instrument, origin, place)
+
+
+def effect(reference: str, origin: Origin, place: Place) -> Any:
+    """The `oed.model.effect.Effect` that `reference` names. Raises InputError."""
+    from oed.model.effect import Effect
+
+    return _lookup(reference, "effects", Effect, origin, place)
+
+
+def controller_format(reference: str, origin: Origin) -> Any:
+    """The `ControllerFormat` that `reference` names.
+
+    Raises InputError.
+    """
+    from pkm_studies.catalogue.controller_format import ControllerFormat
+
+    return _lookup(reference, "formats", ControllerFormat, origin, Place("--to"))
+
+
+def function(reference: str, origin: Origin, place: Place) -> Callable[..., Any]:
+    """The function that `path/to/file.py:name` or `package.module:name` names.
+
+    Raises InputError.
+    """
+    module_name, _, name = reference.rpartition(":")
+    if not module_name or name.endswith(".py"):
+        remedy = "write path/to/file.py:function"
+        raise place.error("this names no function", remedy, reference)
+    module = _module(module_name, origin, place)
+    item: Callable[..., Any] | None = getattr(module, name, None)
+    if callable(item):
+        return item
+    there = [n for n, v in vars(module).items() if inspect.isfunction(v)]
+    raise place.error(
+        f"there is no function {name} in it",
+        suggest(name, there, "there is"),
+        reference,
+    )
+
+
+def criterion(name: str, place: Place) -> str:
+    """The name of a known criterion. Raises InputError."""
+    known = _criteria()
+    if name not in known:
+        raise place.error("no such criterion", suggest(name, known), name)
+    return name
+
+
+def _criteria() -> Mapping[str, Any]:
+    catalogue: Mapping[str, Any] = importlib.import_module(
+        "oed.design.criteria"
+    ).CATALOGUE
+    return catalogue
+
+
+@functools.cache
+def named_items(kind: str) -> dict[str, tuple[str, Any]]:
+    """Machines, instruments, effects or formats by name, each with its long name."""
+    from oed.model.effect import Effect
+    from oed.model.instrument import Instrument
+    from oed.model.machine import Machine
+    from pkm_studies.catalogue.controller_format import ControllerFormat
+
+    kinds: dict[str, Any] = {
+        "machines": Machine,
+        "instruments": Instrument,
+        "effects": Effect,
+        "formats": ControllerFormat,
+    }
+    wanted = kinds[kind]
+    package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
+    items: dict[str, tuple[str, Any]] = {}
+    for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+        for attribute, item in vars(importlib.import_module(info.name)).items():
+            if isinstance(item, wanted):
+                items.setdefault(item.name, (f"{info.name}:{attribute}", item))
+    for point, item in _installed(kind):
+        if isinstance(item, wanted):
+            items.setdefault(item.name, (point.value, item))
+    return items
+
+
+def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
+    """Objects that installed packages offer under the entry points `pkm_oed.KIND`.
+
+    One that cannot be loaded is named in a warning and passed over: a broken package
+    must not take the catalogue along.
+    """
+    for point in sorted(entry_points(group=f"pkm_oed.{kind}")):
+        try:
+            item = point.load()
+        except Exception as error:  # a user's module may raise anything
+            text = shorten(str(error), LONGEST_REASON)
+            warnings.warn(
+                f"{point.group} of an installed package: {point.value} cannot be"
+                f" loaded: {type(error).__name__}: {text}",
+                stacklevel=2,
+            )
+            continue
+        yield point, item
+
+
+def _lookup(
+    reference: str, kind: str, wanted: type, origin: Origin, place: Place
+) -> Any:
+    module_name = user_code.file_name(reference)
+    if not module_name:
+        return _by_short_name(reference, kind, place)
+    module = _module(module_name, origin, place)
+    usual = ATTRIBUTES.get(kind, kind.removesuffix("s"))
+    attribute = reference[len(module_name) + 1 :] or usual
+    item = getattr(module, attribute, None)
+    if isinstance(item, wanted):
+        return item
+    there = [n for n, v in vars(module).items() if isinstance(v, wanted)]
+    problem = (
+        f"{attribute} is no {wanted.__name__}"
+        if item is not None
+        else f"there is no {attribute} in it"
+    )
+    raise place.error(problem, suggest(attribute, there, "there is"), reference)
+
+
+def _by_short_name(name: str, kind: str, place: Place) -> Any:
+    items = named_items(kind)
+    if name not in items:
+        remedy = (
+            suggest(name, sorted(items), "known")
+            + ", or a file of your own: path/to/file.py:attribute"
+        )
+        raise place.error(f"no such {kind.removesuffix('s')}", remedy, name)
+    return items[name][1]
+
+
+def _module(name: str, origin: Origin, place: Place) -> ModuleType:
+    """A file's module, or one of an entry point; none else is imported."""
+    if name.endswith(user_code.SUFFIX):
+        return user_code.run_file(name, origin, place)
+    if name not in _named_modules():
+        raise place.error(
+            "this module belongs to no installed machine, instrument, effect or format",
+            "name a file in the study's folder, path/to/file.py:attribute, or a module"
+            " of an entry point pkm_oed.* of an installed package",
+            name,
+        )
+    try:
+        return importlib.import_module(name)
+    except Exception as error:  # a package's module may raise anything
+        raise place.error(
+            f"importing it failed with {type(error).__name__}:"
+            f" {shorten(str(error), LONGEST_REASON)}",
+            "mend or uninstall the package that provides it",
+            name,
+        ) from error
+
+
+def _named_modules() -> set[str]:
+    """Modules that a long name may begin with, without importing them."""
+    points = entry_points()
+    groups = [group for group in points.groups if group.startswith(GROUPS)]
+    names = {point.module for group in groups for point in points.select(group=group)}
+    for kind in ("machines", "instruments", "effects", "formats"):
+        package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
+        listed = pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+        names |= {info.name for info in listed}
+    return names

@@ -1,0 +1,70 @@
+"""The subcommand `oed campaign`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.base.user_code import consent
+from pkm_studies.commands.options import AllowCode
+
+
+def campaign(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CAMPAIGN.toml", help="The campaign.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the cases [out/NAME]."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes [one for each core].")
+    ] = None,
+    scheduler: Annotated[
+        str,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler, in place of processes."),
+    ] = "",
+    seeds: Annotated[
+        int | None,
+        typer.Option(min=1, help="First seeds of each combination only [all]."),
+    ] = None,
+    *,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print results only.")] = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Run settings x seeds over cases; again: go on where it was."""
+    import os
+
+    from pkm_studies.campaign import report, results, runner, tables
+    from pkm_studies.notebook import display
+
+    loaded = tables.load_campaign(file, consent(allow_code=allow_code))
+    loaded = loaded if seeds is None else loaded.first(seeds)
+    folder = Path("out") / loaded.name if out is None else out
+    with display.progress(quiet=quiet) as progress:
+        progress.stage("cases")
+        broken = runner.run_cases(
+            loaded,
+            folder,
+            workers=workers or os.cpu_count() or 1,
+            scheduler=scheduler,
+            progress=progress.share,
+        )
+    for sentence in broken:
+        print(f"Warning: {sentence}.")
+    table = results.read_table(loaded, folder)
+    summary = results.summarise(loaded, table)
+    paths = results.write_table(table, summary, folder)
+    page = report.write_report(loaded, summary, folder)
+    for sentence in report.sentences(loaded, summary):
+        print(sentence)
+    seconds = results.processor_time(loaded, folder)
+    print(f"Processor time of the cases: {seconds:.0f} s.")
+    print(f"Report: {', '.join(str(p) for p in page)}")
+    print(f"Table: {', '.join(str(p) for p in paths)}")
+    return 0

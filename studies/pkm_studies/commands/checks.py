@@ -1,0 +1,179 @@
+"""Checks studies against their machine, and readings against their study."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from oed import checks
+from oed.checks import Severity, blind
+from oed.dataset import Dataset
+from oed.mechanism.kinematics import AssemblyError
+from pkm_studies.base.errors import InputError, Place, SourceAbsentError
+from pkm_studies.base.user_code import Consent, Origin
+from pkm_studies.catalogue import catalogue
+from pkm_studies.resolve.machine import has_own_numbers, unreachable
+from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
+from pkm_studies.stages.fit.goodness import check_dataset
+from pkm_studies.stages.run_state import Stream
+from pkm_studies.study import Study, load, shipped, sources
+
+
+@dataclasses.dataclass(frozen=True)
+class Verdict:
+    """What a file holds.
+
+    content   in a sentence
+    findings  what is wrong with its readings, the most harmful first
+    remarks   what a user should know
+    """
+
+    content: str
+    findings: Sequence[str] = ()
+    remarks: Sequence[str] = ()
+
+
+def check(
+    paths: Sequence[Path], consent: Consent = Consent.RECORDED
+) -> Iterator[tuple[Path, Verdict | InputError]]:
+    """For each file what it holds, or what is wrong.
+
+    consent  to run Python files, and those that the studies name
+
+    Readings are checked against the studies among the files.
+    """
+    resolved: list[ResolvedStudy] = []
+    alone = all(p.suffix != ".csv" for p in paths)
+    given = any(p.suffix not in (".csv", ".py") for p in paths)
+    for path in [p for p in paths if p.suffix == ".py"]:
+        yield path, _verdict(partial(_check_machine, path, consent))
+    for path in [p for p in paths if p.suffix not in (".csv", ".py")]:
+        check_study = partial(_check_study, path, consent, resolved, alone=alone)
+        yield path, _verdict(check_study)
+    for path in [p for p in paths if p.suffix == ".csv"]:
+        yield path, _verdict(partial(_check_readings, path, resolved, given=given))
+
+
+def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
+    try:
+        return check_file()
+    except InputError as error:
+        return error
+
+
+def _check_machine(path: Path, consent: Consent) -> Verdict:
+    """A machine's file: its functions fit one another, and its home pose assembles."""
+    machine = catalogue.machine(str(path), Origin.command(consent), Place(str(path)))
+    return Verdict(
+        f"sound: {machine.name} has {len(machine.joints)} joints and"
+        f" {len(machine.parameters)} parameters, and closes at its home pose"
+    )
+
+
+def _check_study(
+    path: Path, consent: Consent, resolved: list[ResolvedStudy], *, alone: bool
+) -> Verdict:
+    """What a study holds; it joins the studies that are `resolved`.
+
+    Where it stands `alone`, the mistakes that its readings cannot reveal are stated.
+    """
+    study = load(shipped.study_path(path), consent)
+    try:
+        # without readings first: others can be checked even where these are absent
+        without_readings = resolve(study, readings=())
+        resolved.append(without_readings)
+        complete = with_readings(without_readings)
+        content = _content(study, complete)
+        if complete.dataset is not None:
+            return _with_findings(content, complete, complete.dataset)
+        return Verdict(content, remarks=_unseen(complete) if alone else ())
+    except SourceAbsentError as error:
+        problem = f"the study is sound, but its data is missing: {error.problem}"
+        return Verdict(problem)
+    except AssemblyError as error:
+        remedy = "check the machine's numbers and the poses"
+        raise InputError(str(error), remedy, file=str(path)) from error
+
+
+def _with_findings(content: str, study: ResolvedStudy, data: Dataset) -> Verdict:
+    """What a check of readings says."""
+    checked = check_dataset(study, data, _rng(study))
+    findings = [f.sentence for f in checked.findings if f.severity < Severity.REMARK]
+    remarks = [f.sentence for f in checked.findings if f.severity == Severity.REMARK]
+    return Verdict(content, findings, remarks)
+
+
+def _unseen(study: ResolvedStudy) -> list[str]:
+    """Mistakes that readings of the first reference plan cannot reveal."""
+    if not study.reference_plans:
+        return []
+    plan = study.reference_plans[0]
+    measurement = study.measurement_with(plan.setups)
+    series = tuple(plan.series)
+    exact = measurement.readings(series, measurement.nominal)
+    session = checks.session(measurement, series, exact)
+    everything = study.measurement_with(study.setups)
+    alternatives = checks.Alternatives(everything)
+    unseen = blind.unseen_mistakes(session, alternatives, _rng(study))
+    return [
+        f"Readings of {plan.name} cannot reveal this mistake: {what}."
+        for what in unseen
+    ]
+
+
+def _rng(study: ResolvedStudy) -> np.random.Generator:
+    return np.random.default_rng([study.study.seed, int(Stream.CHECKS)])
+
+
+def _content(study: Study, resolved: ResolvedStudy) -> str:
+    counts = {
+        "set-up": len(resolved.setups),
+        "candidate": sum(len(s) for s in resolved.candidates),
+        "reading": len(resolved.dataset) if resolved.dataset else 0,
+        "claim": len(study.expect),
+    }
+    parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
+    sentences = [f"sound: {', '.join(parts)}", *resolved.warnings]
+    if has_own_numbers(study.machine):
+        sentence = unreachable(resolved.machine)
+        sentences += [sentence] if sentence else []
+    return "; ".join(sentences)
+
+
+def _check_readings(
+    path: Path, resolved: Sequence[ResolvedStudy], *, given: bool
+) -> Verdict:
+    """What a readings file holds, by the studies that name it, or by all.
+
+    given  whether a study was given, which may have an error
+    """
+    if not resolved:
+        rows = sources.check_text(path)
+        rest = (
+            "set-ups, poses and units are checked once the study has no error"
+            if given
+            else "give the study as well to check set-ups, poses and units"
+        )
+        return Verdict(f"{rows} rows are sound as text; {rest}")
+    naming = [r for r in resolved if _names_file(r.study, path)]
+    contents: list[str] = []
+    findings: list[str] = []
+    remarks: list[str] = []
+    for study in naming or resolved:
+        measurement = study.measurement_with(study.setups)
+        data = sources.from_files([path], measurement)
+        content = f"{len(data)} readings fit the columns of {study.study.name}"
+        verdict = _with_findings(content, study, data)
+        contents.append(verdict.content)
+        findings += verdict.findings
+        remarks += verdict.remarks
+    return Verdict("; ".join(contents), findings, remarks)
+
+
+def _names_file(study: Study, path: Path) -> bool:
+    files = study.readings.files if study.readings else []
+    return any((study.folder / name).resolve() == path.resolve() for name in files)

@@ -1,0 +1,99 @@
+"""The command `oed`: runs a subcommand and turns its errors into exit codes.
+
+Exit 0: done; 1: a claim fails; 2: bad input, in one paragraph on stderr; 130:
+interrupted. Everything heavy is imported inside the subcommand that needs it, so that
+`oed --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+from pkm_studies.base import console
+from pkm_studies.base.errors import InputError, shorten
+from pkm_studies.commands.commands import app
+from pkm_studies.stages.outcome import BAD_INPUT, DONE
+
+INTERRUPTED = 130
+#: errors of the kernel about the input, by module; looked for only in loaded modules
+KERNEL_ERRORS = {
+    "oed.base.units": "UnitError",
+    "oed.mechanism.kinematics": "AssemblyError",
+    "oed.dataset.table": "ReadingsError",
+    "oed.estimation.identification": "IdentificationError",
+    "oed.posterior.log_density": "OutOfBoundsError",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command, by default on the arguments of the process; the exit code."""
+    # before NumPy is loaded: the matrices are small, and two BLAS threads on busy cores
+    # slow them down tenfold
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    try:
+        console.set_up()
+        return _call(arguments)
+    except InputError as error:
+        return _bad_input(str(error))
+    except KeyboardInterrupt:  # outside typer's care, as during an import
+        return _interrupted()
+    except SystemExit:  # typer's way to say that nobody reads the output any more
+        console.discard_output()
+        return DONE
+    except OSError as error:
+        if console.reader_has_gone(error):
+            console.discard_output()
+            return DONE
+        return _bad_input(_about_file(error))
+    except _kernel_errors() as error:
+        return _bad_input(shorten(str(error), 500))
+    except Exception as error:
+        if not hasattr(error, "format_message"):
+            raise
+        usage = error.format_message().rstrip(".")  # how the command was called
+        return _bad_input(f"{usage}; see `oed --help`.")
+
+
+def _call(arguments: Sequence[str] | None) -> int:
+    given = None if arguments is None else list(arguments)
+    code = app(args=given, prog_name="oed", standalone_mode=False)
+    if code == INTERRUPTED:  # typer's code for Ctrl-C
+        _interrupted()
+    sys.stdout.flush()
+    return code if isinstance(code, int) else DONE
+
+
+def _interrupted() -> int:
+    console.print_error("interrupted: files written so far are whole")
+    return INTERRUPTED
+
+
+def _about_file(error: OSError) -> str:
+    """What a file refuses; an error without a name may be the output's own."""
+    problem = (error.strerror or type(error).__name__).lower()
+    name = error.filename
+    if console.is_about_output(error):
+        console.discard_output()
+        name = console.OUTPUT
+    if name == console.OUTPUT:
+        return f"{name}: {problem}; send it to a terminal, a pipe or another file."
+    return (
+        f"{name or 'the system'}: {problem}; check the name, its folder and its"
+        " permissions, and close it in other programs."
+    )
+
+
+def _kernel_errors() -> tuple[type[BaseException], ...]:
+    loaded = [(sys.modules.get(module), name) for module, name in KERNEL_ERRORS.items()]
+    return tuple(getattr(module, name) for module, name in loaded if module is not None)
+
+
+def _bad_input(paragraph: str) -> int:
+    console.print_error(paragraph)
+    return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

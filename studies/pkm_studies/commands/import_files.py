@@ -1,0 +1,68 @@
+"""The subcommand `oed import`: files of another program in, a study with readings out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.base.user_code import consent
+from pkm_studies.commands.options import AllowCode
+
+
+def import_files(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND",
+            help="klipper, rrf, marlin, tracker, ballbar, columns, or an entry point's.",
+            show_default=False,
+        ),
+    ],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Its files.", show_default=False),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="FOLDER", help="Folder for study and readings.", show_default=False
+        ),
+    ],
+    name: Annotated[
+        str | None,
+        typer.Option(help="Name of the study [that of the first file]."),
+    ] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option(
+            help="A machine of `oed list machines`, MY.py, or a study with it."
+        ),
+    ] = None,
+    column_map: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="MAP.toml",
+            help="Which column is what; kept for next time.",
+        ),
+    ] = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Make a study with readings from files of another program."""
+    from pkm_studies.importers import session
+
+    path, imported = session.import_files(
+        kind,
+        paths,
+        out,
+        name=name,
+        machine=machine,
+        column_map=column_map,
+        consent=consent(allow_code=allow_code),
+    )
+    for statement in imported.statements:
+        print(statement)
+    print(f"Study: {path}; then: oed run {path} --out {out / 'report'}")
+    return 0

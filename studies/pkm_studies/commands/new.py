@@ -1,0 +1,80 @@
+"""The subcommand `oed new`: a study to start from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.base.errors import InputError
+from pkm_studies.base.user_code import Origin, consent
+from pkm_studies.commands.options import AllowCode
+
+
+def new(
+    name: Annotated[
+        str | None,
+        typer.Argument(help="Name of the study [the machine's].", show_default=False),
+    ] = None,
+    machine: Annotated[
+        str | None,
+        typer.Option(
+            help="A machine of `oed list machines`, or MY.py.", show_default=False
+        ),
+    ] = None,
+    instrument: Annotated[
+        str | None,
+        typer.Option(
+            help="An instrument of `oed list instruments` [one that can read it].",
+            show_default=False,
+        ),
+    ] = None,
+    source: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="STUDY",
+            help="A study of `oed list studies` to copy.",
+            show_default=False,
+        ),
+    ] = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Write a study to start from: a commented one, or a copy of a shipped one."""
+    # The study will name the files: they lie where a study's files may lie.
+    origin = Origin(Path(), consent(allow_code=allow_code))
+    path = _new_study(name, machine, instrument, source, origin)
+    print(f"Study: {path}; edit it, then: oed run {path}")
+    return 0
+
+
+def _new_study(
+    name: str | None,
+    machine: str | None,
+    instrument: str | None,
+    source: str | None,
+    origin: Origin,
+) -> Path:
+    if source is not None:
+        if machine is not None or instrument is not None:
+            raise InputError(
+                "--from copies a whole study",
+                "leave out --machine and --instrument, or leave out --from",
+            )
+        if name is None:
+            raise InputError("a copy needs a name", "oed new NAME --from STUDY")
+        from pkm_studies.study import shipped
+
+        return shipped.copy(name, source, Path())
+    if machine is None:
+        raise InputError(
+            "it is not said what to start from",
+            "give --machine, a name or a file of your own, or --from STUDY",
+        )
+    from pkm_studies.importers import template
+
+    if instrument is None:
+        instrument, others = template.default_instrument(machine, origin)
+        print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
+    return template.write(name, machine, instrument, origin)

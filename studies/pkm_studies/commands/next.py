@@ -1,0 +1,53 @@
+"""The subcommand `oed next`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.base.user_code import consent
+from pkm_studies.commands.options import AllowCode
+from pkm_studies.stages.outcome import DONE, FAILED
+
+
+def next_reading(
+    study: Annotated[
+        Path,
+        typer.Argument(
+            metavar="STUDY",
+            help="A study file, or the name of a shipped study.",
+            show_default=False,
+        ),
+    ],
+    readings: Annotated[
+        Path,
+        typer.Option(metavar="CSV", help="Readings so far.", show_default=False),
+    ],
+    wanted: Annotated[
+        str,
+        typer.Option(
+            metavar="z_um=30,...",
+            help="Rms errors at which to stop [the study's]; plan: those of its plan.",
+        ),
+    ] = "",
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Stay open, and follow the file.")
+    ] = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Advise at the machine: what is known now, the best next reading, when to stop."""
+    from pkm_studies.sessions import next_reading as advice
+    from pkm_studies.sessions.next_sentences import sentences
+    from pkm_studies.study import load, shipped
+
+    loaded = load(shipped.study_path(study), consent(allow_code=allow_code))
+    adviser = advice.Adviser(loaded, wanted)
+    if not follow:
+        after = adviser.advise(readings)
+        print("\n".join(sentences(adviser, after)))
+        return FAILED if after.objections else DONE
+    for lines in advice.watch(adviser, readings):
+        print("\n".join([*lines, ""]), flush=True)
+    return 0

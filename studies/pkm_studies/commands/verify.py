@@ -1,0 +1,106 @@
+"""The subcommand `oed verify`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.base import console
+from pkm_studies.base.user_code import Consent, consent
+from pkm_studies.commands.options import AllowCode
+
+DONE, FAILED = 0, 1
+
+
+def verify(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR", help="Folder with a result.json.", show_default=False
+        ),
+    ],
+    readings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV", help="The filled-in file: judge it. Without: plan the test."
+        ),
+    ] = None,
+    promise: Annotated[
+        str,
+        typer.Option(
+            metavar="z_um=30,...", help="Rms errors to confirm [the predicted ones]."
+        ),
+    ] = "",
+    uncertainty: Annotated[
+        str,
+        typer.Option(
+            metavar="z_um=2,...",
+            help="Standard uncertainty of a measured error [a fifth of the promise].",
+        ),
+    ] = "",
+    power: Annotated[
+        float, typer.Option(min=0.1, max=0.999, help="Power that is asked for.")
+    ] = 0.9,
+    poses: Annotated[int, typer.Option(min=1, max=200, help="Poses at most.")] = 12,
+    study: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="STUDY", help="The study, where its machine is a file of yours."
+        ),
+    ] = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Plan the acceptance test of a compensated machine, or judge its readings."""
+    from pkm_studies.compensation.export import BadFitError
+
+    given = consent(allow_code=allow_code)
+    try:
+        if readings is not None:
+            return _judge(folder, readings)
+        return _plan(folder, promise, uncertainty, power, poses, study, given)
+    except BadFitError as error:
+        console.print_error(str(error))
+        return FAILED
+
+
+def _judge(folder: Path, readings: Path) -> int:
+    from pkm_studies.sessions import verification
+
+    verdict = verification.judge_folder(folder, readings)
+    for sentence in verification.verdict_sentences(verdict):
+        print(sentence)
+    return DONE if verdict.passed else FAILED
+
+
+def _plan(
+    folder: Path,
+    promise: str,
+    uncertainty: str,
+    power: float,
+    poses: int,
+    study: Path | None,
+    given: Consent,
+) -> int:
+    from pkm_studies.sessions import verification
+
+    section, path = verification.plan_folder(
+        folder,
+        promised=promise,
+        uncertainty=uncertainty,
+        power=power,
+        most=poses,
+        study_file=study,
+        consent=given,
+    )
+    for sentence in verification.plan_sentences(section):
+        print(sentence)
+    least = min(demand.power for demand in section.components.values())
+    if least < power:
+        print(
+            f"{len(section.poses)} poses do not reach the power {power:g}: allow more by"
+            " --poses, or measure more accurately (--uncertainty)."
+        )
+    print(f"To fill in: {path}")
+    return DONE

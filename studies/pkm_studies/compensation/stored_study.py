@@ -1,0 +1,75 @@
+"""The study of a stored result: its own text, without code, or the file that is given."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from oed.result import MachineInfo, StudyResult
+from pkm_studies.base import user_code
+from pkm_studies.base.errors import Place
+from pkm_studies.base.user_code import Consent
+from pkm_studies.resolve.machine import study_machine
+from pkm_studies.stages.describe import machine_info
+from pkm_studies.study import SUFFIX, Study, load, parse
+
+#: difference of two nominal numbers, in their unit and relative, that is rounding
+SAME = 1e-9
+
+
+def result_study(
+    result: StudyResult,
+    folder: Path,
+    study_file: Path | None,
+    consent: Consent = Consent.RECORDED,
+) -> Study:
+    """The study in a file, or that which the result in a folder holds.
+
+    consent  to run Python files that the file names; the result's own study never runs
+             one
+
+    Raises InputError where the result does not hold its study, where its machine is a
+    Python file, and where the file is the study of another machine.
+    """
+    place = Place(str(folder / "result.json"))
+    if study_file is not None:
+        return _given_study(result, study_file, consent, place)
+    if not result.study_text:
+        raise place.error("this result holds no study", "give it: --study STUDY")
+    path = folder / f"{result.study}{SUFFIX}"
+    study = parse(result.study_text, path, Consent.NEVER)
+    model = study.machine.model
+    if user_code.is_file(model):
+        raise place.error(
+            f"the machine is the Python file {user_code.file_name(model)}, and a result"
+            " runs no code",
+            "give the study: --study STUDY",
+        )
+    return study
+
+
+def _given_study(
+    result: StudyResult, study_file: Path, consent: Consent, place: Place
+) -> Study:
+    """The study of a file, if it is that of the result's machine."""
+    study = load(study_file, consent)
+    difference = _difference(result.machine, machine_info(study_machine(study)))
+    if difference is None:
+        return study
+    raise place.error(
+        f"the machine of {study_file} is not that of this result: {difference}",
+        "give the study that the result was made with",
+    )
+
+
+def _difference(stored: MachineInfo, given: MachineInfo) -> str | None:
+    """The first thing in which two machines differ, in words; None for one machine."""
+    if stored.name != given.name:
+        return f"{given.name} for {stored.name}"
+    nominal = {str(row["name"]): row["nominal"] for row in given.parameters}
+    for row in stored.parameters:
+        name = str(row["name"])
+        value = float(nominal.pop(name, math.nan))
+        if not math.isclose(value, float(row["nominal"]), rel_tol=SAME, abs_tol=SAME):
+            return f"{name} = {value:.9g} for {float(row['nominal']):.9g} {row['unit']}"
+    return None

@@ -1,0 +1,305 @@
+"""Results as a notebook shows them: a table, pandas, xarray, and the kernel's objects."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+from typing import TYPE_CHECKING, Any
+
+from oed import result
+from pkm_studies.stages.run_state import RunState
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import xarray as xr
+    from matplotlib.axes import Axes
+
+#: rows that a notebook shows of a table
+ROWS_SHOWN = 30
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """A step's outcome, with the state of the run that led to it.
+
+    state    of the run: kernel objects, random streams, sections so far
+    """
+
+    state: RunState
+
+    @property
+    def title(self) -> str:
+        """What is shown, in one line."""
+        raise NotImplementedError
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences that a user must know."""
+        return self.state.warnings
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The outcome as a table; units stand in the column names."""
+        raise NotImplementedError
+
+    def to_xarray(self) -> xr.Dataset:
+        """The outcome as a labelled dataset."""
+        import xarray as xr
+
+        return xr.Dataset.from_dataframe(self.to_pandas())
+
+    def __repr__(self) -> str:
+        return f"{self.title}\n{self.to_pandas().head(ROWS_SHOWN)}"
+
+    def _repr_html_(self) -> str:
+        table = self.to_pandas()
+        shown = table.head(ROWS_SHOWN).to_html(float_format=lambda v: f"{v:.4g}")
+        rest = len(table) - ROWS_SHOWN
+        more = f"<p>{rest} further rows</p>" if rest > 0 else ""
+        lines = "".join(f"<li>{html.escape(text)}</li>" for text in self.warnings)
+        warnings = f"<ul>{lines}</ul>" if lines else ""
+        return f"<p><b>{html.escape(self.title)}</b></p>{warnings}{shown}{more}"
+
+
+class DesignView(View):
+    """The chosen readings: `section` has value, bound, efficiency and poses."""
+
+    @property
+    def section(self) -> result.DesignSection:
+        """The `design` section of the result."""
+        section: result.DesignSection = self.state.sections["design"]
+        return section
+
+    @property
+    def title(self) -> str:
+        design = self.section
+        text = f"{design.n} of {design.candidates} readings by {design.criterion}"
+        if design.efficiency is None:
+            return text
+        return f"{text}; efficiency at least {design.efficiency:.1%}"
+
+    def to_pandas(self) -> pd.DataFrame:
+        import pandas as pd
+
+        rows: list[dict[str, Any]] = []
+        for pose in self.section.poses:
+            place = {"setup": pose.setup, "run": pose.run, "order": pose.order}
+            rows.append({**place, **pose.command, **pose.reading})
+        return pd.DataFrame(rows)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """The chosen readings over two commands, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.design(self.section, axes)
+
+
+class PlanView(View):
+    """The plan of stages: which measurement first, which next."""
+
+    @property
+    def section(self) -> result.PlanSection:
+        """The `plan` section of the result."""
+        section: result.PlanSection = self.state.sections["plan"]
+        return section
+
+    @property
+    def title(self) -> str:
+        return f"{len(self.section.stages)} stages in {self.section.cost:.0f} min"
+
+    def to_pandas(self) -> pd.DataFrame:
+        import pandas as pd
+
+        rows: list[dict[str, Any]] = []
+        for stage in self.section.stages:
+            summary = {
+                "measurement": stage.measurement,
+                "readings": stage.readings,
+                "identifies": stage.identifies,
+                "cost_min": stage.cost,
+            }
+            rows.append({**summary, **stage.predicted})
+        return pd.DataFrame(rows)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """What remains of each error stage by stage, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.stages(self.section, axes)
+
+
+class ReadingsView(View):
+    """Readings with their poses and covariates, ready to be fitted."""
+
+    @property
+    def title(self) -> str:
+        readings = self.state.readings
+        assert readings is not None
+        origin = "recorded" if readings.truth is None else "of a virtual machine"
+        return f"{sum(len(series) for series in readings.series)} readings, {origin}"
+
+    def to_pandas(self) -> pd.DataFrame:
+        import io
+
+        import pandas as pd
+
+        from oed import dataset
+
+        readings = self.state.readings
+        assert readings is not None
+        assert readings.y is not None
+        covariates = readings.covariates
+        if covariates is not None:
+            covariates = covariates.drop(columns=["setup", "run", "order"])
+        data = dataset.from_series(
+            readings.series, readings.y, self.state.measurement, covariates
+        )
+        return pd.read_csv(io.StringIO(dataset.to_csv(data)))
+
+
+class EstimateView(View):
+    """The identified parameters, each with its standard deviation."""
+
+    @property
+    def section(self) -> result.EstimateSection:
+        """The `estimate` section of the result."""
+        section: result.EstimateSection = self.state.sections["estimate"]
+        return section
+
+    @property
+    def title(self) -> str:
+        rms = self.section.rms_after
+        residual = ", ".join(
+            f"{name} {value:.3g} {self.section.units[name]}"
+            for name, value in rms.items()
+        )
+        checked: result.GoodnessSection | None = self.state.sections.get("goodness")
+        aside = "" if checked is None else checked.fit_words
+        return (
+            f"Fit of {self.section.readings} readings{aside}: rms residual {residual}"
+        )
+
+    def to_pandas(self) -> pd.DataFrame:
+        import msgspec
+        import pandas as pd
+
+        parameters = msgspec.to_builtins(self.section.parameters)
+        return pd.DataFrame.from_dict(parameters, orient="index")
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Residuals after the fit, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.residuals(self.section, axes)
+
+
+class PosteriorView(View):
+    """Draws of the parameters, and their summary."""
+
+    @property
+    def section(self) -> result.PosteriorSection:
+        """The `posterior` section of the result."""
+        section: result.PosteriorSection = self.state.sections["posterior"]
+        return section
+
+    @property
+    def title(self) -> str:
+        return f"Posterior of {self.section.draws} draws"
+
+    def to_pandas(self) -> pd.DataFrame:
+        import msgspec
+        import pandas as pd
+
+        marginals = msgspec.to_builtins(self.section.marginals)
+        return pd.DataFrame.from_dict(marginals, orient="index")
+
+    def to_xarray(self) -> xr.Dataset:
+        """The draws themselves, SI: one variable `theta` over chain, draw, parameter."""
+        import xarray as xr
+
+        posterior = self.state.posterior
+        assert posterior is not None
+        dims = ("chain", "draw", "parameter")
+        names = list(posterior.names)
+        return xr.Dataset({"theta": (dims, posterior.draws)}, {"parameter": names})
+
+    @property
+    def _parameters(self) -> dict[str, result.ParameterEstimate]:
+        estimate: result.EstimateSection = self.state.sections["estimate"]
+        return estimate.parameters
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """95 % intervals in tolerances, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.posterior(self.section, self._parameters, axes)
+
+
+class AccuracyView(View):
+    """The residual accuracy over the workspace, before and after compensation."""
+
+    @property
+    def section(self) -> result.PredictionSection:
+        """The `prediction` section of the result."""
+        section: result.PredictionSection = self.state.sections["prediction"]
+        return section
+
+    @property
+    def title(self) -> str:
+        return (
+            f"Predicted accuracy over {self.section.poses} poses"
+            f" ({self.section.reference})"
+        )
+
+    def to_pandas(self) -> pd.DataFrame:
+        import pandas as pd
+
+        rows = {}
+        for name, component in self.section.components.items():
+            rows[name] = {
+                "unit": self.section.unit[name],
+                "compensatable": component.compensatable,
+                "before_rms": component.before.rms,
+                "after_rms": component.after.rms,
+                "after_p95": component.after.p95,
+                "after_max": component.after.max,
+            }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Errors before and after as bars, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.accuracy(self.section, axes)
+
+
+class DiagnosisView(View):
+    """What calibration leaves: causes with probabilities, places, closure."""
+
+    @property
+    def section(self) -> result.GapSection:
+        """The `gap` section of the result."""
+        section: result.GapSection = self.state.sections["gap"]
+        return section
+
+    @property
+    def title(self) -> str:
+        return self.section.words[0] if self.section.words else self.section.verdict
+
+    def to_pandas(self) -> pd.DataFrame:
+        import pandas as pd
+
+        rows = [
+            {
+                "effects": " + ".join(answer.effects) or "none",
+                "probability": answer.probability,
+                "unseen": answer.unseen,
+            }
+            for answer in self.section.answers
+        ]
+        return pd.DataFrame(rows)
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Probabilities of the causes, on a matplotlib axis."""
+        from pkm_reports import axes as figures
+
+        return figures.causes(self.section, axes)

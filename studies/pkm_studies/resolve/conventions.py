@@ -1,0 +1,168 @@
+"""What columns mean: frame, order, sense and unit of every coordinate and channel."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from oed.base import units
+from oed.base.units import UnitError
+from oed.dataset.columns import parse_column
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import Channel, Instrument
+from oed.model.machine import Component, Coordinate, Machine
+from pkm_studies.catalogue import catalogue
+from pkm_studies.catalogue.catalogue import CatalogueEntry
+from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve.quantities import column
+from pkm_studies.study import Study
+
+COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ColumnStatement:
+    """One column: its name with the usual unit, what it is for, and what it means."""
+
+    name: str
+    role: str
+    about: str
+
+
+def machine_columns(machine: Machine) -> list[ColumnStatement]:
+    """Commands, joints and pose errors of a machine."""
+    errors = [
+        ColumnStatement(f"{c.name}_{units.FINE[c.unit]}", ERROR, _with_drive(c))
+        for c in machine.components
+    ]
+    return [
+        *(
+            ColumnStatement(column(c.name, c.unit), COMMAND, _of_command(c))
+            for c in machine.command
+        ),
+        *(_statement(c, JOINT) for c in machine.joints),
+        *errors,
+    ]
+
+
+def instrument_columns(instrument: Instrument) -> list[ColumnStatement]:
+    """Channels of an instrument."""
+    return [_statement(c, READING) for c in instrument.channels]
+
+
+def machine_frames(machine: Machine) -> list[str]:
+    """The frames of a machine, in sentences without a full stop."""
+    sentences = []
+    if machine.base_frame:
+        sentences.append(f"base frame: {machine.base_frame}; right-handed")
+    if machine.tool_axis:
+        sentences.append(f"tool axis, z of the platform's frame: {machine.tool_axis}")
+    if machine.orientation is not None:
+        sentences.append(
+            f"orientation of the platform's frame in the base frame:"
+            f" {machine.orientation.formula}{_explained(machine)}"
+        )
+    return sentences
+
+
+def listing(kind: str) -> list[CatalogueEntry]:
+    """The catalogue of a kind, with the frames and columns of each entry."""
+    entries = catalogue.listing(kind)
+    if kind not in ("machines", "instruments"):
+        return entries
+    items = catalogue.named_items(kind)
+    return [_with_conventions(kind, entry, items[entry.name][1]) for entry in entries]
+
+
+def _with_conventions(kind: str, entry: CatalogueEntry, item: Any) -> CatalogueEntry:
+    is_machine = kind == "machines"
+    columns = machine_columns(item) if is_machine else instrument_columns(item)
+    return dataclasses.replace(
+        entry,
+        frames=machine_frames(item) if is_machine else [],
+        columns=[dataclasses.asdict(column) for column in columns],
+    )
+
+
+def readings_comments(
+    machine: Machine, setups: Mapping[str, Instrument], header: Sequence[str]
+) -> list[str]:
+    """Lines that open a CSV of readings: the frames, then each column that it has.
+
+    setups  instruments by the name of their set-up
+    """
+    lines = machine_frames(machine)
+    for name in header:
+        words = _meaning(name, machine, setups)
+        if words:
+            lines.append(f"{name}: {words}")
+    return lines
+
+
+def comments_of(
+    measurement: Measurement,
+) -> Callable[[Sequence[str]], Sequence[str]]:
+    """`readings_comments` of a measurement, over the names of the columns."""
+    setups = {name: s.instrument for name, s in measurement.setups.items()}
+    return lambda header: readings_comments(measurement.machine, setups, header)
+
+
+def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
+    """`readings_comments` of a study, over the names of the columns. Raises InputError."""
+    machine = study_machine(study)
+    setups = {}
+    for i, table in enumerate(study.setup):
+        at = study.place.key("setup").item(i).key("instrument")
+        listed: Instrument = catalogue.instrument(table.instrument, study.origin, at)
+        setups[table.name] = listed.for_machine(machine)
+    return lambda header: readings_comments(machine, setups, header)
+
+
+def _statement(item: Coordinate | Channel, role: str) -> ColumnStatement:
+    return ColumnStatement(column(item.name, item.unit), role, item.about)
+
+
+def _of_command(coordinate: Coordinate) -> str:
+    """The meaning of a command: places are those of the set-up's tool."""
+    if coordinate.name in "xyz" and coordinate.about:
+        return f"{coordinate.about}, with the tool of the set-up"
+    return coordinate.about
+
+
+def _with_drive(component: Component) -> str:
+    if component.compensatable:
+        return component.about
+    return f"{component.about}; no drive corrects it"
+
+
+def _explained(machine: Machine) -> str:
+    """What T is, where the machine's orientation has one."""
+    assert machine.orientation is not None
+    if not any(kind == "tilt" for kind, _ in machine.orientation.factors):
+        return ""
+    return ", T(rx, ry) a rotation by the vector (rx, ry, 0)"
+
+
+def _meaning(name: str, machine: Machine, setups: Mapping[str, Instrument]) -> str:
+    """What a column of readings means; empty for labels, covariates and remarks."""
+    try:
+        stem = parse_column(name).stem
+    except UnitError:
+        return ""
+    for c in machine.command:
+        if c.name == stem:
+            return _of_command(c)
+    for c in machine.joints:
+        if c.name == stem:
+            return c.about
+    by_setup = {
+        setup: channel.about
+        for setup, instrument in setups.items()
+        for channel in instrument.channels
+        if channel.name == stem and channel.about
+    }
+    meanings = dict.fromkeys(by_setup.values())
+    if len(meanings) < 2:
+        return "".join(meanings)
+    return "; ".join(f"{setup}: {words}" for setup, words in by_setup.items())

@@ -1,0 +1,190 @@
+"""What a result promises of the compensated machine, for an acceptance test."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from oed.accuracy.acceptance import Promise
+from oed.accuracy.error_maps import ErrorMaps, Reference, error_maps
+from oed.base import units
+from oed.base.arrays import Array
+from oed.compensate.export_errors import known_errors
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Component, Machine
+from oed.result import CorrectedSection, EstimateSection, StudyResult
+from pkm_studies.base.errors import InputError
+from pkm_studies.compensation import identified
+from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve.workspace import regular_commands
+from pkm_studies.study import Study
+
+#: standard uncertainty of the acceptance measurement, as a share of the promise, where
+#: none is given
+UNCERTAINTY_SHARE = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class FurtherPromise:
+    """What further axes promise of k components that no drive corrects, SI.
+
+    promise     with the axes
+    components  (k,)
+    known       (m, k) errors without the axes that are known in advance, at the commands
+    """
+
+    promise: Promise
+    components: tuple[Component, ...]
+    known: Array
+
+    @property
+    def without(self) -> Array:
+        """Rms errors (k,) without the axes."""
+        return np.asarray(
+            np.hypot(np.sqrt(np.mean(self.known**2, axis=0)), self.promise.rms)
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class PromisedAccuracy:
+    """A promise over commands (m, n_dof), SI, and what it rests on.
+
+    further  what holds with further axes, where the machine could use some
+    """
+
+    machine: Machine
+    command: Array
+    promise: Promise
+    components: tuple[Component, ...]
+    reference: Reference
+    conditions: tuple[str, ...]
+    further: FurtherPromise | None = None
+
+
+def promised_accuracy(
+    result: StudyResult,
+    study: Study,
+    file: str,
+    promised: Mapping[str, float],
+    uncertainty: Mapping[str, float],
+) -> PromisedAccuracy:
+    """The promise of a result for the components that the controller corrects.
+
+    promised     rms errors by component, SI, in place of the predicted ones
+    uncertainty  of one measured error by component, SI
+
+    Raises InputError where the result has no estimate with its covariance.
+    """
+    section = result.final_estimate
+    if section is None or not section.covariance:
+        raise InputError(
+            "this result has no estimate with its covariance",
+            "make it with `oed identify STUDY --readings CSV --out DIR`",
+            file=file,
+        )
+    kinematics = Kinematics(study_machine(study))
+    machine = kinematics.machine
+    command = regular_commands(study, kinematics)
+    table = study.prediction
+    reference: Reference = "home" if table is None else table.reference
+    maps = error_maps(kinematics, command, reference)
+    covariance, tolerance = _covariances(machine, section)
+    varying = _varying(maps, covariance)
+    driven = [k for k in varying if machine.components[k].compensatable]
+
+    def promise(chosen: list[int]) -> Promise:
+        """The promise for some components."""
+        names = tuple(machine.components[k].name for k in chosen)
+        slope = maps.raw[:, chosen]
+        rms = _promised_rms(result, machine, slope, chosen, covariance)
+        rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
+        given = [
+            uncertainty.get(n, UNCERTAINTY_SHARE * r)
+            for n, r in zip(names, rms, strict=True)
+        ]
+        shapes = [covariance, tolerance]
+        return Promise(names, slope, shapes, rms, np.array(given))
+
+    others = [k for k in varying if k not in driven]
+    corrected = result.corrected
+    return PromisedAccuracy(
+        machine=machine,
+        command=command,
+        promise=promise(driven),
+        components=tuple(machine.components[k] for k in driven),
+        reference=reference,
+        conditions=() if corrected is None else tuple(corrected.conditions),
+        further=_further(result, kinematics, maps, reference, others, promise),
+    )
+
+
+def _further(
+    result: StudyResult,
+    kinematics: Kinematics,
+    maps: ErrorMaps,
+    reference: Reference,
+    chosen: list[int],
+    promise: Callable[[list[int]], Promise],
+) -> FurtherPromise | None:
+    """The promise for components that no drive corrects; None where there are none."""
+    machine = kinematics.machine
+    parameters = identified.identified_parameters(result, machine, tables=True)
+    if not chosen or parameters is None:
+        return None
+    try:
+        known = known_errors(kinematics, maps.command, parameters.values, reference)
+    except AssemblyError:
+        return None
+    components = tuple(machine.components[k] for k in chosen)
+    return FurtherPromise(promise(chosen), components, known[:, chosen])
+
+
+def _covariances(
+    machine: Machine, section: EstimateSection | CorrectedSection
+) -> tuple[Array, Array]:
+    """Covariance (np, np) of the identified parameters, and of the tolerances, SI."""
+    size = len(machine.parameters)
+    covariance, tolerance = np.zeros((size, size)), np.zeros((size, size))
+    names = list(section.parameters)
+    known = {p.name for p in machine.parameters}
+    rows = [k for k, name in enumerate(names) if name in known]
+    at = [machine.index(names[k]) for k in rows]
+    factors = [units.factor(section.parameters[names[k]].unit) for k in rows]
+    part = np.array(section.covariance)[np.ix_(rows, rows)]
+    covariance[np.ix_(at, at)] = part * np.outer(factors, factors)
+    prior = [section.parameters[names[k]].prior_sd for k in rows]
+    tolerance[at, at] = (np.array(prior) * np.array(factors)) ** 2
+    return covariance, tolerance
+
+
+def _varying(maps: ErrorMaps, covariance: Array) -> list[int]:
+    """Numbers of the components that vary."""
+    variance = np.einsum("mkp,pq,mkq->k", maps.raw, covariance, maps.raw, optimize=True)
+    return np.flatnonzero(variance > 0.0).tolist()
+
+
+def _promised_rms(
+    result: StudyResult,
+    machine: Machine,
+    slope: Array,
+    chosen: list[int],
+    covariance: Array,
+) -> Array:
+    """Predicted rms (k,), SI: of the corrected model, or of the identified parameters.
+
+    Of what no drive corrects, the part that stays unknown. A prediction made before the
+    measurement promises nothing of this machine.
+    """
+    prediction = None if result.corrected is None else result.corrected.prediction
+    plain = result.prediction
+    if prediction is None and plain is not None and plain.mode == "identified":
+        prediction = plain
+    if prediction is not None:
+        spreads = [
+            prediction.components[machine.components[k].name].judged for k in chosen
+        ]
+        return np.array([s.rms * units.factor(s.unit) for s in spreads])
+    variance = np.einsum("mkp,pq,mkq->mk", slope, covariance, slope, optimize=True)
+    return np.asarray(np.sqrt(variance.mean(axis=0)))

@@ -1,0 +1,315 @@
+"""Advises at the machine: what is known now, the best next reading, when to stop."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from oed.accuracy import prediction
+from oed.base.arrays import Array
+from oed.design import candidates, next_reading
+from oed.design.candidates import Candidates
+from oed.design.next_reading import Belief
+from oed.estimation import identification
+from oed.estimation.estimate import Estimate
+from oed.measurement.measurement import Measurement, Series
+from oed.result import trust
+from pkm_studies.base.errors import InputError
+from pkm_studies.base.progress import Silent
+from pkm_studies.resolve import quantities, roles
+from pkm_studies.resolve.component_values import component_values
+from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, sentences
+from pkm_studies.stages.design.select import select_design
+from pkm_studies.stages.fit.estimate import estimate_section
+from pkm_studies.stages.run_state import RunState, start
+from pkm_studies.stages.steps import readings as readings_steps
+from pkm_studies.stages.steps.checks import check_readings
+from pkm_studies.stages.steps.fit import with_finding
+from pkm_studies.study import Study
+
+#: how a file is refused whose cells for readings are all empty
+NO_READING = "no reading was taken"
+#: what `wanted` is where a session should reach what the study's plan would
+AS_PLANNED = "plan"
+#: share by which a session with the plan's readings may miss the plan's accuracy
+ROUNDING = 1e-6
+#: time between two looks at the file, s
+PAUSE = 0.5
+
+
+class Adviser:
+    """A study whose candidates, workspace and set-ups are resolved once.
+
+    wanted  rms errors as in "z_um=30"; AS_PLANNED: what the study's plan would reach on
+            this machine, as far as it is known after each reading
+
+    Raises InputError where the study has no candidates or no workspace.
+    """
+
+    def __init__(self, study: Study, wanted: str = "") -> None:
+        self.base = start(study, None, Silent(), [])
+        if not self.base.resolved.candidates:
+            raise study.place.key("design").error(
+                "the study has no candidates to choose the next reading from",
+                "add [[design.candidates]]",
+            )
+        commands = self.base.resolved.prediction_commands
+        if study.prediction is None or commands is None:
+            raise study.place.key("prediction").error(
+                "the study does not say where accuracy counts",
+                "add [prediction] with a workspace, see `oed schema study`",
+            )
+        resolved = self.base.resolved
+        self.maps = prediction.error_maps(
+            resolved.measurement.kinematics, commands, study.prediction.reference
+        )
+        self.plan: Sequence[int] = ()
+        if wanted == AS_PLANNED:
+            self.plan = _planned_candidates(self.base)
+            wanted = ""
+        self.limits = _limits(study, self.base, self.maps.names, wanted)
+
+    def advise(self, readings: Path) -> Advice:
+        """The advice after the readings of a file. Raises InputError as they are read."""
+        state = self._with_readings(readings)
+        taken = state.readings
+        if taken is None or taken.y is None:
+            return self.advise_after(state.measurement, (), np.zeros(0))
+        try:
+            estimate = _fit(self.base, state.measurement, taken.series, taken.y)
+        except identification.IdentificationError as error:
+            raise with_finding(state, error) from error
+        advice = self._advise(state.measurement, taken.series, estimate)
+        checked = () if state.checked is None else state.checked.findings
+        return dataclasses.replace(
+            advice,
+            findings=tuple(finding.sentence for finding in checked),
+            objections=_objections(state, taken.series, estimate),
+        )
+
+    def advise_after(
+        self, measurement: Measurement, series: Sequence[Series], y: Array
+    ) -> Advice:
+        """The advice after readings y (N,), SI, unchecked. Raises IdentificationError."""
+        estimate = _fit(self.base, measurement, series, y) if len(y) else None
+        return self._advise(measurement, series, estimate)
+
+    def _advise(
+        self,
+        measurement: Measurement,
+        series: Sequence[Series],
+        estimate: Estimate | None,
+    ) -> Advice:
+        resolved = self.base.resolved
+        theta = measurement.nominal if estimate is None else estimate.theta
+        pool = candidates.build(measurement, resolved.candidates, theta, "tolerance")
+        belief = self._belief(measurement, pool, estimate)
+        if self.plan:
+            planned = self.accuracy(measurement, pool, self.plan)
+            self.limits = planned * (1.0 + ROUNDING)
+        count = sum(map(len, series))
+        return self._advice(measurement, pool, belief, theta, count)
+
+    def accuracy(
+        self, measurement: Measurement, pool: Candidates, indices: Sequence[int]
+    ) -> Array:
+        """Rms (K,) that candidates of a pool reach, without any other reading."""
+        prior = self.prior(measurement, pool)
+        after = next_reading.after_all(prior, pool.blocks, indices)
+        return np.asarray(np.sqrt(after.variances))
+
+    def prior(self, measurement: Measurement, pool: Candidates) -> Belief:
+        """What the tolerances alone say, before any reading."""
+        return self._belief(measurement, pool, None)
+
+    def _with_readings(self, path: Path) -> RunState:
+        """The state with the readings of a file; with none where it has only poses."""
+        study, resolved = self.base.study, self.base.resolved
+        everything = resolved.measurement_with(resolved.setups)
+        try:
+            data = roles.dataset(study, everything, [path])
+        except InputError as error:
+            if error.problem != NO_READING:
+                raise
+            return self.base
+        state = self.base.replace(
+            resolved=dataclasses.replace(resolved, dataset=data), readings_given=True
+        )
+        state = check_readings(readings_steps.take_readings(state))
+        # Candidates may need set-ups that no reading has used yet.
+        used = {*state.measurement.setups, *self.base.measurement.setups}
+        return state.replace(measurement=resolved.measurement_with(used))
+
+    def _belief(
+        self, measurement: Measurement, pool: Candidates, estimate: Estimate | None
+    ) -> Belief:
+        """Covariance in tolerances; errors that runs share have variance 1."""
+        free = measurement.free
+        scale = measurement.tolerance[free]
+        columns = len(scale) + pool.shared_errors
+        covariance = np.eye(columns)
+        correlation = measurement.correlation
+        if correlation is not None:
+            covariance[: len(scale), : len(scale)] = correlation[np.ix_(free, free)]
+        if estimate is not None:
+            known = estimate.covariance[np.ix_(free, free)]
+            covariance[: len(scale), : len(scale)] = known / np.outer(scale, scale)
+        count = len(measurement.machine.parameters)
+        poses, components, _ = self.maps.raw.shape
+        slopes = np.zeros((components, poses, len(free)))
+        slopes[:, :, :count] = self.maps.raw.swapaxes(0, 1) / np.sqrt(poses)
+        factors = np.zeros((components, poses, columns))
+        factors[:, :, : len(scale)] = slopes[:, :, free] * scale
+        return Belief(covariance, next_reading.weights_of(factors))
+
+    def _advice(
+        self,
+        measurement: Measurement,
+        pool: Candidates,
+        belief: Belief,
+        theta: Array,
+        count: int,
+    ) -> Advice:
+        table = self.base.study.design
+        planned = None if table is None else table.size
+        remaining = 1 if planned is None else max(planned - count, 1)
+        plan, more = self._plan(belief, pool.blocks, remaining)
+        after = belief.after(pool.blocks[plan[0]])
+        series, row = _reading(pool, plan[0])
+        return Advice(
+            names=self.maps.names,
+            readings=count,
+            known=np.sqrt(belief.variances),
+            after=np.sqrt(after.variances),
+            limits=self.limits,
+            candidate=plan[0],
+            series=series,
+            row=row,
+            expected=measurement.readings([series.take(np.array([row]))], theta),
+            more=more,
+            planned=planned,
+        )
+
+    def _plan(
+        self, belief: Belief, blocks: Array, remaining: int
+    ) -> tuple[list[int], int | None]:
+        """Readings to come, the next one first, and how many reach what is wanted.
+
+        Where fewer than the remaining ones can, the plan is one for the fewest.
+        """
+        if np.isfinite(self.limits).any():
+            fewest = next_reading.fewest_remaining(
+                belief, blocks, remaining, self.limits
+            )
+            if fewest is not None and fewest[0]:
+                return fewest
+        plan = next_reading.best_remaining(belief, blocks, remaining, self.limits)
+        return plan, self._more(belief, blocks, plan)
+
+    def _more(self, belief: Belief, blocks: Array, plan: list[int]) -> int | None:
+        """Readings until every wanted accuracy is reached; None where too many are.
+
+        Those of the plan count first, the best of them first, then single best ones.
+        """
+        if not np.isfinite(self.limits).any():
+            return None
+        rest = list(plan)
+        for number in range(MOST_AHEAD + 1):
+            if not next_reading.open_components(belief, self.limits):
+                return number
+            pool = blocks[rest] if rest else blocks
+            best = next_reading.best_candidate(belief, pool, self.limits)
+            belief = belief.after(pool[best])
+            if rest:
+                rest.pop(best)
+        return None
+
+
+def _planned_candidates(state: RunState) -> list[int]:
+    """The candidates of the study's plan. Raises InputError where it chooses none."""
+    rng = np.random.default_rng(state.study.seed)
+    chosen = select_design(state.resolved, rng)
+    if chosen is None:
+        raise InputError(
+            "the study chooses no plan to compare with",
+            "add [design] with a number of readings, or state accuracies",
+            field="--wanted",
+            value=AS_PLANNED,
+        )
+    return [int(index) for index in chosen.choice.indices]
+
+
+def _limits(
+    study: Study, state: RunState, names: tuple[str, ...], wanted: str
+) -> Array:
+    """Wanted rms (K,), SI: of the option, else of the study; NaN where none is.
+
+    Of one component, [prediction] goes before [design.how_many].
+    """
+    machine = state.resolved.machine
+    values = component_values(wanted, "--wanted", machine)
+    if not wanted:
+        if study.design is not None and study.design.how_many is not None:
+            table = study.design.how_many.wanted
+            place = study.place.key("design").key("how_many").key("wanted")
+            known = {c.name: c.unit for c in machine.components}
+            values = quantities.read_values(table, known, place)
+        values |= state.resolved.wanted_accuracy
+    return np.array([values.get(name, np.nan) for name in names])
+
+
+def _fit(
+    state: RunState, measurement: Measurement, series: Sequence[Series], y: Array
+) -> Estimate:
+    """The fit; all parameters at once where few readings fail to find a start."""
+    most = state.study.identify.max_iterations
+    stages = state.resolved.identification_stages
+    try:
+        return identification.identify(
+            measurement, series, y, stages=stages, max_iterations=most
+        )
+    except identification.IdentificationError:
+        if len(stages) == 1:
+            raise
+        return identification.identify(measurement, series, y, max_iterations=most)
+
+
+def _objections(
+    state: RunState, series: Sequence[Series], estimate: Estimate
+) -> tuple[str, ...]:
+    """The verdict on the fit of the readings so far."""
+    section = estimate_section(state.measurement, series, estimate, None)
+    goodness = state.sections.get("goodness")
+    return tuple(trust.section_objections(goodness, section))
+
+
+def _reading(pool: Candidates, index: int) -> tuple[Series, int]:
+    """The series of a candidate, and its row there."""
+    first = int(pool.members[index, 0])
+    for series in pool.series:
+        if first < len(series):
+            return series, first
+        first -= len(series)
+    raise IndexError(f"candidate {index} of {len(pool)}")
+
+
+def watch(adviser: Adviser, readings: Path) -> Iterator[list[str]]:
+    """Lines of advice, now and after each change of the file; without end.
+
+    A file that is being written and cannot be read is looked at again.
+    """
+    last: tuple[int, int] | None = None
+    while True:
+        status = readings.stat()
+        stamp = (status.st_mtime_ns, status.st_size)
+        if stamp != last:
+            last = stamp
+            try:
+                yield sentences(adviser, adviser.advise(readings))
+            except InputError as error:
+                yield [str(error)]
+        time.sleep(PAUSE)

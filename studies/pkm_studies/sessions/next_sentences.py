@@ -1,0 +1,132 @@
+"""The advice at the machine, and its sentences: what is known, what to read, when to stop."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed.base import units
+from oed.base.arrays import Array
+from oed.measurement.measurement import Series
+from pkm_studies.stages import describe
+from pkm_studies.stages.headline import format_number
+
+if TYPE_CHECKING:
+    from pkm_studies.sessions.next_reading import Adviser
+
+#: readings that are thought ahead, to say how many reach what is wanted
+MOST_AHEAD = 100
+#: share of the error below which a further reading is not worth its time
+LEAST_GAIN = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class Advice:
+    """What a user at the machine needs to know after a reading.
+
+    readings   number taken
+    known      rms (K,) of each component over the workspace, SI, its unknown part
+    after      the same after the next reading
+    limits     wanted rms (K,), SI; NaN where none is
+    more       readings that reach what is wanted, one after another; None where
+               `MOST_AHEAD` do not, or nothing is wanted
+    planned    readings of the study's plan, if it states a number
+    candidate  number of the next reading among the candidates, which is in a row of a
+               series; `expected` is what it should read, SI
+    findings   what a check of the readings says
+    objections  why nothing should rest on the readings so far
+    """
+
+    names: tuple[str, ...]
+    readings: int
+    known: Array
+    after: Array
+    limits: Array
+    candidate: int
+    series: Series
+    row: int
+    expected: Array
+    more: int | None
+    planned: int | None
+    findings: tuple[str, ...] = ()
+    objections: tuple[str, ...] = ()
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether every wanted accuracy is reached."""
+        wanted = np.isfinite(self.limits)
+        reached = wanted.any() and (self.known <= self.limits)[wanted].all()
+        return bool(reached) and not self.objections
+
+    @property
+    def gain(self) -> float:
+        """Share by which the next reading lowers the errors, on average."""
+        positive = self.known > 0.0
+        ratios = self.after[positive] / self.known[positive]
+        return float(1.0 - np.exp(np.mean(np.log(ratios)))) if ratios.size else 0.0
+
+
+def sentences(adviser: Adviser, advice: Advice) -> list[str]:
+    """The advice in lines: what is known, the next reading, when to stop."""
+    machine = adviser.base.resolved.machine
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    lines = [
+        f"{advice.readings} readings taken. Rms error over the workspace, unknown part:"
+    ]
+    for k, name in enumerate(advice.names):
+        unit = fine[name]
+        now, then = (units.number(v[k], unit) for v in (advice.known, advice.after))
+        sizes = f"{format_number(now):>8} {unit:<7} {format_number(then):>8}"
+        line = f"  {name:<6} {sizes} after the next reading"
+        if np.isfinite(advice.limits[k]):
+            wanted = format_number(units.number(advice.limits[k], unit))
+            reached = advice.known[k] <= advice.limits[k]
+            line += f"   wanted {wanted}: {'pass' if reached else 'not yet'}"
+        lines.append(line)
+    return [*advice.findings, *lines, *_stop(advice), *_next(adviser, advice)]
+
+
+def _next(adviser: Adviser, advice: Advice) -> list[str]:
+    """Set-up, command, joints and the value that the reading should have."""
+    machine = adviser.base.resolved.machine
+    series, row = advice.series, advice.row
+    command = describe.displayed_command(machine, series.reading_commands()[row])
+    joints = describe.displayed_joints(machine, series.q[series.index[row, 0]])
+    setup = adviser.base.resolved.setups[series.setup]
+    expected = [
+        f"{channel.name} {describe.displayed(float(value), channel.unit):.6g}"
+        f" {units.display(channel.unit)}"
+        for channel, value in zip(
+            setup.instrument.channels, advice.expected, strict=True
+        )
+    ]
+    return [
+        f"Next: {series.setup}, {_values(command)}; joints {_values(joints)}.",
+        f"It should read {', '.join(expected)} and lowers the errors by"
+        f" {100.0 * advice.gain:.2g} % on average.",
+    ]
+
+
+def _values(numbers: dict[str, float]) -> str:
+    return ", ".join(f"{key} = {value:.7g}" for key, value in numbers.items())
+
+
+def _stop(advice: Advice) -> list[str]:
+    """Whether to stop now, and how far it is."""
+    if advice.objections:
+        return [f"Look for the cause before you go on: {'; '.join(advice.objections)}."]
+    if advice.is_reached:
+        return ["Stop: every wanted accuracy is reached."]
+    if np.isfinite(advice.limits).any():
+        if advice.more is None:
+            return [f"{MOST_AHEAD} more readings would not reach what is wanted."]
+        return [f"About {advice.more} more readings reach what is wanted."]
+    if advice.planned is not None and advice.readings >= advice.planned:
+        return [f"Stop: the {advice.planned} readings of the plan are taken."]
+    if advice.readings and advice.gain < LEAST_GAIN:
+        return [f"Stop: a further reading gains less than {100 * LEAST_GAIN:.0f} %."]
+    if advice.planned is None:
+        return []
+    return [f"The plan has {advice.planned} readings."]

@@ -1,0 +1,161 @@
+"""Acceptance test of a result's folder: its plan, and the judgement of its readings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from oed.base import own_files
+from oed.result import AcceptanceSection, StudyResult, VerificationSection, trust
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
+from pkm_studies.base.user_code import Consent
+from pkm_studies.compensation.export import BadFitError
+from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.resolve.component_values import component_values
+from pkm_studies.resolve.machine import study_machine
+from pkm_studies.sessions.acceptance import plan
+from pkm_studies.sessions.acceptance.judge import judge_file
+from pkm_studies.sessions.acceptance.plan import AXES
+from pkm_studies.sessions.acceptance.promise import promised_accuracy
+from pkm_studies.stages import result_folder
+from pkm_studies.stages.run_state import Stream
+
+FILE = "acceptance.csv"
+
+
+def plan_folder(
+    folder: Path,
+    *,
+    promised: str = "",
+    uncertainty: str = "",
+    power: float = 0.9,
+    most: int = 12,
+    study_file: Path | None = None,
+    consent: Consent = Consent.RECORDED,
+) -> tuple[AcceptanceSection, Path]:
+    """Plan the acceptance test of a result; the section, and the file to fill in.
+
+    promised, uncertainty  `z_um=30,theta_arcsec=20`, in place of the predicted rms and
+                           of a fifth of it
+    power                  asked for
+    most                   poses at most
+    study_file             study, where it names a machine in a file of its own
+    consent                to run that file
+
+    Raises InputError, and BadFitError where the fit promises nothing.
+    """
+    result = result_folder.load_result(folder)
+    _refuse_bad_fit(result)
+    study = result_study(result, folder, study_file, consent)
+    machine = study_machine(study)
+    accuracy = promised_accuracy(
+        result,
+        study,
+        str(folder / "result.json"),
+        component_values(promised, "--promise", machine),
+        component_values(uncertainty, "--uncertainty", machine),
+    )
+    rng = np.random.default_rng([result.seed, int(Stream.ACCEPTANCE)])
+    section = plan.plan_section(result, accuracy, rng, power=power, most=most)
+    text = plan.to_fill_in(section, machine)
+    known = list(result.written.values())
+    path = own_files.write_own(folder / FILE, text.encode(), known)
+    written = {**result.written, path.name: files.digest(text.encode())}
+    result = msgspec.structs.replace(
+        result, acceptance=section, verification=None, written=written
+    )
+    result_folder.rewrite(folder, result)
+    return section, path
+
+
+def judge_folder(folder: Path, readings: Path) -> VerificationSection:
+    """Judge the readings of an acceptance test, and write it into the result.
+
+    Raises InputError where the folder has no acceptance plan, and BadFitError where the
+    fit promises nothing.
+    """
+    result = result_folder.load_result(folder)
+    if result.acceptance is None:
+        raise InputError(
+            "this result has no acceptance plan",
+            f"make it with `oed verify {folder}`",
+            file=str(folder / "result.json"),
+        )
+    _refuse_bad_fit(result)
+    section = judge_file(result.acceptance, readings)
+    result = msgspec.structs.replace(result, verification=section)
+    result_folder.rewrite(folder, result)
+    return section
+
+
+def _refuse_bad_fit(result: StudyResult) -> None:
+    """Raises BadFitError where the fit promises nothing."""
+    objections = trust.objections(result)
+    if objections:
+        raise BadFitError(
+            f"{'; '.join(objections)}: such a fit promises no accuracy; run"
+            " `oed diagnose`"
+        )
+
+
+def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
+    """What the plan demands and how sure it is."""
+    yield f"Measure the pose errors of the compensated machine at {len(section.poses)} poses."
+    for name, d in section.components.items():
+        yield (
+            f"{name}: promised rms {d.promised:.3g} {d.unit}; it passes up to"
+            f" {d.limit:.3g} {d.unit} rms over these poses, measured to"
+            f" {d.uncertainty:.2g} {d.unit} (1 sd). A machine with"
+            f" {100 * (section.miss - 1):.0f} % more than promised is caught with"
+            f" probability {d.power:.2f}."
+        )
+    yield f"A machine just at its promise fails with probability {section.false_alarm:.2f}."
+    for name, d in section.further.items():
+        yield (
+            f"{name}: no drive corrects it: {d.without:.3g} {d.unit} rms are predicted"
+            f" without further axes. With axes that take the known errors back it is"
+            f" promised {d.promised:.3g} {d.unit}, and passes up to {d.limit:.3g}"
+            f" {d.unit}, measured to {d.uncertainty:.2g} {d.unit} (1 sd). Leave its"
+            " column empty where you do not measure it."
+        )
+    if section.further:
+        yield f"Write 1 into {AXES} where these axes were on; 0, or nothing, where not."
+    for condition in section.conditions:
+        yield f"Condition: {condition}."
+
+
+def verdict_sentences(section: VerificationSection) -> Iterator[str]:
+    """The judgement, component by component."""
+    for name, c in section.components.items():
+        verdict = "passed" if c.passed else "failed"
+        yield (
+            f"{name}: {verdict}: rms {c.rms:.3g} {c.unit}, limit {c.limit:.3g}"
+            f" {c.unit} (promised {c.promised:.3g}), largest {c.max:.3g} {c.unit}."
+        )
+    for name, c in section.further.items():
+        verdict = "passed" if c.passed else "failed"
+        yield (
+            f"{name}: without further axes rms {c.without:.3g} {c.unit}; with them"
+            f" {verdict}: rms {c.rms:.3g} {c.unit}, limit {c.limit:.3g} {c.unit}"
+            f" (promised {c.promised:.3g}), largest {c.max:.3g} {c.unit}."
+        )
+    for name, p in section.positioning.items():
+        yield (
+            f"{name}, after ISO 230-2 with {p.approaches} approaches at {p.targets}"
+            f" targets (the standard asks for 5 along an axis): accuracy A"
+            f" {p.accuracy:.3g}, systematic deviation E {p.systematic:.3g},"
+            f" repeatability R {p.repeatability:.3g}{_both_ways(p.mean, p.reversal)}"
+            f" {p.unit}."
+        )
+    verdict = "meets" if section.passed else "does not meet"
+    yield f"The machine {verdict} its promised accuracy."
+
+
+def _both_ways(mean: float | None, reversal: float | None) -> str:
+    if mean is None or reversal is None:
+        return ""
+    return f", mean bidirectional deviation M {mean:.3g}, reversal B {reversal:.3g}"

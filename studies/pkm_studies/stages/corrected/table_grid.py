@@ -1,0 +1,213 @@
+"""Chooses the commands of a table by what interpolation between them costs."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from oed.base import units
+from oed.base.arrays import Array
+from oed.base.text import quantity
+from oed.compensate import FurtherAxes, joint_corrections
+from oed.compensate.command_grid import (
+    CommandGrid,
+    Correction,
+    GridAxis,
+    choose_command_grid,
+    fewest_commands,
+    joint_motion,
+)
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.result import PredictionSection
+from pkm_studies.base.errors import InputError
+from pkm_studies.resolve.quantities import display_unit
+
+#: largest number of commands of a table, unless the user gives another
+COMMANDS = 5000
+#: interpolation may cost this share of the rms that exact compensation leaves, which
+#: grows by 2 % with it
+SHARE = 0.2
+#: where no accuracy was predicted, the error of each joint, m or rad
+JOINT_ERROR = 1e-6
+#: a box that is partly out of reach shrinks by this factor, so many times
+SHRINK, SHRINKS = 0.9, 20
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """Which errors count, and how large they may be.
+
+    names   (k,) of the components, or of the joints
+    units   (k,) SI
+    target  (k,) rms, SI
+    motion  (n, k, nq) of them per unit of each joint, at commands; with offsets for m
+            further axes (n, k, nq + m)
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    target: Array
+    motion: Callable[[Array], Array]
+
+
+def wanted(kinematics: Kinematics, prediction: PredictionSection | None) -> Wanted:
+    """A share of the predicted accuracy; without one, a joint error of 1 um."""
+    if prediction is None:
+        return _of_joints(kinematics)
+    after = {name: c.after.rms for name, c in prediction.components.items()}
+    if prediction.budget is not None:
+        after = prediction.budget.predicted
+    driven = [c for c in kinematics.machine.components if c.compensatable]
+    remaining = rms_of(after, kinematics)
+    if not (remaining > 0.0).all():
+        return _of_joints(kinematics)
+    return Wanted(
+        tuple(c.name for c in driven),
+        tuple(c.unit for c in driven),
+        SHARE * remaining,
+        lambda command: joint_motion(kinematics, command),
+    )
+
+
+def with_offsets(
+    want: Wanted, further: FurtherAxes, prediction: PredictionSection | None
+) -> Wanted:
+    """As `want`, and the offsets for further axes to a share of what stays unknown.
+
+    Those of which nothing was predicted do not count.
+    """
+    known = {} if prediction is None else prediction.components
+    counted = [
+        (k, axis)
+        for k, axis in enumerate(further.axes)
+        if axis.component in known and known[axis.component].known.rms > 0.0
+    ]
+    unknown = [known[axis.component].known for _, axis in counted]
+    targets = [SHARE * u.rms * units.factor(u.unit) for u in unknown]
+    rows = np.eye(len(further))[[k for k, _ in counted]]
+
+    def motion(command: Array) -> Array:
+        """Offsets do not move what the joints drive."""
+        driven = want.motion(command)
+        k, nq = driven.shape[1:]
+        whole = np.zeros((len(command), k + len(rows), nq + len(further)))
+        whole[:, :k, :nq] = driven
+        whole[:, k:, nq:] = rows
+        return whole
+
+    return Wanted(
+        (*want.names, *(f"{axis.name} offset" for _, axis in counted)),
+        (*want.units, *(axis.unit for _, axis in counted)),
+        np.concatenate([want.target, targets]),
+        motion,
+    )
+
+
+def rms_of(values: Mapping[str, float], kinematics: Kinematics) -> Array:
+    """Rms errors (k,) of the driven components, SI, from those in fine units."""
+    driven = [c for c in kinematics.machine.components if c.compensatable]
+    sizes = [units.to_si(values[c.name], units.FINE[c.unit]) for c in driven]
+    return np.array(sizes, dtype=float)
+
+
+def _of_joints(kinematics: Kinematics) -> Wanted:
+    joints = kinematics.machine.joints
+    return Wanted(
+        tuple(j.name for j in joints),
+        tuple(j.unit for j in joints),
+        np.full(len(joints), JOINT_ERROR),
+        lambda command: np.broadcast_to(
+            np.eye(len(joints)), (len(command), len(joints), len(joints))
+        ),
+    )
+
+
+def table_correction(further: FurtherAxes, parameters: Array) -> Correction:
+    """What a table holds, as a single state: joint corrections, then offsets."""
+
+    def correction(command: Array) -> Array:
+        joints = joint_corrections(further.kinematics, command, parameters)
+        offsets = further.offsets(command, parameters)
+        return np.hstack([joints, offsets])[:, None]
+
+    return correction
+
+
+def table_grid(
+    axes: tuple[GridAxis, ...], correction: Correction, want: Wanted, largest: int
+) -> CommandGrid | None:
+    """The grid of a table over a box; None where no part of the box is in reach.
+
+    A box that is partly out of reach shrinks about its middle, full turns aside. Raises
+    InputError where `largest` is less than the coarsest grid.
+    """
+    fewest = fewest_commands(axes)
+    if largest < fewest:
+        raise InputError(
+            f"a table over {len(axes)} coordinates needs {fewest} commands",
+            f"give at least {fewest}, or take a format with parameters",
+            value=f"--commands {largest}",
+        )
+    for step in range(SHRINKS):
+        box = tuple(axis.shrunk(SHRINK**step) for axis in axes)
+        try:
+            grid = choose_command_grid(
+                box,
+                correction,
+                want.motion,
+                want.target,
+                largest,
+                np.random.default_rng(0),
+            )
+            correction(grid.commands)
+        except AssemblyError:
+            continue
+        return grid
+    return None
+
+
+def sentences(grid: CommandGrid, want: Wanted) -> tuple[str, ...]:
+    """What the grid is, how a controller reads it, and what a limit costs."""
+    parts = [
+        f"{axis.name} {_place(axis.lower, axis.unit)} to {_place(axis.upper, axis.unit)}"
+        f" in {count - 1} {'step' if count == 2 else 'steps'}"
+        for axis, count in zip(grid.axes, grid.counts, strict=True)
+    ]
+    words = (
+        f"the table is a rectilinear grid of {math.prod(grid.counts)} commands, with"
+        f" equal steps along each coordinate: {', '.join(parts)}"
+    )
+    reading = (
+        "the controller interpolates the columns correction_* linearly between the"
+        " commands, and adds them to the joints of its nominal model"
+    )
+    turned = [axis.name for axis in grid.axes if axis.turn]
+    if turned:
+        words += f"; {', '.join(turned)} goes on at its first value after the last one"
+    if grid.is_fine:
+        return words, reading
+    return words, reading, _limit(grid, want)
+
+
+def _limit(grid: CommandGrid, want: Wanted) -> str:
+    rms = grid.errors.max(axis=0)
+    costs = [
+        f"{name} {quantity(size, unit)}"
+        for name, unit, size, target in zip(
+            want.names, want.units, rms, want.target, strict=True
+        )
+        if size > target
+    ]
+    return (
+        f"with {math.prod(grid.counts)} commands interpolation still costs"
+        f" {', '.join(costs)} rms: raise --commands, narrow the workspace in"
+        " [prediction], or give the controller the parameters"
+    )
+
+
+def _place(value: float, unit: str) -> str:
+    shown = display_unit(unit)
+    return f"{units.number(value, shown):.6g} {shown}"

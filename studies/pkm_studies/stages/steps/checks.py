@@ -1,0 +1,39 @@
+"""The step that checks recorded readings before anything is fitted to them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed import checks
+from pkm_studies.stages.fit.goodness import check_dataset, goodness_section
+from pkm_studies.stages.run_state import Readings, RunState, Stream
+
+
+def check_readings(state: RunState) -> RunState:
+    """Check the recorded readings that are fitted, and set single outliers aside."""
+    readings, data = state.readings, state.resolved.dataset
+    if data is None or readings is None or readings.y is None:
+        return state
+    state.progress.stage("check of the readings")
+    fitted = data.take(dict.fromkeys(s.setup for s in readings.series))
+    checked = check_dataset(state.resolved, fitted, state.rng(Stream.CHECKS))
+    state = state.replace(checked=checked)
+    state = state.with_sections(goodness=goodness_section(checked))
+    state = state.with_warnings(*[f.sentence for f in checked.findings])
+    if not checked.set_aside:
+        return state
+    return state.replace(readings=_without(readings, checked))
+
+
+def _without(readings: Readings, checked: checks.CheckedSession) -> Readings:
+    """The readings that are not set aside, with their covariates."""
+    rest = checked.session.without(checked.set_aside)
+    covariates = readings.covariates
+    if covariates is not None:
+        used = np.setdiff1d(np.arange(len(covariates)), checked.set_aside)
+        covariates = covariates.iloc[used].reset_index(drop=True)
+    return dataclasses.replace(
+        readings, series=rest.series, y=rest.y, covariates=covariates
+    )

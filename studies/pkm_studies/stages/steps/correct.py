@@ -1,0 +1,240 @@
+"""The step that estimates parameters and effects together."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.checks.goodness import goodness_of_estimate
+from oed.compensate.effects import (
+    CorrectedEstimate,
+    EffectReadings,
+    TurnedRuns,
+    estimate_with_effects,
+    find_turned_runs,
+    predict_corrected,
+)
+from oed.gap.data.signature import untestable
+from oed.model.effect import Effect
+from oed.posterior import laplace, posterior
+from pkm_studies.catalogue import catalogue
+from pkm_studies.resolve.effect_sizes import sized
+from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.resolve.workspace import regular_commands, workspace_axes
+from pkm_studies.stages.corrected import alarm, coefficients
+from pkm_studies.stages.corrected import section as sections
+from pkm_studies.stages.fit.noise import with_noise
+from pkm_studies.stages.fit.posterior import sampling_warnings
+from pkm_studies.stages.gap.virtual_readings import empty_readings
+from pkm_studies.stages.run_state import RunState, Stream
+
+if TYPE_CHECKING:
+    from oed.result import CorrectedSection, GapSection
+
+
+def correct_for_effects(state: RunState) -> RunState:
+    """Estimate the parameters together with the effects that are named or diagnosed."""
+    readings, estimate = state.readings, state.estimate
+    if readings is None or readings.y is None or estimate is None:
+        return state
+    request = state.resolved.gap
+    if request is None:
+        request = gap_request(state.study, state.resolved.machine, always=True)
+    assert request is not None
+    gap: GapSection | None = state.sections.get("gap")
+    effects = _effects(state, request, gap)
+    if not effects:
+        return state
+    state.progress.stage("parameters and effects together")
+    given = _readings_with_covariates(state, request)
+    if state.with_effects:
+        _refuse_untestable(state, given, effects)
+    corrected = estimate_with_effects(
+        given,
+        effects,
+        estimate.theta,
+        stages=state.resolved.identification_stages,
+        estimate_noise=state.estimates_noise,
+        max_iterations=state.study.identify.max_iterations,
+    )
+    if corrected is None:
+        return state.with_warnings("no effect that was named changes these readings")
+    state = state.replace(corrected=corrected)
+    checked = state.sections.get("goodness")
+    if checked is not None:
+        # the noise without what the effects explain
+        setups = state.measurement.setups
+        noisy = with_noise(checked, corrected.estimate, setups)
+        state = state.with_sections(goodness=noisy)
+    return _with_section(state, corrected, gap)
+
+
+def _effects(
+    state: RunState, request: GapRequest, gap: GapSection | None
+) -> list[Effect]:
+    """The effects of the command, or those that the diagnosis selected."""
+    if state.with_effects:
+        place = state.study.place.key("--with")
+        origin = state.study.origin
+        names = dict.fromkeys(state.with_effects)
+        return [
+            sized(catalogue.effect(name, origin, place), state.study) for name in names
+        ]
+    if gap is None or gap.verdict == "none":
+        return []
+    by_name = {effect.name: effect for effect in request.effects}
+    return [
+        _as_diagnosed(by_name[name], gap) for name in gap.selected if name in by_name
+    ]
+
+
+def _as_diagnosed(effect: Effect, gap: GapSection) -> Effect:
+    """The effect with the constants of the form that the diagnosis selected."""
+    if effect.name not in gap.constants:
+        return effect
+    constants = gap.constants[effect.name]
+    selected = {name: (value,) for name, value in constants.items()}
+    return dataclasses.replace(effect, constants=selected)
+
+
+def _readings_with_covariates(state: RunState, request: GapRequest) -> EffectReadings:
+    readings = state.readings
+    assert readings is not None
+    assert readings.y is not None
+    covariates = readings.covariates
+    if covariates is None:
+        planned = empty_readings(state.measurement, readings.series, request)
+        covariates = planned.covariates
+    series = tuple(readings.series)
+    return EffectReadings(
+        state.measurement, series, readings.y, covariates, request.gravity
+    )
+
+
+def _refuse_untestable(
+    state: RunState, given: EffectReadings, effects: Sequence[Effect]
+) -> None:
+    """Raises InputError for an effect that these readings cannot show."""
+    assert state.estimate is not None
+    states = given.problem(state.estimate.theta).states
+    for effect in effects:
+        reason = untestable(effect, states)
+        if reason is not None:
+            raise state.study.place.key("--with").error(
+                f"{effect.name} cannot be estimated: {reason}",
+                "record it, or name other effects",
+                effect.name,
+            )
+
+
+def _with_section(
+    state: RunState, corrected: CorrectedEstimate, gap: GapSection | None
+) -> RunState:
+    """The state with the section `corrected`: estimates, conditions, prediction."""
+    assert state.readings is not None
+    truth = state.readings.truth
+    study, rng = state.study, state.rng(Stream.CORRECTED)
+    draws = None
+    if study.posterior.enabled and (state.posterior or state.with_effects):
+        draws = _sample(state, corrected, rng)
+        state = state.with_warnings(*sampling_warnings(draws, study.posterior.ess))
+    table = study.prediction
+    kinematics = state.measurement.kinematics
+    command = regular_commands(study, kinematics)
+    reference = "home" if table is None else table.reference
+    accuracy = None
+    if len(command):
+        theta = _approximate(corrected, rng) if draws is None else draws.pooled
+        worth = None if draws is None else float(np.nanmin(draws.ess))
+        accuracy = predict_corrected(corrected, command, reference, rng, theta, worth)
+    section = sections.corrected_section(
+        corrected,
+        truth,
+        "given" if state.with_effects else "diagnosis",
+        gap,
+        accuracy,
+        draws,
+        command,
+        workspace_axes(study, kinematics.machine),
+        state.resolved.wanted_accuracy,
+        goodness_of_estimate(
+            corrected.measurement,
+            corrected.series,
+            corrected.estimate,
+            state.doubtful_values,
+        ),
+        noise_is_a_guess=state.noise_is_a_guess,
+    )
+    turned = find_turned_runs(corrected)
+    if turned is not None:
+        return _with_turned_runs(state, section, turned)
+    state = state.with_sections(corrected=section)
+    if gap is not None and not state.with_effects:
+        joint = coefficients.with_joint_coefficients(gap, corrected)
+        return _with_true_alarms(state.with_sections(gap=joint), section)
+    state = state.with_warnings(*coefficients.implausible_sizes(corrected))
+    return _with_true_alarms(state, section)
+
+
+def _with_turned_runs(
+    state: RunState, section: CorrectedSection, turned: TurnedRuns
+) -> RunState:
+    """The state that names runs which were driven the other way than written."""
+    sentence = alarm.turned_sentence(section, turned)
+    goodness = alarm.with_turned_runs(state.sections["goodness"], section, turned)
+    warnings = [*section.warnings, sentence]
+    section = msgspec.structs.replace(section, warnings=warnings)
+    state = state.with_sections(corrected=section, goodness=goodness)
+    return state.replace(warnings=(sentence, *state.warnings))
+
+
+def _with_true_alarms(state: RunState, section: CorrectedSection) -> RunState:
+    """The state whose alarms hold for the corrected values, where these fit."""
+    checked = state.checked
+    if checked is None or not checked.bad_fit:
+        return state
+    if not alarm.resolves(section, checked.findings):
+        return state
+    goodness = state.sections["goodness"]
+    goodness = alarm.resolved_section(goodness, section, checked.findings)
+    true = alarm.resolved_sentences(section, checked.findings)
+    for warning in state.sections["estimate"].warnings:
+        true[warning] = f"without effects in the model, {warning}"
+    state = state.with_sections(goodness=goodness)
+    return state.replace(warnings=tuple(true.get(w, w) for w in state.warnings))
+
+
+def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Array:
+    """Draws (m, n) of parameters and effects without a posterior."""
+    return laplace.draw_approximation(
+        corrected.measurement,
+        corrected.series,
+        corrected.readings.y,
+        corrected.estimate,
+        rng,
+    ).theta
+
+
+def _sample(
+    state: RunState, corrected: CorrectedEstimate, rng: np.random.Generator
+) -> posterior.Posterior:
+    table = state.study.posterior
+    state.progress.stage("posterior with the effects")
+    return posterior.sample(
+        corrected.measurement,
+        corrected.series,
+        corrected.readings.y,
+        corrected.estimate,
+        rng,
+        walkers=table.walkers,
+        ess=float(table.ess),
+        max_steps=table.steps,
+        max_draws=table.draws,
+        thin=table.thin,
+        progress=state.progress.share,
+    )

@@ -1,0 +1,125 @@
+"""Steps that plan readings: design, plan of stages, identifiability, drawing."""
+
+from __future__ import annotations
+
+from oed.identifiability.assessment import assess
+from oed.identifiability.information import Scaling
+from oed.result import PolishSummary
+from pkm_studies.stages import describe, headline
+from pkm_studies.stages.design import cost, section, select
+from pkm_studies.stages.fit import identifiability
+from pkm_studies.stages.plan.earlier import EarlierSession
+from pkm_studies.stages.plan.plan import compute_plan
+from pkm_studies.stages.run_state import RunState, Stream
+
+#: of a study with both tables: which file and which number belong to which
+PLAN_AND_DESIGN = (
+    "the study has [[plan.measurement]] and [[design.candidates]]: poses.csv, the"
+    " measurement sheet and plan_poses.json hold the plan; identifiability, estimate"
+    " and accuracy are those of the design, whose poses the report lists"
+)
+
+
+def select_design(state: RunState) -> RunState:
+    """Choose the readings of [design], if any; from here on, only its set-ups count."""
+    state.progress.stage("design")
+    design = select.select_design(state.resolved, state.rng(Stream.DESIGN))
+    if design is None:
+        return state
+    return state.replace(
+        design=design, planned=design.scheduled, measurement=design.measurement
+    ).with_warnings(*_moved_setups(design.polish))
+
+
+def _moved_setups(polish: PolishSummary | None) -> list[str]:
+    """A warning for each set-up that polishing moved."""
+    warnings = []
+    for name, settings in (polish.setups if polish else {}).items():
+        values = ", ".join(f"{key} = {value:.6g}" for key, value in settings.items())
+        warnings.append(
+            f"polishing moved set-up {name}: write {values} into its table before you"
+            " fit its readings"
+        )
+    return warnings
+
+
+def plan_stages(state: RunState, earlier: EarlierSession | None = None) -> RunState:
+    """Plan the measurements of [plan], if any; without a design, its readings count.
+
+    `earlier` is what an earlier session identified.
+    """
+    if state.resolved.plan is None:
+        return state
+    state.progress.stage("plan")
+    outcome = compute_plan(
+        state.resolved,
+        [state.seed, int(Stream.PLAN)],
+        state.rng(Stream.CAMPAIGN),
+        state.progress,
+        earlier,
+    )
+    assert outcome is not None
+    state = state.replace(plan=outcome).with_sections(plan=outcome.section)
+    planned = tuple(series for stage in outcome.scheduled for series in stage)
+    if state.design is not None:
+        return state.replace(planned=planned).with_warnings(PLAN_AND_DESIGN)
+    if state.resolved.dataset is not None:
+        return state.replace(planned=planned)
+    return state.replace(planned=planned, measurement=outcome.measurement)
+
+
+def analyse_identifiability(state: RunState) -> RunState:
+    """Find which parameters the readings identify, alone and against other plans."""
+    assert state.readings is not None
+    state.progress.stage("identifiability")
+    resolved, series = state.resolved, state.readings.series
+    scaling: Scaling = state.study.design.scaling if state.study.design else "length"
+    references = {
+        plan.name: (resolved.measurement_with(plan.setups), plan.series)
+        for plan in resolved.reference_plans
+    }
+    used = {s.setup for s in series}
+    others = {
+        plan.name: references[plan.name]
+        for plan in resolved.reference_plans
+        if not set(plan.setups) <= used
+    }
+    verdict = assess(state.measurement, series, scaling)
+    return state.replace(identifiability=verdict).with_sections(
+        identifiability=identifiability.identifiability_section(
+            verdict, scaling, others
+        ),
+        identifiability_of=identifiability.variants(
+            state.measurement, series, references, scaling
+        ),
+        kappa_maps=[select.kappa_map(c, scaling) for c in resolved.kappa_circles],
+    )
+
+
+def report_design(state: RunState) -> RunState:
+    """Score the chosen design beside the reference plans."""
+    if state.design is None:
+        return state
+    assert state.identifiability is not None
+    return state.with_sections(
+        design=section.design_section(
+            state.resolved, state.design, state.identifiability
+        )
+    )
+
+
+def report_single_stage(state: RunState) -> RunState:
+    """Report the readings as one stage, where the study has no [plan]."""
+    if state.plan is not None:
+        return state
+    assert state.identifiability is not None
+    predicted = headline.predicted_accuracy(state.sections.get("prediction"))
+    stage = cost.single_stage_plan(state.resolved, state.identifiability, predicted)
+    return state.with_sections(plan=stage)
+
+
+def draw_machine(state: RunState) -> RunState:
+    """Lay out the machine at home and the tool points of the readings."""
+    assert state.readings is not None
+    drawing = describe.drawing(state.measurement, state.readings.series)
+    return state.with_sections(drawing=drawing)

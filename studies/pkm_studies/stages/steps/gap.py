@@ -1,0 +1,111 @@
+"""Steps about the gap: what readings could find, and the diagnosis of what remains."""
+
+from __future__ import annotations
+
+import msgspec
+
+from oed.base import units
+from oed.measurement.measurement import Measurement
+from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
+from pkm_studies.stages.gap import detectability, section
+from pkm_studies.stages.gap.virtual_readings import empty_readings
+from pkm_studies.stages.run_state import RunState, Stream
+
+#: the only advice after a fit that failed its check, where no effect explains it
+AFTER_BAD_FIT = (
+    "Do not compensate with these parameters: the fit is bad, and no effect explains it."
+    " Check the readings and the stated noise first."
+)
+
+
+def preview_gap(state: RunState) -> RunState:
+    """Predict what the readings could find, and choose the runs of [gap.design]."""
+    request = state.resolved.gap
+    if request is None:
+        return state
+    assert state.readings is not None
+    state.progress.stage("what the readings could find")
+    series, covariates = state.readings.series, state.readings.covariates
+    if covariates is None:
+        planned = empty_readings(state.measurement, series, request)
+        series, covariates = planned.series, planned.covariates
+    preview = detectability.preview(
+        state.measurement,
+        series,
+        covariates,
+        request,
+        state.rng(Stream.BEFORE),
+        _gap_design(state),
+    )
+    state = state.replace(gap_poses=preview.poses_csv)
+    return state.with_sections(gap_before=preview.section)
+
+
+def _gap_design(state: RunState) -> tuple[Measurement, GapDesignRequest] | None:
+    """[gap.design] with a measurement of its set-ups.
+
+    None without the table, and where it waits for a plan that was not made.
+    """
+    request = state.resolved.gap_design
+    if request is not None and request.follows_plan:
+        request = _with_plan(state, request)
+    if request is None:
+        return None
+    setups = {run.setup for run in request.runs}
+    return state.resolved.measurement_with(setups), request
+
+
+def _with_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest | None:
+    """The request with the plan's readings retained; None where there is no plan."""
+    plan, plan_request = state.plan, state.resolved.plan
+    if plan is None or plan_request is None:
+        return None
+    remaining = plan_request.budget - units.factor("min") * plan.section.cost
+    used = {s.setup for s in plan.series} | {run.setup for run in request.runs}
+    measurement = state.resolved.measurement_with(used)
+    return with_planned_readings(request, plan.series, remaining, measurement)
+
+
+def diagnose_gap(state: RunState) -> RunState:
+    """Find which effects cause what calibration leaves, where [gap] asks for it."""
+    if state.resolved.gap is None:
+        return state
+    return _diagnose(state, state.resolved.gap)
+
+
+def diagnose_always(state: RunState) -> RunState:
+    """Diagnose by [gap], or by its defaults where the study has none."""
+    request = state.resolved.gap
+    if request is None:
+        request = gap_request(state.study, state.resolved.machine, always=True)
+        assert request is not None
+    return _diagnose(state, request)
+
+
+def _diagnose(state: RunState, request: GapRequest) -> RunState:
+    readings = state.readings
+    if readings is None or readings.y is None or state.estimate is None:
+        return state
+    if state.checked is not None and state.checked.mistaken:
+        return state.with_warnings(
+            "There is no diagnosis: a mistake in the readings explains their misfit"
+        )
+    state.progress.stage("diagnosis")
+    covariates = readings.covariates
+    if covariates is None:
+        planned = empty_readings(state.measurement, readings.series, request)
+        covariates = planned.covariates
+    diagnosis = section.diagnose(
+        state.measurement,
+        readings.series,
+        readings.y,
+        covariates,
+        state.estimate.theta,
+        request,
+        state.rng(Stream.GAP),
+    )
+    gap = section.gap_section(diagnosis, request.effects)
+    if state.fit_is_bad and gap.verdict == "none":
+        gap = msgspec.structs.replace(gap, next=[AFTER_BAD_FIT])
+    return state.with_sections(gap=gap)

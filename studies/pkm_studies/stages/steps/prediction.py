@@ -1,0 +1,210 @@
+"""Steps that predict: accuracy over the workspace, and held-out readings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import get_args
+
+import msgspec
+import numpy as np
+
+from oed.accuracy.budget import budget_of
+from oed.accuracy.error_maps import Reference
+from oed.accuracy.prediction import Spread
+from oed.base.arrays import Array
+from oed.base.units import MM
+from oed.compensate.effects import ExpectedEffect
+from oed.posterior import laplace
+from oed.posterior.laplace import ApproximateDraws
+from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
+from pkm_studies.resolve.gap import gap_request
+from pkm_studies.stages.predict import accuracy, knowledge
+from pkm_studies.stages.predict.budget import budget_section
+from pkm_studies.stages.predict.held_out import held_out_sections
+from pkm_studies.stages.predict.knowledge import Accuracy, ParameterKnowledge
+from pkm_studies.stages.predict.unmodelled import expected_unmodelled
+from pkm_studies.stages.predict.virtual_machines import realised_accuracy
+from pkm_studies.stages.run_state import RunState, Stream
+
+
+def predict_accuracy(state: RunState) -> RunState:
+    """Predict the residual accuracy over the workspace, and check it on machines.
+
+    With readings of a virtual machine, which only exercise the plan, the prediction
+    rests on the tolerances alone.
+    """
+    table, command = state.study.prediction, state.resolved.prediction_commands
+    if table is None or command is None:
+        return state
+    assert state.readings is not None
+    if _is_untrusted(state):
+        return state.with_warnings(_withheld(state))
+    state.progress.stage("prediction")
+    realised = _realised(state, command)
+    known = _knowledge(state)
+    rng = state.rng(Stream.PREDICT)
+    by_reference = knowledge.accuracy(known, command, [table.reference], rng)
+    main = by_reference[table.reference]
+    section = _section(state, known, main)
+    section = msgspec.structs.replace(
+        section,
+        references=_references(state, known, main),
+        tools=_tools(state, known, command),
+    )
+    section = accuracy.with_wanted(section, state.resolved.wanted_accuracy)
+    return state.with_sections(prediction=accuracy.with_realised(section, realised))
+
+
+def _realised(state: RunState, command: Array) -> Mapping[str, Spread] | None:
+    """Accuracy of virtual machines; None where the study asks for none."""
+    table = state.study.prediction
+    assert table is not None
+    assert state.readings is not None
+    return realised_accuracy(
+        state.measurement,
+        state.readings.series,
+        command,
+        table.reference,
+        table.virtual_machines,
+        state.rng(Stream.MACHINES),
+        state.resolved.identification_stages,
+        state.progress.share,
+    )
+
+
+def _knowledge(state: RunState) -> ParameterKnowledge:
+    """What the prediction rests on: real readings, or the plan."""
+    assert state.readings is not None
+    series = state.readings.series
+    if state.estimate is None or state.readings.truth is not None:
+        return knowledge.planned(state.measurement, series)
+    return knowledge.identified(
+        state.measurement, series, state.estimate, _draws(state)
+    )
+
+
+def _draws(state: RunState) -> ApproximateDraws:
+    """Draws of parameters and noise law: of the posterior, or of its approximation.
+
+    Both follow directions that no reading determines; a covariance does not.
+    """
+    sampled = state.posterior
+    if sampled is not None:
+        theta, laws = sampled.pooled, sampled.noise_law
+        laws = laws.reshape(len(theta), laws.shape[2])
+        return ApproximateDraws(theta, laws, float(np.nanmin(sampled.ess)))
+    readings, estimate = state.readings, state.estimate
+    assert readings is not None
+    assert readings.y is not None
+    assert estimate is not None
+    return laplace.draw_approximation(
+        state.measurement,
+        readings.series,
+        readings.y,
+        estimate,
+        state.rng(Stream.LAPLACE),
+    )
+
+
+def _section(
+    state: RunState, known: ParameterKnowledge, main: Accuracy
+) -> PredictionSection:
+    """The section with its budget."""
+    machine, planned = state.measurement.machine, known.mean is None
+    budget = budget_of(
+        known.model, main.maps, estimated=known.estimated, predicted=main.variance
+    )
+    mode = "plan" if planned else "identified"
+    section = accuracy.accuracy_section(
+        state.measurement.kinematics, main.prediction, mode, budget
+    )
+    expected = _expected_effects(state, main) if planned else []
+    lines = budget_section(machine, main.prediction, budget, expected)
+    return msgspec.structs.replace(section, budget=lines)
+
+
+def _expected_effects(state: RunState, main: Accuracy) -> list[ExpectedEffect]:
+    """Effects that usually go unmodelled, at the sizes that are expected of them."""
+    assert state.readings is not None
+    request = state.resolved.gap
+    if request is None:
+        request = gap_request(state.study, state.resolved.machine, always=True)
+    assert request is not None
+    return expected_unmodelled(
+        state.measurement,
+        state.readings.series,
+        main.maps,
+        request,
+        main.prediction.reference,
+        state.rng(Stream.UNMODELLED),
+    )
+
+
+def _references(
+    state: RunState, known: ParameterKnowledge, main: Accuracy
+) -> dict[str, dict[str, SpreadRecord]]:
+    """Accuracy after compensation against each reference."""
+    machine, predicted = state.measurement.machine, main.prediction
+    others = [r for r in get_args(Reference) if r != predicted.reference]
+    rng = state.rng(Stream.REFERENCES)
+    further = knowledge.accuracy(known, predicted.command, others, rng)
+    records: dict[str, dict[str, SpreadRecord]] = {}
+    records[predicted.reference] = accuracy.after_records(machine, predicted)
+    for reference, result in further.items():
+        records[reference] = accuracy.after_records(machine, result.prediction)
+    return records
+
+
+def _tools(
+    state: RunState, known: ParameterKnowledge, command: Array
+) -> list[ToolAccuracy]:
+    """Accuracy after compensation at tools of the lengths that the study names."""
+    table, machine = state.study.prediction, state.measurement.machine
+    assert table is not None
+    rng = state.rng(Stream.TOOLS)
+    records = []
+    for length in table.tools:
+        tool = np.array([0.0, 0.0, length * MM])
+        moved = machine.with_tool(command, tool)
+        result = knowledge.accuracy(known, moved, [table.reference], rng, tool)
+        predicted = result[table.reference].prediction
+        records.append(accuracy.tool_accuracy(machine, predicted, length * MM))
+    return records
+
+
+def _is_untrusted(state: RunState) -> bool:
+    """Whether a prediction would rest on a fit that is not to be trusted.
+
+    With readings of a virtual machine it rests on none.
+    """
+    if state.readings is None or state.readings.truth is not None:
+        return False
+    sections = state.sections
+    fitted = trust.section_objections(
+        sections.get("goodness"), sections.get("estimate")
+    )
+    return state.fit_is_bad or bool(fitted)
+
+
+def _withheld(state: RunState) -> str:
+    """Why no accuracy is predicted from the fit without effects."""
+    if state.corrected is None:
+        return "The predicted accuracy is withheld: it would rest on a bad fit"
+    return "The fit without effects is bad: no accuracy is predicted from it"
+
+
+def predict_held_out(state: RunState) -> RunState:
+    """Compare held-out readings with what posterior or approximation predicts."""
+    held_out = state.readings.held_out if state.readings is not None else None
+    if held_out is None or state.estimate is None:
+        return state
+    state.progress.stage("held-out readings")
+    sections = held_out_sections(
+        state.measurement,
+        held_out.series,
+        held_out.y,
+        state.estimate,
+        _draws(state),
+        state.rng(Stream.HELD_OUT),
+    )
+    return state.with_sections(held_out=sections)

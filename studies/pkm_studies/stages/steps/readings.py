@@ -1,0 +1,143 @@
+"""Steps that provide readings: recorded, or of a virtual machine."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.dataset import Dataset
+from oed.dataset.columns import tension_columns
+from oed.measurement import simulation
+from oed.measurement.measurement import Series
+from oed.model.machine import Machine
+from pkm_studies.stages.gap import virtual_readings
+from pkm_studies.stages.run_state import HeldOut, Readings, RunState, Stream
+
+
+class SimulatedReadings(NamedTuple):
+    """Readings of a virtual machine, and its acting effects for the truth file."""
+
+    readings: Readings
+    effects: list[dict[str, Any]]
+
+
+def take_readings(state: RunState) -> RunState:
+    """Take recorded readings, simulate those of a virtual machine, or only plan them."""
+    data = state.resolved.dataset
+    if data is not None:
+        state = _with_setups_of(state, data)
+        state = state.replace(readings=_recorded(state, data))
+        state = state.with_warnings(*_stretch_warnings(state.measurement.machine, data))
+        if data.dropped:
+            return state.with_warnings(
+                f"{data.dropped} rows without a reading were left out"
+            )
+        return state
+    series = planned_series(state)
+    if state.study.readings is None:
+        return state.replace(readings=Readings(series=series))
+    return state.replace(readings=simulate_readings(state, series).readings)
+
+
+def _with_setups_of(state: RunState, data: Dataset) -> RunState:
+    """The state with the set-ups of the readings, if its design lacks some.
+
+    A design of other set-ups says nothing about the readings and is left out.
+    """
+    absent = [name for name in data.setups if name not in state.measurement.setups]
+    if not absent:
+        return state
+    measurement = state.resolved.measurement_with(set(data.setups))
+    state = state.replace(measurement=measurement, design=None, planned=())
+    return state.with_warnings(
+        f"the design has no readings of {', '.join(absent)}: it is not reported with"
+        " these readings"
+    )
+
+
+def _stretch_warnings(machine: Machine, data: Dataset) -> list[str]:
+    """Cables of known stiffness whose stretch no recorded tension corrects."""
+    stiffness = machine.cable_stiffness or ()
+    columns = tension_columns(machine)
+    known = [c for c, s in zip(columns, stiffness, strict=True) if np.isfinite(s)]
+    absent = [c for c in known if c not in data.columns]
+    if not absent:
+        return []
+    names = ", ".join(f"{stem}_N" for stem in absent)
+    return [f"the stretch of cables is not corrected: there is no column {names}"]
+
+
+def _recorded(state: RunState, data: Dataset) -> Readings:
+    held_out = state.resolved.held_out_setups
+    fitted = state.resolved.fitted_setups
+    if not fitted:
+        fitted = tuple(name for name in data.setups if name not in held_out)
+    fit, predict = data.take(fitted), data.take(held_out)
+    return Readings(
+        series=fit.series,
+        y=fit.y,
+        covariates=fit.covariates,
+        held_out=HeldOut(predict.series, predict.y) if held_out else None,
+    )
+
+
+def planned_series(state: RunState) -> tuple[Series, ...]:
+    """The chosen readings, or those of the plan, or of the first reference plan.
+
+    Raises InputError where there is none.
+    """
+    if state.design is not None:
+        return state.design.series
+    if state.plan is not None:
+        return state.plan.series
+    if state.resolved.reference_plans:
+        return state.resolved.reference_plans[0].series
+    raise state.study.place.key("design").error(
+        "the study has neither readings nor a plan",
+        "add [[design.candidates]], [[design.reference]], [[plan.measurement]] or"
+        " [readings]",
+    )
+
+
+def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
+    """Readings of the study's virtual machine, with the effects of [gap] if any."""
+    measurement, request = state.measurement, state.resolved.gap
+    truth = _true_parameters(state)
+    if request is None:
+        y = simulation.draw_readings(
+            measurement, series, truth, state.rng(Stream.NOISE)
+        )
+        return SimulatedReadings(Readings(series=tuple(series), y=y, truth=truth), [])
+    planned = virtual_readings.empty_readings(measurement, series, request)
+    exact, effects = virtual_readings.exact_readings(
+        measurement, planned, truth, request, state.rng(Stream.EFFECTS)
+    )
+    errors = simulation.draw_errors(
+        measurement, planned.series, state.rng(Stream.NOISE), exact.shape
+    )
+    readings = Readings(
+        series=planned.series,
+        y=exact + errors,
+        truth=truth,
+        covariates=planned.covariates,
+    )
+    return SimulatedReadings(readings, effects)
+
+
+def _true_parameters(state: RunState) -> Array:
+    """Parameters (n,) of the virtual machine, SI: drawn or nominal, then as stated.
+
+    Without stated parameters they are drawn: a nominal machine has nothing to find.
+    """
+    table, stated = state.study.readings, state.resolved.true_parameters
+    measurement = state.measurement
+    if table is None or table.draw or not stated:
+        truth = simulation.draw_parameters(measurement, state.rng(Stream.TRUTH))
+    else:
+        truth = measurement.nominal
+    for k, name in enumerate(measurement.names):
+        truth[k] = stated.get(name, truth[k])
+    return truth

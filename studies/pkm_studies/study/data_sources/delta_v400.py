@@ -1,0 +1,59 @@
+"""Four sessions of a linear delta printer (FLSun V400, firmware Klipper, CC0).
+
+Carriage travel is in steps down from the endstop. `heights.csv` has one probe contact a
+row, `distances.csv` one calliper distance between two positions a row. Session S04
+becomes the set-ups `S04_probe` (one run) and `S04_calliper` (one run of two rows for
+each distance, of which the first is its reference).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from pkm_studies.base.errors import Place, shorten
+from pkm_studies.study.data_sources.tables import AS_PUBLISHED, Row, read_csv, read_json
+
+TOWERS = "abc"
+HEIGHTS = ("session", "i", "height_mm", "steps_a", "steps_b", "steps_c")
+POINTS = [f"p{point}_{tower}" for point in (1, 2) for tower in TOWERS]
+DISTANCES = ("session", "i", "distance_mm", *POINTS)
+#: mm a step of each tower, by session
+StepSizes = Mapping[str, list[float]]
+
+
+def rows(folder: Path) -> Iterator[Row]:
+    """Rows of a readings file with all sessions. Raises InputError."""
+    sessions = read_json(folder / "sessions.json")
+    steps = {s["session"]: s["step_distance_mm"] for s in sessions}
+    yield from _heights(folder / "heights.csv", steps)
+    yield from _distances(folder / "distances.csv", steps)
+
+
+def _heights(path: Path, steps: StepSizes) -> Iterator[Row]:
+    for row in read_csv(path, HEIGHTS):
+        joints = _joints(row, "steps_", steps, path)
+        label = {"setup": f"{row['session']}_probe", "run": "1", "order": row["i"]}
+        yield label | joints | {"height_mm": row["height_mm"]}
+
+
+def _distances(path: Path, steps: StepSizes) -> Iterator[Row]:
+    for row in read_csv(path, DISTANCES):
+        run = f"distance {row['i']}"
+        label = {"setup": f"{row['session']}_calliper", "run": run}
+        first = _joints(row, "p1_", steps, path)
+        second = _joints(row, "p2_", steps, path)
+        yield label | {"order": "1"} | first
+        yield label | {"order": "2"} | second | {"length_mm": row["distance_mm"]}
+
+
+def _joints(row: Row, prefix: str, steps: StepSizes, path: Path) -> Row:
+    """Joints q1_mm to q3_mm from steps of the towers; repr keeps every digit."""
+    place = Place(str(path), f"session {row['session']}, i {row['i']}")
+    try:
+        sizes = steps[row["session"]]
+        travel = [float(row[prefix + t]) * sizes[k] for k, t in enumerate(TOWERS)]
+    except (KeyError, ValueError, IndexError, TypeError) as error:
+        problem = f"no step size or no number: {shorten(str(error), 80)}"
+        raise place.error(problem, AS_PUBLISHED) from None
+    return {f"q{k + 1}_mm": repr(value) for k, value in enumerate(travel)}

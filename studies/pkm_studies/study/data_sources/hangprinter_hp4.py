@@ -1,0 +1,36 @@
+"""44 poses of a cable robot (Hangprinter HP4, MIT).
+
+`motor_deg.csv` has the motors' angles from the origin, one pose a row;
+`known_xyz_mm.csv` says where a camera saw the mover in the first nine. These become the
+set-ups `known_camera` (where the mover was) and `known_lines` (the four lines agree: a
+gap of 0), the other 35 `other_lines`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from pkm_studies.study.data_sources.tables import Row, read_csv
+
+MOTORS = "ABCD"
+
+
+def rows(folder: Path) -> Iterator[Row]:
+    """Rows of a readings file. Raises InputError."""
+    motors = read_csv(folder / "motor_deg.csv", tuple(MOTORS))
+    known = read_csv(folder / "known_xyz_mm.csv", ("x", "y", "z"))
+    joints = [
+        {f"q{k + 1}_deg": row[motor] for k, motor in enumerate(MOTORS)}
+        for row in motors
+    ]
+    for i, position in enumerate(known):
+        label = {"setup": "known_camera", "run": "1", "order": str(i + 1)}
+        readings = {f"read_{axis}_mm": position[axis] for axis in "xyz"}
+        yield label | joints[i] | readings
+    for i, pose in enumerate(joints):
+        setup, first = "known_lines", 0
+        if i >= len(known):
+            setup, first = "other_lines", len(known)
+        label = {"setup": setup, "run": "1", "order": str(i - first + 1)}
+        yield label | pose | {"gap_mm": "0"}
