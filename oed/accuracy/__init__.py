@@ -1,1 +1,1 @@
-"""."""
+"""Errors over the workspace after compensation: prediction, budget, acceptance."""

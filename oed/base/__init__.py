@@ -1,1 +1,1 @@
-"""."""
+"""What knows no machine: arrays, linear algebra, smooth bases, units, text, whole files."""

@@ -1,1 +1,1 @@
-"""."""
+"""Parameters and noise from readings, and how sessions of a machine differ."""

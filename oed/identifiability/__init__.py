@@ -1,1 +1,1 @@
-"""."""
+"""What readings determine: rank, combinations, information, remedies."""

@@ -1,1 +1,1 @@
-"""."""
+"""A machine read by instruments: readings, slopes, noise of readings, simulation."""

@@ -1,1 +1,1 @@
-"""."""
+"""A closure made to move: forward and inverse kinematics, slopes, linear pose errors."""

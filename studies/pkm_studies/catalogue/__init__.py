@@ -1,1 +1,1 @@
-"""."""
+"""Machines, instruments, effects and formats by name."""
