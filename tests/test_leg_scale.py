@@ -12,7 +12,7 @@ from oed.compensate.effects import EffectReadings, estimate_with_effects
 from oed.dataset import Dataset
 from oed.estimation import identification
 from oed.gap.data import linearisation, problem
-from oed.gap.data.linearisation import ActingForm
+from oed.gap.data.linearisation import ActingEffectForm
 from oed.measurement.measurement import Measurement
 from oed.noise.law import stated_law
 from oed.result import StudyResult
@@ -95,7 +95,7 @@ def test_the_linear_model_holds_where_the_effect_acts(tmp_path: Path) -> None:
     measurement, data = _session(tmp_path, -0.06)
     given = problem.prepare(measurement, data.series, data.y, data.covariates)
     names = tuple(f"leg {k + 1}" for k in range(6))
-    form = ActingForm(encoder_scale.effect, {}, names, 1000.0)
+    form = ActingEffectForm(encoder_scale.effect, {}, names, 1000.0)
     nothing = np.zeros(len(given))
     settled = linearisation.settle(given, [form], stated_law(given), nothing)
     assert 10.0 < settled.departure < np.inf
@@ -111,6 +111,6 @@ def test_the_linear_model_holds_where_the_effect_acts(tmp_path: Path) -> None:
     small = _session(tmp_path, -2e-4)
     measurement, data = small
     given = problem.prepare(measurement, data.series, data.y, data.covariates)
-    small_form = ActingForm(encoder_scale.effect, {}, names, 3.0)
+    small_form = ActingEffectForm(encoder_scale.effect, {}, names, 3.0)
     settled = linearisation.settle(given, [small_form], stated_law(given), nothing)
     assert settled.departure < 1.0

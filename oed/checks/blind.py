@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed.checks.fit import fit
-from oed.checks.mistakes import Alternatives, Given, Trial, trials
+from oed.checks.mistakes import Alternatives, Given, MistakeTrial, trials
 from oed.checks.mistakes.moved import CANNOT_BE
 from oed.checks.screening import Screening
 from oed.checks.session import SessionReadings
@@ -60,7 +60,7 @@ def _together(sentences: list[str]) -> str:
     return f"{text}; or {more} others of this kind" if more > 0 else text
 
 
-def _trials(given: Given) -> Iterator[Trial]:
+def _trials(given: Given) -> Iterator[MistakeTrial]:
     """Mistakes of the file and of set-ups, without amounts, that may be unseen."""
     every = [t for t in trials(given) if _is_whole(t)]
     scores = Screening(given).scores(every)
@@ -69,7 +69,7 @@ def _trials(given: Given) -> Iterator[Trial]:
             yield trial
 
 
-def _is_whole(trial: Trial) -> bool:
+def _is_whole(trial: MistakeTrial) -> bool:
     """Whether a mistake concerns all readings of a set-up, and has one form."""
     if trial.kind in SEEN or trial.scope.level not in ("file", "set-up"):
         return False
@@ -78,22 +78,22 @@ def _is_whole(trial: Trial) -> bool:
     return has_form and moves and _is_of_noise(trial)
 
 
-def _is_of_noise(trial: Trial) -> bool:
+def _is_of_noise(trial: MistakeTrial) -> bool:
     """Whether a mistake leaves the readings with noise as stated, or nearly so."""
-    if trial.made is None or trial.y is None:
+    if trial.mistaken is None or trial.y is None:
         return True
-    count = max(int((trial.made != trial.y).sum()), 1)
+    count = max(int((trial.mistaken != trial.y).sum()), 1)
     factor = float(np.exp(-trial.log_scale / count))
     return min(FACTORS) - 0.1 < factor < max(FACTORS) + 0.1
 
 
-def _fits(exact: SessionReadings, trial: Trial, limit: float) -> bool:
+def _fits(exact: SessionReadings, trial: MistakeTrial, limit: float) -> bool:
     """Whether readings with the mistake fit as well, and differ from those without.
 
     A mistake that is its own inverse, or one of its kind, is undone in their stead.
     """
-    if trial.made is not None:
-        varied = exact.with_y(trial.made)
+    if trial.mistaken is not None:
+        varied = exact.with_y(trial.mistaken)
     else:
         try:
             varied = trial.undo(trial.amounts)[0]

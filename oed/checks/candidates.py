@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.checks.mistakes import Given, Trial, trials, trials_near
+from oed.checks.mistakes import Given, MistakeTrial, trials, trials_near
 from oed.checks.mistakes.scope import Scope, cuts_are_coarse
 from oed.checks.screening import Score, Screening
 
@@ -26,7 +26,7 @@ ALIKE = 3.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Candidates:
+class MistakeCandidates:
     """Mistakes to fit.
 
     first   the likeliest in the linear model
@@ -46,12 +46,14 @@ class Candidate:
     scale      of the noise over the stated one, in the linear model
     """
 
-    trial: Trial
+    trial: MistakeTrial
     log_prior: float
     scale: float
 
 
-def candidates(given: Given, screening: Screening, *, thorough: bool) -> Candidates:
+def candidates(
+    given: Given, screening: Screening, *, thorough: bool
+) -> MistakeCandidates:
     """Mistakes of the readings to fit; see `explain` for `thorough`."""
     every = list(trials(given))
     linear = screening.scores(every)
@@ -71,16 +73,16 @@ def candidates(given: Given, screening: Screening, *, thorough: bool) -> Candida
     def taken(numbers: Sequence[int]) -> list[Candidate]:
         return [Candidate(every[k], float(priors[k]), linear[k].scale) for k in numbers]
 
-    return Candidates(taken(first), taken(then))
+    return MistakeCandidates(taken(first), taken(then))
 
 
-def _is_unseen(trial: Trial, log_evidence: float, as_given: float) -> bool:
+def _is_unseen(trial: MistakeTrial, log_evidence: float, as_given: float) -> bool:
     """Whether the linear model cannot tell a mistake of the file from the file as given."""
     is_of_file = trial.columns is None and trial.scope.level == "file"
     return is_of_file and log_evidence > as_given - ALIKE
 
 
-def log_priors(every: Sequence[Trial]) -> Array:
+def log_priors(every: Sequence[MistakeTrial]) -> Array:
     """Log prior of each trial: kinds alike, then levels of a kind, then its families."""
     kinds = {t.kind for t in every}
     levels = Counter(kind for kind, _ in {(t.kind, t.scope.level) for t in every})
@@ -89,12 +91,12 @@ def log_priors(every: Sequence[Trial]) -> Array:
     shares = [
         len(kinds) * levels[t.kind] * counts[t.kind, t.scope.level] for t in every
     ]
-    own = np.array([t.log_prior for t in every])
-    return np.asarray(own + np.log(MISTAKEN / np.array(shares)))
+    priors = np.array([t.log_prior for t in every])
+    return np.asarray(priors + np.log(MISTAKEN / np.array(shares)))
 
 
 def _chosen(
-    every: Sequence[Trial], scores: Array, as_given: float
+    every: Sequence[MistakeTrial], scores: Array, as_given: float
 ) -> tuple[list[int], list[int]]:
     """Numbers of the trials to fit first, and then."""
     of_kind = _by_kind(every, scores)
@@ -106,7 +108,7 @@ def _chosen(
     return first, [k for k in likely if k not in first and scores[k] > least]
 
 
-def _by_kind(every: Sequence[Trial], scores: Array) -> dict[str, list[int]]:
+def _by_kind(every: Sequence[MistakeTrial], scores: Array) -> dict[str, list[int]]:
     """Trials by kind, by number, the likeliest first, one of each family."""
     families: set[tuple[str, object]] = set()
     of_kind: dict[str, list[int]] = {}
@@ -118,7 +120,9 @@ def _by_kind(every: Sequence[Trial], scores: Array) -> dict[str, list[int]]:
     return of_kind
 
 
-def _alike(every: Sequence[Trial], scores: Array, members: list[int]) -> list[int]:
+def _alike(
+    every: Sequence[MistakeTrial], scores: Array, members: list[int]
+) -> list[int]:
     """The likeliest trial of a kind, and those of the whole file that the linear model can
     hardly tell from it.
     """
@@ -130,7 +134,9 @@ def _alike(every: Sequence[Trial], scores: Array, members: list[int]) -> list[in
     return [members[0], *alike[: MOST_OF_KIND - 1]]
 
 
-def _likeliest_parts(every: Sequence[Trial], linear: Sequence[Score]) -> list[Scope]:
+def _likeliest_parts(
+    every: Sequence[MistakeTrial], linear: Sequence[Score]
+) -> list[Scope]:
     """Parts of set-ups and runs of the likeliest mistakes of rows."""
     of_rows = [k for k, trial in enumerate(every) if trial.scope.level == "rows"]
     of_rows.sort(key=lambda k: -linear[k].log_evidence)

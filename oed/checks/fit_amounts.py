@@ -11,7 +11,7 @@ from oed.base.arrays import Array
 from oed.checks.fit import UNREACHABLE, Fit, fit
 from oed.checks.large_misfit import at_scale_of_misfit
 from oed.checks.mistakes.moved import CANNOT_BE
-from oed.checks.mistakes.trial import Trial
+from oed.checks.mistakes.trial import MistakeTrial
 from oed.checks.session import SessionReadings
 
 #: evaluations of the model in one fit
@@ -29,7 +29,7 @@ class FitOfAmounts:
     solution: Fit
 
 
-def fit_amounts(trial: Trial, scale: float) -> FitOfAmounts | None:
+def fit_amounts(trial: MistakeTrial, scale: float) -> FitOfAmounts | None:
     """Fit the amounts of a trial with the parameters; None where they have no fit.
 
     scale  guess of what remains, over the stated noise; see `fit_of_any_misfit`
@@ -42,10 +42,10 @@ def fit_amounts(trial: Trial, scale: float) -> FitOfAmounts | None:
 
 
 def _at_scale(
-    trial: Trial, scale: float, before: FitOfAmounts | None
+    trial: MistakeTrial, scale: float, before: FitOfAmounts | None
 ) -> FitOfAmounts | None:
     """The fit with the noise times a scale, from where another one ended."""
-    problem = _Problem(trial, scale)
+    problem = _AmountProblem(trial, scale)
     first = problem.first
     if before is not None:
         steps = before.amounts / trial.steps
@@ -69,10 +69,10 @@ def _at_scale(
         return None
 
 
-class _Problem:
+class _AmountProblem:
     """Whitened residuals over parameters in their tolerances and amounts in their steps."""
 
-    def __init__(self, trial: Trial, scale: float) -> None:
+    def __init__(self, trial: MistakeTrial, scale: float) -> None:
         self.trial, self.scale = trial, scale
         self._sessions: dict[bytes, SessionReadings] = {}
         session = trial.undo(trial.amounts)[0]

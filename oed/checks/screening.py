@@ -18,7 +18,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.trial import Trial
+from oed.checks.mistakes.trial import MistakeTrial
 from oed.noise.covariance import Noise
 from oed.noise.prior import log_prior_of_scale
 
@@ -31,7 +31,7 @@ LOG_SIZES = float(np.log(np.log(1e5)))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Spectrum:
+class ResidualSpectrum:
     """Slopes H (N, r) by eigenvalues of H^T H.
 
     slopes   (N, r) whitened
@@ -48,10 +48,10 @@ class Spectrum:
         return np.asarray(self.vectors.T @ (self.slopes.T @ white))
 
 
-def spectrum(slopes: Array) -> Spectrum:
+def spectrum(slopes: Array) -> ResidualSpectrum:
     """The spectrum of whitened slopes (N, r)."""
     values, vectors = np.linalg.eigh(slopes.T @ slopes)
-    return Spectrum(slopes, np.maximum(values, 0.0), vectors)
+    return ResidualSpectrum(slopes, np.maximum(values, 0.0), vectors)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -88,7 +88,7 @@ class Screening:
         """Score of the readings as given."""
         return self._scores_of(self._residual[:, None])[0]
 
-    def scores(self, trials: Sequence[Trial]) -> list[Score]:
+    def scores(self, trials: Sequence[MistakeTrial]) -> list[Score]:
         """Score of each trial."""
         result = [IMPOSSIBLE] * len(trials)
         alone = [k for k, t in enumerate(trials) if _is_of_values(t)]
@@ -114,7 +114,7 @@ class Screening:
         k = int(np.argmax(by_scale))
         return Score(float(by_scale[k]), float(self.scales[k]))
 
-    def _by_scale(self, of: Spectrum, white: Array, count: int) -> Array:
+    def _by_scale(self, of: ResidualSpectrum, white: Array, count: int) -> Array:
         """Log evidences (S, m), by scale, of whitened residuals (N, m) of `count` values."""
         square = self.scales[:, None] ** 2
         components = of.components(white) ** 2
@@ -127,7 +127,7 @@ class Screening:
 
     # -- amounts in the readings -------------------------------------------------------
 
-    def _with_columns(self, trial: Trial) -> Score:
+    def _with_columns(self, trial: MistakeTrial) -> Score:
         """Score with amounts of unknown size, of columns (N, k)."""
         assert trial.columns is not None
         columns = self.noise.whiten(trial.columns)
@@ -145,7 +145,7 @@ class Screening:
 
     # -- other poses, missing values, several machines ---------------------------------
 
-    def _of_any(self, trial: Trial) -> Score:
+    def _of_any(self, trial: MistakeTrial) -> Score:
         given = self.given
         y = given.session.y if trial.y is None else trial.y
         predicted, slopes = given.predicted, given.slopes
@@ -222,12 +222,12 @@ def log_density_of_any(given: Given, values: Index) -> float:
     return float(-(np.log(np.pi * width) + np.log1p(away**2)).sum())
 
 
-def _is_of_values(trial: Trial) -> bool:
+def _is_of_values(trial: MistakeTrial) -> bool:
     """Whether a trial changes values alone."""
     others = (trial.table, trial.missing, trial.columns, trial.parts)
     return trial.y is not None and all(one is None for one in others)
 
 
-def _values(trial: Trial) -> Array:
+def _values(trial: MistakeTrial) -> Array:
     assert trial.y is not None
     return trial.y

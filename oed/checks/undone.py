@@ -12,7 +12,7 @@ from oed.checks.evidence import linear_readings, log_evidence
 from oed.checks.fit import Fit
 from oed.checks.fit_amounts import fit_amounts
 from oed.checks.large_misfit import fit_of_any_misfit
-from oed.checks.mistakes import Given, Trial
+from oed.checks.mistakes import Given, MistakeTrial
 from oed.checks.mistakes.moved import CANNOT_BE
 from oed.checks.outlier_odds import SHARE
 from oed.checks.outlier_search import MEDIAN
@@ -72,7 +72,7 @@ def _fitted(
     sessions: Sequence[SessionReadings],
     scale: float,
     log_prior: float,
-    trial: Trial | None = None,
+    trial: MistakeTrial | None = None,
 ) -> Undone | None:
     """Sessions of machines apart, fitted."""
     total, square, count = log_prior, 0.0, 0
@@ -93,7 +93,7 @@ def _fitted(
     return Undone("" if trial is None else trial.kind, words, total, ratio)
 
 
-def _with_amounts(trial: Trial, scale: float, log_prior: float) -> Undone | None:
+def _with_amounts(trial: MistakeTrial, scale: float, log_prior: float) -> Undone | None:
     """A trial whose amounts are fitted as well; their prior has no scale."""
     fitted = fit_amounts(trial, scale)
     if fitted is None:
@@ -139,7 +139,7 @@ def _has_few_far(solution: Fit) -> bool:
     return 0.0 < float(far.mean()) <= SHARE
 
 
-def _log_missing(given: Given, trial: Trial) -> float:
+def _log_missing(given: Given, trial: MistakeTrial) -> float:
     """Log density of the values that a trial does not place, SI."""
     if trial.missing is None:
         return 0.0

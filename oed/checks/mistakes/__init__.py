@@ -51,9 +51,9 @@ from oed.checks.mistakes import (
 )
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Alternatives, Trial
+from oed.checks.mistakes.trial import Alternatives, MistakeTrial
 
-__all__ = ["PHYSICAL", "Alternatives", "Given", "Trial", "trials", "trials_near"]
+__all__ = ["PHYSICAL", "Alternatives", "Given", "MistakeTrial", "trials", "trials_near"]
 
 _MISTAKES = (
     unit,
@@ -82,13 +82,13 @@ PHYSICAL = ("offset", "run", "factor", "tool", "size", "change", "contradiction"
 _OF_ROWS = (unit, deviation, sign, scale, order, amounts)
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Every mistake of a session, undone."""
     for mistake in _MISTAKES:
         yield from mistake.trials(given)
 
 
-def trials_near(given: Given, parts: Sequence[Scope]) -> Iterator[Trial]:
+def trials_near(given: Given, parts: Sequence[Scope]) -> Iterator[MistakeTrial]:
     """Mistakes of rows that begin or end near those of some parts."""
     near = dataclasses.replace(given, near=tuple(parts))
     for mistake in _OF_ROWS:

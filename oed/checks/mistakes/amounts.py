@@ -16,7 +16,7 @@ from oed.checks.fit import Fit
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import with_moved
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial
+from oed.checks.mistakes.trial import MistakeTrial
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.measurement.measurement import Series
@@ -32,7 +32,7 @@ SELDOM = -3.0
 WIDER = 50.0
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Offsets, scales, tools, set-ups that moved, and sizes far from nominal."""
     for scope, channel, values in given.channel_scopes():
         yield _offset(given, scope, channel, values)
@@ -45,7 +45,7 @@ def trials(given: Given) -> Iterator[Trial]:
 # -- readings --------------------------------------------------------------------------
 
 
-def _offset(given: Given, scope: Scope, channel: str, values: Mask) -> Trial:
+def _offset(given: Given, scope: Scope, channel: str, values: Mask) -> MistakeTrial:
     session = given.session
     column = session.column(channel).name
     cause = "the bar length or the zero of the instrument is wrong"
@@ -61,7 +61,7 @@ def _offset(given: Given, scope: Scope, channel: str, values: Mask) -> Trial:
             f" {cause}"
         )
 
-    return Trial(
+    return MistakeTrial(
         kind=kind,
         scope=scope,
         words=words,
@@ -75,7 +75,7 @@ def _offset(given: Given, scope: Scope, channel: str, values: Mask) -> Trial:
     )
 
 
-def _scale(given: Given, scope: Scope, channel: str, values: Mask) -> Trial:
+def _scale(given: Given, scope: Scope, channel: str, values: Mask) -> MistakeTrial:
     session = given.session
     column = session.column(channel).name
 
@@ -93,7 +93,7 @@ def _scale(given: Given, scope: Scope, channel: str, values: Mask) -> Trial:
             " conversion factor of the instrument is wrong"
         )
 
-    return Trial(
+    return MistakeTrial(
         kind="factor",
         scope=scope,
         words=words,
@@ -115,7 +115,7 @@ def _log_size(factor: float) -> float:
 # -- tools -----------------------------------------------------------------------------
 
 
-def _tools(given: Given) -> Iterator[Trial]:
+def _tools(given: Given) -> Iterator[MistakeTrial]:
     """Each set-up with a tool of another length, and all of them."""
     session = given.session
     machine = session.measurement.machine
@@ -128,7 +128,7 @@ def _tools(given: Given) -> Iterator[Trial]:
     for scope, members in choices:
         shift = _with_tool(session, members)
         at = scope.values(session)
-        yield Trial(
+        yield MistakeTrial(
             kind="tool",
             scope=scope,
             words=_tool_words(members if len(members) < len(names) else []),
@@ -180,7 +180,7 @@ def _with_tool(
 # -- set-ups that moved ----------------------------------------------------------------
 
 
-def _moved_setups(given: Given) -> Iterator[Trial]:
+def _moved_setups(given: Given) -> Iterator[MistakeTrial]:
     """The unknowns of a set-up anew in one run, or in the first or last rows."""
     session = given.session
     names = session.values["setup"].to_numpy()
@@ -201,8 +201,8 @@ def _unknowns(given: Given, setup: str) -> Index:
     """Free unknowns of a set-up, among the free parameters."""
     measurement = given.session.measurement
     free = [measurement.names[k] for k in np.flatnonzero(measurement.free)]
-    own = [k for k, name in enumerate(free) if name.startswith(f"{setup}.")]
-    return np.array(own, dtype=np.intp)
+    places = [k for k, name in enumerate(free) if name.startswith(f"{setup}.")]
+    return np.array(places, dtype=np.intp)
 
 
 def _is_an_offset(given: Given, free: Index, at: Mask) -> bool:
@@ -213,13 +213,13 @@ def _is_an_offset(given: Given, free: Index, at: Mask) -> bool:
 
 def _moved_setup(
     given: Given, scope: Scope, setup: str, free: Index, at: Mask
-) -> Trial:
+) -> MistakeTrial:
     session = given.session
 
     def undo(amounts: Array) -> list[SessionReadings]:
         return [_set_up_again(session, scope.readings, setup)]
 
-    return Trial(
+    return MistakeTrial(
         kind="run",
         scope=scope,
         words=lambda amounts, sd: (
@@ -251,7 +251,7 @@ def _set_up_again(
 # -- sizes far from nominal ------------------------------------------------------------
 
 
-def _sizes(given: Given) -> Iterator[Trial]:
+def _sizes(given: Given) -> Iterator[MistakeTrial]:
     """Each free parameter far outside its tolerance."""
     measurement = given.session.measurement
     for column, k in enumerate(np.flatnonzero(measurement.free)):
@@ -259,7 +259,7 @@ def _sizes(given: Given) -> Iterator[Trial]:
             yield _size(given, int(k), column)
 
 
-def _size(given: Given, k: int, column: int) -> Trial:
+def _size(given: Given, k: int, column: int) -> MistakeTrial:
     session = given.session
     parameter = session.measurement.parameters[k]
     unit = units.display(parameter.unit)
@@ -276,7 +276,7 @@ def _size(given: Given, k: int, column: int) -> Trial:
     def estimated(solution: Fit) -> tuple[Array, Array]:
         return solution.parameter(parameter.name)
 
-    return Trial(
+    return MistakeTrial(
         kind="size",
         scope=given.file,
         words=words,

@@ -8,7 +8,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.trial import Trial, plain
+from oed.checks.mistakes.trial import MistakeTrial, plain
 from oed.checks.session import SessionReadings
 
 #: readings that a part has at least
@@ -17,7 +17,7 @@ LEAST = 6
 MOST_CUT = 300
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """The session divided at every reading, or at the ends of runs where it is long."""
     count = 1 + int(given.session.reading_of_value[-1])
     places = list(range(LEAST, count - LEAST + 1))
@@ -28,7 +28,7 @@ def trials(given: Given) -> Iterator[Trial]:
         yield _divided(given, place, count)
 
 
-def _divided(given: Given, place: int, count: int) -> Trial:
+def _divided(given: Given, place: int, count: int) -> MistakeTrial:
     session, every = given.session, np.arange(count, dtype=np.intp)
     last, first = session.rows(every[place - 1 : place + 1])
     before, after = (_of_run(given, part) for part in (every[:place], every[place:]))
@@ -40,7 +40,7 @@ def _divided(given: Given, place: int, count: int) -> Trial:
     def undo(amounts: Array) -> list[SessionReadings]:
         return [session.take(every[:place]), session.take(every[place:])]
 
-    return Trial(
+    return MistakeTrial(
         kind="change",
         scope=given.file,
         words=plain(sentence),

@@ -10,13 +10,13 @@ import numpy as np
 from oed.base.arrays import Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, value_trial
+from oed.checks.mistakes.trial import MistakeTrial, value_trial
 
 #: channels of one unit that are permuted, at most
 MOST_CHANNELS = 3
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Every permutation of the columns of one unit, with every choice of signs."""
     for scope in given.scopes:
         values = scope.values(given.session) & given.shown
@@ -37,7 +37,7 @@ def _groups(names: list[str]) -> list[list[str]]:
 
 def _permuted(
     given: Given, scope: Scope, names: list[str], values: Mask
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     for order in itertools.permutations(names):
         if order == tuple(names):
             continue  # signs alone: see `sign`
@@ -52,7 +52,7 @@ def _exchanged(
     order: tuple[str, ...],
     signs: tuple[float, ...],
     values: Mask,
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     """The session with each channel of `names` taken from that of `order`."""
     session = given.session
     y = session.y.copy()

@@ -11,7 +11,7 @@ from oed.base.arrays import Index
 from oed.checks.copies import resolution
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, members, plain
+from oed.checks.mistakes.trial import MistakeTrial, members, plain
 
 #: step of readings with more digits than are looked at, in their noise
 FINEST = 1e-6
@@ -19,7 +19,7 @@ FINEST = 1e-6
 LEAST = 3
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Each run and set-up whose readings equal those of another one."""
     for level in ("run", "set-up"):
         scopes = [s for s in given.scopes if s.level == level]
@@ -39,7 +39,7 @@ def _equal(given: Given, one: Index, other: Index) -> bool:
     return bool(recorded and np.array_equal(y[first], y[second]) and np.ptp(y[first]))
 
 
-def _copied(given: Given, one: Scope, other: Scope) -> Trial:
+def _copied(given: Given, one: Scope, other: Scope) -> MistakeTrial:
     """The session without readings that are given already as those of another scope.
 
     They are certain then: their density is that of a value known to its last digit.
@@ -50,7 +50,7 @@ def _copied(given: Given, one: Scope, other: Scope) -> Trial:
     size = np.maximum(step, FINEST * given.sigma[missing])
     dropped = [int(k) for k in one.readings]
     sentence = f"the readings{one.of} are those{other.of}, copied"
-    return Trial(
+    return MistakeTrial(
         kind="copied",
         scope=one,
         words=plain(sentence),

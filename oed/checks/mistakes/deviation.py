@@ -10,13 +10,13 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, value_trial
+from oed.checks.mistakes.trial import MistakeTrial, value_trial
 
 #: fine units in which deviations are written, by SI unit
 FINE = {"m": ("um", units.UM), "rad": ("arcsec", units.ARCSEC)}
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Readings plus and minus the instrument's length, or what the machine predicts."""
     for scope, values in given.shown_scopes():
         for origin, base in given.bases(values).items():
@@ -26,7 +26,7 @@ def trials(given: Given) -> Iterator[Trial]:
 
 def _about(
     given: Given, scope: Scope, values: Mask, base: Array, origin: str
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     session = given.session
     origin = origin.replace(
         "the nominal machine", "the readings of the nominal machine"

@@ -10,7 +10,7 @@ import numpy as np
 from oed.checks.mistakes.driven import jointed, permuted, scaled
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, moved_trial, pose_table
-from oed.checks.mistakes.trial import Trial
+from oed.checks.mistakes.trial import MistakeTrial
 
 #: joints of which every order is tried
 EVERY_ORDER = 3
@@ -18,7 +18,7 @@ EVERY_ORDER = 3
 SELDOM = -3.0
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """The likely orders of the joints, for the file, each set-up and each run."""
     measurement = given.session.measurement
     joints = measurement.machine.joints
@@ -35,7 +35,7 @@ def trials(given: Given) -> Iterator[Trial]:
             yield from _trials(given, f"the sign of {joint.name} is reversed", moved)
 
 
-def _trials(given: Given, sentence: str, moved: Moved) -> Iterator[Trial]:
+def _trials(given: Given, sentence: str, moved: Moved) -> Iterator[MistakeTrial]:
     table = pose_table(given, moved)
     if table is None:
         return

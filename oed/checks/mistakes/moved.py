@@ -11,7 +11,7 @@ import pandas as pd
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import PoseTable, Trial, plain
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable, plain
 from oed.checks.session import SessionReadings
 from oed.measurement.measurement import Series
 from oed.mechanism.kinematics import AssemblyError
@@ -31,10 +31,10 @@ def moved_trial(
     moved: Moved,
     table: PoseTable,
     log_prior: float = 0.0,
-) -> Trial:
+) -> MistakeTrial:
     """A trial whose readings of a scope were taken at moved poses."""
     session = given.session
-    return Trial(
+    return MistakeTrial(
         kind=kind,
         scope=scope,
         words=plain(sentence),

@@ -10,7 +10,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, members, plain
+from oed.checks.mistakes.trial import MistakeTrial, members, plain
 
 #: rows by which readings are late, where those pushed out at an end are lost
 SHIFTS = (1, -1, 2, -2, 3, -3)
@@ -18,7 +18,7 @@ SHIFTS = (1, -1, 2, -2, 3, -3)
 MOST_TURNED = 60
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Readings reversed and shifted, in each run, in one of them, and in the file."""
     for subject, where, scope, groups in _groupings(given):
         yield from _backward(given, subject, scope, groups)
@@ -53,7 +53,7 @@ def _groupings(
 
 def _backward(
     given: Given, subject: str, scope: Scope, groups: list[Index]
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     order = _reordered(given, groups, lambda rows: rows[::-1])
     sentence = f"{subject} are in reversed order"
     yield from _reordering(given, scope, sentence, order)
@@ -66,7 +66,7 @@ def _late(
     scope: Scope,
     groups: list[Index],
     shift: int,
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     """Readings that stand some rows too late, put back; those pushed out are lost."""
     if min(len(rows) for rows in groups) <= 2 * abs(shift):
         return
@@ -81,7 +81,7 @@ def _late(
 
 def _turned(
     given: Given, subject: str, where: str, scope: Scope, groups: list[Index]
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     """Readings that stand some rows too late, the last ones first."""
     sizes = [len(rows) for rows in groups]
     if max(sizes) > MOST_TURNED:
@@ -102,7 +102,7 @@ def _roll(rows: int) -> Callable[[Index], Index]:
     return lambda readings: np.roll(readings, rows)
 
 
-def _exchanged_runs(given: Given) -> Iterator[Trial]:
+def _exchanged_runs(given: Given) -> Iterator[MistakeTrial]:
     """The readings of two runs of one length exchanged, and of all runs turned round."""
     for one, other in itertools.combinations(given.runs, 2):
         if len(one.readings) != len(other.readings):
@@ -125,7 +125,7 @@ def _exchanged_runs(given: Given) -> Iterator[Trial]:
         yield from _reordering(given, given.file, sentence, order)
 
 
-def _exchanged_setups(given: Given) -> Iterator[Trial]:
+def _exchanged_setups(given: Given) -> Iterator[MistakeTrial]:
     setups = [scope for scope in given.scopes if scope.level == "set-up"]
     for one, other in itertools.combinations(setups, 2):
         if len(one.readings) != len(other.readings):
@@ -157,7 +157,7 @@ def _reordering(
     sentence: str,
     order: Index,
     lost: Index | None = None,
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     """The session with its readings in another order, poses in place.
 
     None where readings of other channels would meet, or nothing changes.
@@ -178,7 +178,7 @@ def _reordering(
         return
     dropped = [] if lost is None else [int(k) for k in lost]
     changed = session.with_y(y)
-    yield Trial(
+    yield MistakeTrial(
         kind="order",
         scope=scope,
         words=plain(sentence),

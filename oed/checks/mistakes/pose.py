@@ -21,7 +21,7 @@ from oed.checks.mistakes.driven import (
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, moved_trial, pose_table, with_moved
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import PoseTable, Trial, Undo, Words
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable, Undo, Words
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
@@ -37,7 +37,7 @@ SLACK = 0.1
 STEP = 1e-3
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """All commands of the file, of a set-up and of a run with each change undone."""
     measurement = given.session.measurement
     for sentence, change in _changes(measurement.machine.command):
@@ -102,7 +102,9 @@ def _same(given: Given, table: PoseTable) -> bool:
     return predicted and np.allclose(table.slopes, given.slopes, rtol=1e-9, atol=1e-15)
 
 
-def _displaced(given: Given, k: int, searched: SearchedAmount) -> Iterator[Trial]:
+def _displaced(
+    given: Given, k: int, searched: SearchedAmount
+) -> Iterator[MistakeTrial]:
     """One coordinate of the file's rows, of the teach poses, or of all, by an amount."""
     amount, spread = searched.amount, searched.spread
     measurement = given.session.measurement
@@ -120,7 +122,7 @@ def _displaced(given: Given, k: int, searched: SearchedAmount) -> Iterator[Trial
         for scope in given.scopes:
             if rows != "file" and scope.level == "run":
                 continue
-            yield Trial(
+            yield MistakeTrial(
                 kind="pose" if rows == "file" else "teach",
                 scope=scope,
                 words=_displacement_words(coordinate, rows, scope),

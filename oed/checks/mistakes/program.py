@@ -18,7 +18,7 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, pose_table, with_moved
 from oed.checks.mistakes.pose import SLACK, STEP, searched_amounts
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, Words
+from oed.checks.mistakes.trial import MistakeTrial, Words
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
@@ -31,7 +31,7 @@ MOST_COMMANDS = 3
 ROUNDS, DIFFERENCE, CLOSE = 12, 1e-5, 1e-10
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Each coordinate displaced in the file, a set-up and a run, with each that follows."""
     command = given.session.measurement.machine.command
     if len(command) > MOST_COMMANDS or not np.isfinite(given.length).any():
@@ -43,7 +43,7 @@ def trials(given: Given) -> Iterator[Trial]:
                 yield from _displaced(given, k, follower)
 
 
-def _displaced(given: Given, k: int, follower: int) -> Iterator[Trial]:
+def _displaced(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
     measurement = given.session.measurement
     displaced, following = (measurement.machine.command[i] for i in (k, follower))
 
@@ -56,7 +56,7 @@ def _displaced(given: Given, k: int, follower: int) -> Iterator[Trial]:
         if table is None:
             continue
         for scope in given.scopes:
-            yield Trial(
+            yield MistakeTrial(
                 kind="pose",
                 scope=scope,
                 words=_words(displaced, following, scope),

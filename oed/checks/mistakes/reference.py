@@ -10,7 +10,7 @@ import numpy as np
 from oed.base.arrays import Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, by_run, moved_trial, pose_table
-from oed.checks.mistakes.trial import Trial
+from oed.checks.mistakes.trial import MistakeTrial
 from oed.measurement.measurement import Series
 
 #: readings of a run whose pose may be the reference, of so many
@@ -21,7 +21,7 @@ PLACES: dict[str, Callable[[int], int]] = {
 }
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """The last, middle and second pose of each run as its reference."""
     session = given.session
     setups = session.measurement.setups

@@ -9,7 +9,7 @@ import numpy as np
 from oed.base.arrays import Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, value_trial
+from oed.checks.mistakes.trial import MistakeTrial, value_trial
 
 #: what readings are of what they should be
 FACTORS = {
@@ -22,7 +22,7 @@ FACTORS = {
 }
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """The readings and each column, times each factor."""
     for scope, values in given.shown_scopes():
         yield from _scaled(given, scope, f"readings{scope.of}", values)
@@ -33,7 +33,9 @@ def trials(given: Given) -> Iterator[Trial]:
             yield from _scaled(given, scope, subject, values)
 
 
-def _scaled(given: Given, scope: Scope, subject: str, values: Mask) -> Iterator[Trial]:
+def _scaled(
+    given: Given, scope: Scope, subject: str, values: Mask
+) -> Iterator[MistakeTrial]:
     session, y = given.session, given.session.y
     bases = {f"the {subject}": 0.0 * y}
     for origin, base in given.bases(values).items():
@@ -42,9 +44,9 @@ def _scaled(given: Given, scope: Scope, subject: str, values: Mask) -> Iterator[
         about = values & np.isfinite(base)
         for words, factor in FACTORS.items():
             changed = np.where(about, base + (y - base) / factor, y)
-            made = np.where(about, base + (y - base) * factor, y)
+            mistaken = np.where(about, base + (y - base) * factor, y)
             sentence = f"{what} are {words} what they should be"
             log_scale = -float(about.sum() * np.log(factor))
             yield value_trial(
-                session, "scale", scope, sentence, changed, log_scale, made
+                session, "scale", scope, sentence, changed, log_scale, mistaken
             )

@@ -11,11 +11,11 @@ import numpy as np
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, moved_trial, pose_table
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial
+from oed.checks.mistakes.trial import MistakeTrial
 from oed.measurement.measurement import Measurement, Series
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Each set-up, or run, taken for each other one with the same channels."""
     measurement = given.session.measurement
     used = list(dict.fromkeys(s.setup for s in given.session.series))
@@ -52,7 +52,7 @@ def _alike(measurement: Measurement, name: str, other: str) -> bool:
 
 def _renamed(
     given: Given, scope: Scope, names: Mapping[str, str], sentence: str
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     moved = in_other_setup(given.session.measurement, names)
     table = pose_table(given, moved)
     if table is not None:

@@ -9,13 +9,13 @@ import numpy as np
 from oed.base.arrays import Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, value_trial
+from oed.checks.mistakes.trial import MistakeTrial, value_trial
 
 #: standard deviations of a prediction from zero from which on its sign is known
 SURE = 3.0
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """Each channel with the other sign, and with deviations of the other sign."""
     for scope, channel, values in given.channel_scopes():
         column = given.session.column(channel).name
@@ -28,7 +28,9 @@ def trials(given: Given) -> Iterator[Trial]:
             yield value_trial(given.session, "sign", scope, sentence, y)
 
 
-def _reversed(given: Given, scope: Scope, of: str, values: Mask) -> Iterator[Trial]:
+def _reversed(
+    given: Given, scope: Scope, of: str, values: Mask
+) -> Iterator[MistakeTrial]:
     session, y = given.session, given.session.y
     bases = {f"the sign of {of} is reversed": 0.0 * y}
     for origin, base in given.bases(values).items():
@@ -39,7 +41,7 @@ def _reversed(given: Given, scope: Scope, of: str, values: Mask) -> Iterator[Tri
         yield value_trial(session, "sign", scope, sentence, changed)
 
 
-def _lost(given: Given, scope: Scope, of: str, values: Mask) -> Iterator[Trial]:
+def _lost(given: Given, scope: Scope, of: str, values: Mask) -> Iterator[MistakeTrial]:
     """Readings that are all positive, or all negative, where some should not be.
 
     A reading has a sign to lose where its prediction is surely above or below zero.

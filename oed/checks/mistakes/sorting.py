@@ -16,7 +16,7 @@ from scipy import optimize, special
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, members, plain
+from oed.checks.mistakes.trial import MistakeTrial, members, plain
 
 #: readings that are sorted at least, and at most where their order is unknown
 LEAST, MOST = 5, 400
@@ -25,14 +25,14 @@ TURNS = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class _Order:
+class _SortedOrder:
     """An order in which values stand, and the log number of orders it is one of."""
 
     words: str
     log_count: float
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """The file, each set-up, each run and all runs, by rows and by columns."""
     runs = [run.readings for run in given.runs]
     for scope in given.scopes:
@@ -49,7 +49,7 @@ def _is_sorted(given: Given) -> bool:
 
 def _in_scope(
     given: Given, scope: Scope, groups: list[Index], subject: str
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     sizes = [len(g) for g in groups]
     if min(sizes) < LEAST or max(sizes) > MOST or not given.shown.all():
         return
@@ -80,7 +80,7 @@ def _table(given: Given, group: Index, channels: list[str]) -> Index | None:
 
 def _ordered(
     given: Given, scope: Scope, groups: list[Index], subject: str, *, is_alone: bool
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     """Values of groups (n,) put where the others predict them, by their rank.
 
     `is_alone` says whether they are all that their readings have.
@@ -101,7 +101,7 @@ def _ordered(
         yield _without_places(given, scope, groups, sentence)
 
 
-def _order(y: Array, groups: list[Index]) -> _Order:
+def _order(y: Array, groups: list[Index]) -> _SortedOrder:
     """Whether all groups are sorted, and how."""
     for words, key in (
         ("sorted by size", y),
@@ -110,9 +110,9 @@ def _order(y: Array, groups: list[Index]) -> _Order:
     ):
         steps = [np.diff(key[places]) for places in groups]
         if all((step >= 0.0).all() for step in steps) and any(s.any() for s in steps):
-            return _Order(words, 0.0)
+            return _SortedOrder(words, 0.0)
     count = float(sum(special.gammaln(1.0 + len(places)) for places in groups))
-    return _Order("in another order than their poses", count)
+    return _SortedOrder("in another order than their poses", count)
 
 
 def _predicted(given: Given, y: Array, places: Index) -> Array:
@@ -133,7 +133,7 @@ def _predicted(given: Given, y: Array, places: Index) -> Array:
 
 def _rows(
     given: Given, scope: Scope, tables: list[Index], subject: str
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     """Whole rows put where their values are expected (an assignment)."""
     y = given.session.y.copy()
     changed = False
@@ -161,9 +161,9 @@ def _rows(
 
 def _trial(
     given: Given, scope: Scope, sentence: str, y: Array, log_count: float
-) -> Trial:
+) -> MistakeTrial:
     session = given.session
-    return Trial(
+    return MistakeTrial(
         kind="disorder" if log_count else "sorting",
         scope=scope,
         words=plain(sentence),
@@ -175,7 +175,7 @@ def _trial(
 
 def _without_places(
     given: Given, scope: Scope, groups: list[Index], sentence: str
-) -> Trial:
+) -> MistakeTrial:
     """Sorted values of which nothing but the distribution is used: a normal one."""
     session = given.session
     places = np.concatenate(groups)
@@ -189,7 +189,7 @@ def _without_places(
         log_density -= len(group) * (np.log(sd) + 0.5 * np.log(2.0 * np.pi) + 0.5)
     dropped = sorted({int(k) for k in session.reading_of_value[places]})
     is_all = len(dropped) == 1 + int(session.reading_of_value[-1])
-    return Trial(
+    return MistakeTrial(
         kind="sorting",
         scope=scope,
         words=plain(sentence),

@@ -46,7 +46,7 @@ class PoseTable:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Trial:
+class MistakeTrial:
     """A mistake, undone.
 
     kind       of mistake: the module that makes the trial
@@ -70,7 +70,7 @@ class Trial:
     How it is judged in the linear model, where it differs from the readings as given:
 
     y          (N,) values
-    made       (N,) values with the mistake made, where it is not its own inverse
+    mistaken   (N,) values with the mistake in them, where it is not its own inverse
     table      readings at other poses, for the values `mask`
     columns    (N, k) slopes of the values over the amounts; those whose size is not
                known are scaled to what they explain
@@ -93,7 +93,7 @@ class Trial:
     missing: Mask | None = None
     log_missing: float | None = None
     y: Array | None = None
-    made: Array | None = None
+    mistaken: Array | None = None
     table: PoseTable | None = None
     mask: Mask | None = None
     columns: Array | None = None
@@ -112,17 +112,17 @@ def value_trial(
     sentence: str,
     y: Array,
     log_scale: float = 0.0,
-    made: Array | None = None,
-) -> Trial:
+    mistaken: Array | None = None,
+) -> MistakeTrial:
     """A trial with other values y (N,) at the same poses."""
-    return Trial(
+    return MistakeTrial(
         kind=kind,
         scope=scope,
         words=plain(sentence),
         undo=lambda amounts: [session.with_y(y)],
         log_scale=log_scale,
         y=y,
-        made=made,
+        mistaken=mistaken,
     )
 
 

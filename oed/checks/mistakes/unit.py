@@ -10,13 +10,13 @@ from oed.base import units
 from oed.base.arrays import Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import Trial, value_trial
+from oed.checks.mistakes.trial import MistakeTrial, value_trial
 
 #: units that a file's readings may be in, beside those of a column
 OTHERS = {"m": {"inch": units.INCH}, "rad": {}, "1": {}}
 
 
-def trials(given: Given) -> Iterator[Trial]:
+def trials(given: Given) -> Iterator[MistakeTrial]:
     """The readings of a kind, and of a column, in each other unit of that kind."""
     for scope, values in given.shown_scopes():
         kinds = list(dict.fromkeys(given.unit[values]))
@@ -43,7 +43,7 @@ def _names(given: Given, channels: list[str]) -> str:
 
 def _in_units(
     given: Given, scope: Scope, subject: str, values: Mask
-) -> Iterator[Trial]:
+) -> Iterator[MistakeTrial]:
     session = given.session
     stated = session.column(str(given.channel[values][0]))
     word = stated.name.rpartition("_")[2]

@@ -16,7 +16,7 @@ from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.gap.data import problem as problems
 from oed.gap.data import signature as signatures
-from oed.gap.data.linearisation import ActingForm, settle
+from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.state import DOWN
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect, State
@@ -170,7 +170,7 @@ class _JointFit:
             return _Start((), theta, np.zeros(0), False)
         for _ in range(PASSES):
             acting = [
-                ActingForm(f.effect, f.constants, f.signature.names, f.size)
+                ActingEffectForm(f.effect, f.constants, f.signature.names, f.size)
                 for f in forms
             ]
             law = stated_law(problem)

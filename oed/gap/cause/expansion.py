@@ -16,7 +16,7 @@ import numpy as np
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
-from oed.gap.data.linearisation import ActingForm, settle
+from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.problem import GapProblem
 from oed.model.effect import Effect
 
@@ -83,12 +83,12 @@ def _in_question(hypotheses: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
 
 def _acting_forms(
     search: Search, h: Hypothesis, effects: Sequence[Effect]
-) -> Iterator[ActingForm]:
+) -> Iterator[ActingEffectForm]:
     by_name = {effect.name: effect for effect in effects}
     for name, atom, size in zip(h.effects, h.atoms, h.sizes, strict=True):
         form = search.library.atoms[atom]
         names = search.library.coefficients_of(atom)
-        yield ActingForm(by_name[name], form.constants, names, size)
+        yield ActingEffectForm(by_name[name], form.constants, names, size)
 
 
 def _joined(

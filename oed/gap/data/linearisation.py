@@ -31,7 +31,7 @@ HALVINGS = 6
 
 
 @dataclasses.dataclass(frozen=True)
-class ActingForm:
+class ActingEffectForm:
     """A form of an effect that acts.
 
     effect     the effect
@@ -62,7 +62,10 @@ class Settled:
 
 
 def settle(
-    problem: GapProblem, forms: Sequence[ActingForm], law: NoiseLaw, outlying: Array
+    problem: GapProblem,
+    forms: Sequence[ActingEffectForm],
+    law: NoiseLaw,
+    outlying: Array,
 ) -> Settled:
     """The readings linearised where forms explain them best, by Gauss-Newton steps.
 
@@ -70,7 +73,7 @@ def settle(
 
     Where the steps lead nowhere, the problem as it was, with a departure of infinity.
     """
-    fit = _Fit(problem, forms, law, outlying)
+    fit = _PointFit(problem, forms, law, outlying)
     place = fit.start()
     departure = None
     try:
@@ -88,7 +91,7 @@ def settle(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Place:
+class _Point:
     """A point and the readings linearised about it.
 
     values   (n + k,) parameters, then coefficients, in prior standard deviations
@@ -108,13 +111,13 @@ class _Place:
         return np.asarray(self.exact + slopes @ (values - self.values))
 
 
-class _Fit:
+class _PointFit:
     """Most probable parameters and coefficients of some forms, under a noise law."""
 
     def __init__(
         self,
         problem: GapProblem,
-        forms: Sequence[ActingForm],
+        forms: Sequence[ActingEffectForm],
         law: NoiseLaw,
         outlying: Array,
     ) -> None:
@@ -124,7 +127,7 @@ class _Fit:
         measurement = problem.measurement
         self._root = measurement.prior_root()[:, measurement.free]
 
-    def start(self) -> _Place:
+    def start(self) -> _Point:
         """The parameters of the problem without effects, by its own linear model."""
         problem = self._problem
         off_nominal = problem.theta - problem.measurement.nominal
@@ -133,14 +136,14 @@ class _Fit:
         y = problem.in_noise_units(problem.y)
         exact = y - problem.residual + problem.slopes @ parameters
         values = np.concatenate([parameters, np.zeros(columns.shape[1])])
-        return _Place(values, problem, columns, exact)
+        return _Point(values, problem, columns, exact)
 
     def _columns(self, problem: GapProblem) -> Array:
         """Columns (N, k) of all forms, per prior sd, in units of the noise."""
         parts = [form.size * _columns(problem, form) for form in self._forms]
         return problem.in_noise_units(np.hstack(parts))
 
-    def at(self, values: Array) -> _Place:
+    def at(self, values: Array) -> _Point:
         """The readings linearised about values (n + k,). Raises AssemblyError."""
         nominal = self._problem.measurement.nominal
         split = self._root.shape[1]
@@ -160,7 +163,7 @@ class _Fit:
         )
         explained = moved.slopes @ values[:split] + columns @ values[split:]
         residual = moved.in_noise_units(moved.y) - exact + explained
-        return _Place(values, moved.with_residual(residual), columns, exact)
+        return _Point(values, moved.with_residual(residual), columns, exact)
 
     def _acting(
         self, coefficients: Array
@@ -176,12 +179,12 @@ class _Fit:
             )
             start = stop
 
-    def coefficients(self, place: _Place) -> Array:
+    def coefficients(self, place: _Point) -> Array:
         """Coefficients (k,) of all forms at a place, in expected sizes."""
         sizes = [np.full(len(form.names), form.size) for form in self._forms]
         return np.concatenate(sizes) * place.values[self._root.shape[1] :]
 
-    def most_probable(self, place: _Place) -> Array:
+    def most_probable(self, place: _Point) -> Array:
         """Values (n + k,) by the linear model about a place."""
         metric = Metric(place.problem, self._law)
         residual = place.problem.residual + self._outlying
@@ -192,13 +195,13 @@ class _Fit:
         fitted = metric.fit(residual - columns @ coefficients)
         return np.concatenate([fitted, coefficients])
 
-    def departure(self, place: _Place, reached: _Place) -> float:
+    def departure(self, place: _Point, reached: _Point) -> float:
         """How far the linear model about a place is off at a point."""
         wrong = (reached.exact - place.linear(reached.values))[:, None]
         energy = self._metric.gram(wrong, wrong).item()
         return float(np.sqrt(max(energy, 0.0)))
 
-    def downhill(self, place: _Place, reached: _Place) -> _Place:
+    def downhill(self, place: _Point, reached: _Point) -> _Point:
         """The point reached, or one on the way to it that is no less probable."""
         before = self._cost(place)
         for _ in range(HALVINGS):
@@ -207,14 +210,14 @@ class _Fit:
             reached = self.at(0.5 * (place.values + reached.values))
         return reached
 
-    def _cost(self, place: _Place) -> float:
+    def _cost(self, place: _Point) -> float:
         """Squared residuals and values, in units of the noise and of the prior."""
         y = self._problem.in_noise_units(self._problem.y)
         white = self._metric.whiten(y + self._outlying - place.exact)
         return float(white @ white + place.values @ place.values)
 
 
-def _columns(problem: GapProblem, form: ActingForm) -> Array:
+def _columns(problem: GapProblem, form: ActingEffectForm) -> Array:
     """Changes (N, k) of the readings per prior sd of a form's coefficients, SI."""
     signature = problem.signature(form.effect, form.constants)
     place = {name: k for k, name in enumerate(signature.names)}

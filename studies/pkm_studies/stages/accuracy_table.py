@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 WIDTH = 120
 
 
-class Row(NamedTuple):
+class AccuracyRow(NamedTuple):
     """A line of the table: what it is, and the rms error by component."""
 
     words: str
@@ -55,27 +55,27 @@ def shown_components(prediction: PredictionSection) -> dict[str, str]:
     return driven or {n: c.after.unit for n, c in components.items()}
 
 
-def rows(result: StudyResult, prediction: PredictionSection) -> list[Row]:
+def rows(result: StudyResult, prediction: PredictionSection) -> list[AccuracyRow]:
     """The lines of the table."""
     components = prediction.components
-    lines = [Row("before", {n: c.before.rms for n, c in components.items()})]
+    lines = [AccuracyRow("before", {n: c.before.rms for n, c in components.items()})]
     corrected = result.corrected
     if corrected is not None:
         alone = {n: s.rms for n, s in corrected.parameters_only.items()}
-        lines.append(Row("parameters compensated alone", alone))
+        lines.append(AccuracyRow("parameters compensated alone", alone))
     after = "after compensation" if corrected is None else "effects compensated too"
-    lines.append(Row(after, {n: c.after.rms for n, c in components.items()}))
+    lines.append(AccuracyRow(after, {n: c.after.rms for n, c in components.items()}))
     budget = prediction.budget
     if budget is None:
         return lines
     for worst in budget.unmodelled[:1]:
         words = f"+ {worst.effect} of {worst.expected}, not in the model"
-        lines.append(Row(words, worst.with_it))
+        lines.append(AccuracyRow(words, worst.with_it))
         if worst.far:
-            lines.append(Row(f"+ {FAR:.0f} times as much of it", worst.far))
+            lines.append(AccuracyRow(f"+ {FAR:.0f} times as much of it", worst.far))
     units = shown_components(prediction)
     for words, better in improvements(budget.lines, budget.predicted, units):
-        lines.append(Row(f"with {words}", better))
+        lines.append(AccuracyRow(f"with {words}", better))
     return lines
 
 
