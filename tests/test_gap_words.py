@@ -15,7 +15,8 @@ from oed.result.gap import (
     PlaceRecord,
     SizeRecord,
 )
-from pkm_studies.stages.gap.sentences import format_probability, with_sentences
+from pkm_studies.stages.gap.sentences import with_sentences
+from pkm_studies.stages.gap.words import format_probability
 
 
 def _gap(

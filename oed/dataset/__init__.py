@@ -19,7 +19,7 @@ from __future__ import annotations
 from oed.dataset.csv_input import from_tables, load
 from oed.dataset.csv_output import save, to_csv
 from oed.dataset.data import ColumnLayout, Dataset, from_series
-from oed.dataset.table import ReadingsError
+from oed.dataset.readings_file import ReadingsError
 
 __all__ = [
     "ColumnLayout",

@@ -19,7 +19,8 @@ from oed.dataset.columns import (
     is_temperature,
     tension_columns,
 )
-from oed.dataset.table import ReadingsError, ReadingsFile, cell_remedy
+from oed.dataset.readings_file import ReadingsError, ReadingsFile
+from oed.dataset.table import cell_remedy
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate

@@ -18,8 +18,9 @@ from oed.dataset.columns import (
     tension_columns,
 )
 from oed.dataset.data import Dataset, column_layouts
+from oed.dataset.readings_file import ROW, ReadingsError, ReadingsFile
 from oed.dataset.stretch import with_stretch
-from oed.dataset.table import ORDER_REMEDY, ROW, ReadingsError, ReadingsFile
+from oed.dataset.table_checks import ORDER_REMEDY
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.instrument import Instrument

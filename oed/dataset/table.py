@@ -7,9 +7,7 @@ spreadsheet shows them. Remarks, and lines with # above the header, are not read
 from __future__ import annotations
 
 import csv
-import dataclasses
 import difflib
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -18,109 +16,32 @@ import numpy as np
 import pandas as pd
 
 from oed.base import csv_text, units
-from oed.base.arrays import Array, Mask
-from oed.base.text import shorten
+from oed.base.arrays import Array
 from oed.dataset import dialect
 from oed.dataset.columns import (
     LABELS,
     REQUIRED,
-    TENSION,
     UNITLESS,
     ReadingsColumn,
     column_names,
     parse_column,
 )
 from oed.dataset.dialect import Row, SplitText
+from oed.dataset.readings_file import FILE, ROW, ReadingsError, ReadingsFile
+from oed.dataset.table_checks import check_rows
 
 MAX_BYTES: Final = 64_000_000
 #: readings of one session, each a value of a channel: with these a check takes about a
 #: gigabyte, and a diagnosis some four
 MOST_READINGS: Final = 50_000
 MAX_COLUMNS: Final = 200
-#: columns of a frame that no column of a file can have: the row's file and number
-FILE, ROW = "#file", "#row"
 HEADER_REMEDY: Final = (
     "the first line names the columns: setup,run,order, then a pose and a reading such"
     " as z_mm,length_mm"
 )
-ORDER_REMEDY: Final = "count the readings of a run in time: 1, 2, 3"
 ENCODING_REMEDY: Final = "save it as CSV in UTF-8"
-#: least value of a covariate
-LEAST_VALUES: Final = {"time": 0, "feed": 0, "repeat": 1}
-#: orders stay below this
-MOST_ORDER: Final = 1e15
 #: size of a number in a cell beyond which it is a slip
 LARGEST: Final = 1e12
-#: characters of a name or value in an error
-SHOWN: Final = 40
-
-
-class ReadingsError(ValueError):
-    """Readings that cannot be used; `str()` is file, row, column, value and remedy."""
-
-    def __init__(
-        self,
-        problem: str,
-        remedy: str,
-        *,
-        file: str,
-        row: int | None = None,
-        column: str = "",
-        value: str = "",
-    ) -> None:
-        self.problem, self.remedy, self.file, self.value = problem, remedy, file, value
-        self.row, self.column = row, column
-        where = []
-        if row:
-            where.append(f"row {row}")
-        if column:
-            where.append(f"column {shorten(column, SHOWN)}")
-        self.where = ", ".join(where)
-        subject = self.where
-        if value and subject:
-            subject = f"{subject} = {shorten(value, SHOWN)}"
-        message = ": ".join(part for part in (file, subject, problem) if part)
-        super().__init__(f"{message}; {remedy}.")
-
-
-@dataclasses.dataclass(frozen=True)
-class ReadingsFile:
-    """Checked cells of a readings file.
-
-    file     path, for errors
-    frame    one row a row of the file: `setup` and `run` (text), `order` (int), and
-             each further column by its stem, SI, NaN where the cell is empty; FILE and
-             ROW state where it is in which file
-    columns  columns of the file, by stem
-    """
-
-    file: str
-    frame: pd.DataFrame
-    columns: dict[str, ReadingsColumn]
-
-    def error(self, problem: str, remedy: str, at: int, stem: str) -> ReadingsError:
-        """The error to raise for row `at` of the frame (from 0) and a column."""
-        row = self.frame.iloc[at]
-        name, value = stem, ""
-        if stem in self.columns:
-            column = self.columns[stem]
-            name, value = column.name, _as_written(row[stem], column)
-        return ReadingsError(
-            problem,
-            remedy,
-            file=str(row[FILE]),
-            row=int(row[ROW]),
-            column=name,
-            value=value,
-        )
-
-
-def _as_written(cell: object, column: ReadingsColumn) -> str:
-    """A cell of the frame as it stands in the file; empty where it is not finite."""
-    if not isinstance(cell, float):
-        return str(cell)
-    value = cell / column.factor
-    return f"{value:.6g}" if math.isfinite(value) else ""
 
 
 def read(
@@ -173,10 +94,7 @@ def from_rows(
         remedy = cell_remedy(stem, poses)
         frame[stem] = _numbers(column, points, numbers, file, remedy)
     table = ReadingsFile(file, frame, columns)
-    _check_labels(table)
-    _check_order(table)
-    _check_direction(table)
-    _check_not_negative(table)
+    check_rows(table)
     frame["order"] = frame["order"].astype(np.int64)
     return table
 
@@ -379,48 +297,3 @@ def _numbers(
             value=text[k],
         )
     return np.asarray(values * column.factor)
-
-
-def _check_labels(table: ReadingsFile) -> None:
-    for stem in LABELS:
-        empty = (table.frame[stem] == "").to_numpy()
-        remedy = f"name the {stem} of every row"
-        _refuse_first(table, empty, "the cell is empty", remedy, stem)
-
-
-def _check_order(table: ReadingsFile) -> None:
-    order = table.frame["order"].to_numpy()
-    whole = (order >= 0) & (order < MOST_ORDER) & (order == np.round(order))
-    _refuse_first(
-        table, ~whole, "order is no whole number from 0 on", ORDER_REMEDY, "order"
-    )
-
-
-def _check_direction(table: ReadingsFile) -> None:
-    if "direction" not in table.frame:
-        return
-    direction = table.frame["direction"].to_numpy()
-    known = np.isnan(direction) | (np.abs(direction) == 1.0)
-    remedy = "write 1 or -1, or leave it empty"
-    _refuse_first(table, ~known, "direction is +1 or -1", remedy, "direction")
-
-
-def _check_not_negative(table: ReadingsFile) -> None:
-    """Times count from the session's start, feeds are speeds, cables do not push."""
-    least_values = dict(LEAST_VALUES)
-    least_values |= {s: 0 for s in table.columns if s.startswith(TENSION)}
-    for stem, least in least_values.items():
-        if stem in table.frame:
-            below = table.frame[stem].to_numpy() < least
-            remedy = "correct it, or leave the cell empty where it is unknown"
-            problem = f"{stem} is at least {least}"
-            _refuse_first(table, below, problem, remedy, stem)
-
-
-def _refuse_first(
-    table: ReadingsFile, bad: Mask, problem: str, remedy: str, stem: str
-) -> None:
-    """Raise ReadingsError for the first bad row, if there is one."""
-    rows = np.flatnonzero(bad)
-    if rows.size:
-        raise table.error(problem, remedy, int(rows[0]), stem)

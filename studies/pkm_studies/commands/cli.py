@@ -21,7 +21,7 @@ INTERRUPTED = 130
 KERNEL_ERRORS = {
     "oed.base.units": "UnitError",
     "oed.mechanism.kinematics": "AssemblyError",
-    "oed.dataset.table": "ReadingsError",
+    "oed.dataset.readings_file": "ReadingsError",
     "oed.estimation.identification": "IdentificationError",
     "oed.posterior.log_density": "OutOfBoundsError",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,4 +14,24 @@ AllowCode = Annotated[
         help="Run Python files that the study names, now and while they are unchanged.",
         show_default=False,
     ),
+]
+
+StudyPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="STUDY",
+        help="A study file, or the name of a shipped study.",
+        show_default=False,
+    ),
+]
+OutFolder = Annotated[
+    Path,
+    typer.Option(metavar="DIR", help="Folder for the results.", show_default=False),
+]
+ResultFolder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="A result.", show_default=False)
+]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the study's.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", help="Print only errors and failing claims.")
 ]

@@ -7,38 +7,31 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
 from oed.base import units
-from oed.base.arrays import Array
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.instrument import Instrument, mount
-from oed.model.machine import Coordinate, Family, Machine
+from oed.mechanism.kinematics import AssemblyError
+from oed.model.instrument import Instrument
+from oed.model.machine import Family, Machine
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve.quantities import column, display_unit
+from pkm_studies.importers.template_grid import (
+    SETUP,
+    SHARES,
+    axis,
+    format_number,
+    format_numbers,
+    format_pose,
+    grid_lines,
+    in_unit,
+)
+from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import SUFFIX, parse, shipped
 from pkm_studies.study.tables.fit import PredictionReference
 
-#: most poses of the grid; its values a coordinate, and with too many poses
-POSES, VALUES, FEWER_VALUES = 1000, 5, 3
-#: values of an angle that goes all the way round
-TURN_VALUES = 12
-#: shares of the workspace that the grid spans: the first whose poses can be measured
-SHARES = (0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
-#: half a range of a coordinate without end, m or rad
-HALF_RANGE = 0.1
 #: readings of the design, where the grid has as many
 READINGS = 30
-#: least share of the grid's poses to which an instrument leads a "hold" coordinate
-LED_SHARE = 0.3
-SETUP = "setup1"
-#: SI numbers of a geometry below this are rounding errors
-ROUNDING = 1e-12
 #: instruments to draft a study with, the most informative first
 DEFAULTS = ("pose_tracker", "pose_tracker_position", "redundancy")
 GAP = """\
@@ -180,7 +173,7 @@ seed = 0
 
 def _machine(model: str, machine: Machine) -> str:
     p = machine.parameters[0]
-    nominal = f"{column(p.name, p.unit)} = {_number(p.nominal, p.unit)}"
+    nominal = f"{column(p.name, p.unit)} = {format_number(p.nominal, p.unit)}"
     fixed = ", ".join(f'"{name}"' for name in machine.frame)
     geometry = "" if machine.family is None else _geometry(machine.family)
     return f"""\
@@ -201,7 +194,7 @@ def _geometry(family: Family) -> str:
         if d.default is None:
             lines.append(f"# {key}: {d.about}; derived where it is not given")
             continue
-        lines.append(f"# {key} = {_numbers(d.default, d.unit)}  # {d.about}")
+        lines.append(f"# {key} = {format_numbers(d.default, d.unit)}  # {d.about}")
     return "\n" + "\n".join(lines) + "\n"
 
 
@@ -212,12 +205,14 @@ def _setup(reference: str, machine: Machine, instrument: Instrument) -> str:
         value, remark = s.default, s.about
         if value is None:
             value, remark = 0.0, f"{s.about}: measure it"
-        lines.append(f"{column(s.name, s.unit)} = {_number(value, s.unit)}  # {remark}")
+        lines.append(
+            f"{column(s.name, s.unit)} = {format_number(value, s.unit)}  # {remark}"
+        )
     if instrument.reference == "teach":
-        pose = _pose(machine.command, machine.home_command)
+        pose = format_pose(machine.command, machine.home_command)
         lines.append(f"teach = {pose}  # the pose at which it was taught")
     for n in instrument.nuisances:
-        tolerance = f"{column(n.name, n.unit)} = {_number(n.tolerance, n.unit)}"
+        tolerance = f"{column(n.name, n.unit)} = {format_number(n.tolerance, n.unit)}"
         lines.append(f"# tolerance.{tolerance}  # {n.about}")
     return "\n".join(lines) + "\n"
 
@@ -226,7 +221,7 @@ def _noise(instrument: Instrument) -> str:
     lines = ["[noise]  # standard deviation of one reading"]
     for channel in instrument.channels:
         unit = units.FINE[channel.unit]
-        lines.append(f"{channel.name}_{unit} = {_in_unit(channel.sigma, unit)}")
+        lines.append(f"{channel.name}_{unit} = {in_unit(channel.sigma, unit)}")
     if instrument.renewed:
         lines.append(
             "# seating_um = 0.3  # of a cup that each run seats anew, if known"
@@ -236,7 +231,7 @@ def _noise(instrument: Instrument) -> str:
 
 def _prior(machine: Machine) -> str:
     p = machine.parameters[0]
-    sigma = f"{column('sigma', p.unit)} = {_number(p.tolerance, p.unit)}"
+    sigma = f"{column('sigma', p.unit)} = {format_number(p.tolerance, p.unit)}"
     return f"""\
 # Tolerances from drawing or assembly, where they differ from the model's:
 # [[prior.tolerance]]
@@ -246,7 +241,7 @@ def _prior(machine: Machine) -> str:
 
 
 def _design(machine: Machine, instrument: Instrument, share: float) -> str:
-    grid = _grid(machine, instrument, share)
+    grid = grid_lines(machine, instrument, share)
     counts = [int(n) for n in re.findall(r"count = (\d+)", "\n".join(grid))]
     readings = min(READINGS, math.prod(counts) // 2)  # fewer than there are candidates
     lines = [
@@ -277,7 +272,7 @@ def prediction_table(
 
     share  of the workspace that its poses span
     """
-    axes = "\n".join(_axis(c, machine, share) for c in machine.command)
+    axes = "\n".join(axis(c, machine, share) for c in machine.command)
     driven = next((c for c in machine.components if c.compensatable), None)
     limit = ""
     if driven is not None:
@@ -303,7 +298,7 @@ def _plan(machine: Machine, instrument: Instrument, share: float) -> str:
     )
     if any(s.default is None for s in instrument.settings):
         return about
-    grid = "\n".join(f"# {line}" for line in _grid(machine, instrument, share))
+    grid = "\n".join(f"# {line}" for line in grid_lines(machine, instrument, share))
     return f"""\
 {about}# [plan]
 # budget_min = 120.0
@@ -322,126 +317,3 @@ def _claims() -> str:
 # [expect]
 # rank = { of = "identifiability.rank", min = 1 }
 """
-
-
-# -- grids -----------------------------------------------------------------------------
-
-
-def _grid(machine: Machine, instrument: Instrument, share: float) -> list[str]:
-    hold = _led_coordinate(machine, instrument, share)
-    lines = []
-    for c in machine.command:
-        if c.name == hold:
-            lines.append(f'{c.name} = "hold"  # led by the instrument')
-        else:
-            lines.append(_axis(c, machine, share))
-    return lines
-
-
-def _axis(c: Coordinate, machine: Machine, share: float) -> str:
-    key = column(c.name, c.unit)
-    if _turns(c, share):
-        count = TURN_VALUES
-        return (
-            f"{key} = {{ from = 0.0, to = 360.0, count = {count}, endpoint = false }}"
-        )
-    low, high = (_number(end, c.unit) for end in _span(c, machine, share))
-    return f"{key} = {{ from = {low}, to = {high}, count = {_count(machine)} }}"
-
-
-def _count(machine: Machine) -> int:
-    """Values of each coordinate: five, or fewer where six would make 15625 poses."""
-    few = VALUES ** len(machine.command) > POSES
-    return FEWER_VALUES if few else VALUES
-
-
-def _turns(c: Coordinate, share: float) -> bool:
-    """Whether an angle goes all the way round: not in a part of the workspace.
-
-    Where its range has no end, only a cautious try goes round.
-    """
-    full_turn = 2.0 * math.pi - 1e-9
-    whole = c.unit == "rad" and c.lower <= 0.0 and c.upper >= full_turn
-    has_ends = math.isfinite(c.lower) and math.isfinite(c.upper)
-    return whole and (share == SHARES[0] or has_ends)
-
-
-def _span(c: Coordinate, machine: Machine, share: float) -> tuple[float, float]:
-    """The middle of a coordinate's range; a smaller part of it lies about home.
-
-    So does that of a coordinate without end.
-    """
-    home = machine.home[c.name]
-    low = c.lower if np.isfinite(c.lower) else home - HALF_RANGE
-    high = c.upper if np.isfinite(c.upper) else home + HALF_RANGE
-    centre, half = (low + high) / 2.0, (high - low) / 2.0
-    if share == SHARES[0]:
-        return centre - share * half, centre + share * half
-    return max(home - share * half, low), min(home + share * half, high)
-
-
-def _led_coordinate(
-    machine: Machine, instrument: Instrument, share: float
-) -> str | None:
-    """The coordinate by which the instrument leads the tool at most poses, if any."""
-    if instrument.fixed_reading is None:
-        return None
-    axes = []
-    for c in machine.command:
-        whole_turn = (0.0, 2.0 * math.pi)
-        low, high = whole_turn if _turns(c, share) else _span(c, machine, share)
-        axes.append(np.linspace(low, high, _count(machine)))
-    mesh = np.meshgrid(*axes, indexing="ij")
-    command = np.column_stack([m.ravel() for m in mesh])
-    kinematics = Kinematics(machine)
-    shares = {
-        c.name: _led_share(kinematics, instrument, command, c.name)
-        for c in machine.command
-    }
-    best = max(shares, key=lambda name: shares[name])
-    return best if shares[best] >= LED_SHARE else None
-
-
-def _led_share(
-    kinematics: Kinematics, instrument: Instrument, command: Array, coordinate: str
-) -> float:
-    """Share of the commands at which some value of a coordinate keeps the reading."""
-    machine = kinematics.machine
-    settings = {s.name: s.default or 0.0 for s in instrument.settings}
-    teach = machine.home_command if instrument.reference == "teach" else None
-    setup = mount(instrument, SETUP, teach=teach, **settings)  # type: ignore[arg-type]
-    try:
-        measurement = Measurement(machine, [setup], kinematics)
-        _, solvable = measurement.commands_at_fixed_reading(SETUP, command, coordinate)
-    except (AssemblyError, ValueError):
-        return 0.0
-    return float(solvable.mean())
-
-
-# -- numbers ---------------------------------------------------------------------------
-
-
-def _pose(coordinates: tuple[Coordinate, ...], values: Array) -> str:
-    fields = [
-        f"{column(c.name, c.unit)} = {_number(value, c.unit)}"
-        for c, value in zip(coordinates, values, strict=True)
-    ]
-    return "{ " + ", ".join(fields) + " }"
-
-
-def _number(value: float, si: str) -> str:
-    """An SI value as TOML, in the unit of its column."""
-    return _in_unit(value, display_unit(si))
-
-
-def _numbers(value: object, si: str) -> str:
-    """An SI number, or nested lists of them, as TOML."""
-    if isinstance(value, list | tuple | np.ndarray):
-        return f"[{', '.join(_numbers(item, si) for item in value)}]"
-    number = float(value)  # type: ignore[arg-type]
-    return _number(number if abs(number) > ROUNDING else 0.0, si)
-
-
-def _in_unit(value: float, unit: str) -> str:
-    number = f"{float(units.from_si(value, unit)):.9g}"
-    return number if re.search(r"[.e]", number) else f"{number}.0"

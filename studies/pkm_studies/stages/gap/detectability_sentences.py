@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from oed.result.gap_before import ChosenRuns, DetectabilityTable, GapBeforeSection
-from pkm_studies.stages.gap.sentences import capitalised, join_words, plain_name
+from pkm_studies.stages.gap.words import capitalised, join_words, plain_name
 
 #: most effects and pairs in one sentence
 MOST = 6

@@ -16,6 +16,12 @@ from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
 from oed.result.gap import ClosureRecord, GapSection, PlaceRecord, SizeRecord
 from pkm_studies.stages.gap import implausible
+from pkm_studies.stages.gap.words import (
+    capitalised,
+    format_probability,
+    join_words,
+    plain_name,
+)
 
 #: a place is named below this probability that it holds no more than an even share
 SIGNIFICANT = 0.05
@@ -378,32 +384,3 @@ def _column(need: str) -> str:
     if name != "direction" and number:
         return f"{column} with {number} different values"
     return column
-
-
-# -- words -----------------------------------------------------------------------------
-
-
-def plain_name(effect: str) -> str:
-    """An effect's name as a person says it: `leg_thermal` -> leg thermal."""
-    return (
-        "an effect of unknown form" if effect == UNKNOWN else effect.replace("_", " ")
-    )
-
-
-def capitalised(text: str) -> str:
-    """The text with a capital first letter."""
-    return text[:1].upper() + text[1:]
-
-
-def join_words(words: Sequence[str], last: str = "and") -> str:
-    """a, b and c."""
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} {last} {words[-1]}"
-
-
-def format_probability(p: float) -> str:
-    """A probability in percent; 100 % and 0 % only where they are exact."""
-    if 0.995 < p < 1.0:
-        return "over 99 %"
-    return "under 1 %" if 0.0 < p < 0.005 else f"{100.0 * p:.0f} %"

@@ -1,0 +1,54 @@
+"""The subcommand `oed check`: studies and readings before anything runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.base import console
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands.options import (
+    AllowCode,
+)
+from pkm_studies.stages.outcome import BAD_INPUT, DONE, FAILED
+
+
+def check(
+    paths: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="Studies, readings, and machines of your own (my.py).",
+            show_default=False,
+        ),
+    ],
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.png",
+            help="Draw the machine of the first file at its home pose: png, svg or pdf.",
+        ),
+    ] = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Check studies, and readings against what they predict; run nothing."""
+    from pkm_studies.base.user_code import consent
+    from pkm_studies.commands import checks, closure_picture
+
+    given = consent(allow_code=allow_code)
+    code = DONE
+    if picture is not None:
+        print(f"Picture: {closure_picture.draw(paths[0], picture, given)}")
+    for path, verdict in checks.check(paths, given):
+        if isinstance(verdict, InputError):
+            console.print_error(str(verdict))
+            code = BAD_INPUT
+            continue
+        print(f"{path}: {verdict.content}")
+        for sentence in [*verdict.findings, *verdict.remarks]:
+            print(f"  {sentence}")
+        if verdict.findings:
+            code = max(code, FAILED)
+    return code

@@ -1,0 +1,45 @@
+"""The subcommand `oed diagnose`: what causes the gap."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.commands.options import (
+    AllowCode,
+    OutFolder,
+    Quiet,
+    Seed,
+    StudyPath,
+)
+from pkm_studies.commands.study_file import load
+from pkm_studies.stages.outcome import report_outcome
+
+
+def diagnose(
+    study: StudyPath,
+    out: OutFolder,
+    readings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV", help="The readings [those of the study].", show_default=False
+        ),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Find what causes the gap between model and machine: which effect, and where."""
+    from pkm_studies.base import files
+    from pkm_studies.notebook import display
+
+    loaded = load(study, allow_code)
+    files.check_writable(out)
+    from pkm_studies import pipeline
+
+    given = None if readings is None else [readings]
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.diagnose(loaded, given, out, seed=seed, progress=progress)
+    return report_outcome(result, out, quiet)

@@ -1,0 +1,56 @@
+"""The subcommand `oed identify`: the machine from readings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.commands.options import (
+    AllowCode,
+    OutFolder,
+    Quiet,
+    Seed,
+    StudyPath,
+)
+from pkm_studies.commands.study_file import load
+from pkm_studies.stages.outcome import report_outcome
+
+
+def identify(
+    study: StudyPath,
+    readings: Annotated[
+        Path, typer.Option(metavar="CSV", help="The readings.", show_default=False)
+    ],
+    out: OutFolder,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--with",
+            metavar="EFFECT,...",
+            help="Effects to estimate together with the parameters.",
+        ),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Identify the machine from readings."""
+    from pkm_studies.base import files
+    from pkm_studies.notebook import display
+
+    loaded = load(study, allow_code)
+    files.check_writable(out)
+    from pkm_studies import pipeline
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.run(
+            loaded,
+            out,
+            seed=seed,
+            progress=progress,
+            readings=[readings],
+            effects=effects.replace(",", " ").split() if effects else (),
+        )
+    return report_outcome(result, out, quiet)

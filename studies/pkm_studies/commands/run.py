@@ -1,0 +1,41 @@
+"""The subcommand `oed run`: a whole study."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.commands.options import (
+    AllowCode,
+    Quiet,
+    Seed,
+    StudyPath,
+)
+from pkm_studies.commands.study_file import load
+from pkm_studies.stages.outcome import report_outcome
+
+
+def run(
+    study: StudyPath,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results [out/NAME]."),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Run a study: design, identification, accuracy, report."""
+    from pkm_studies.base import files
+    from pkm_studies.notebook import display
+
+    loaded = load(study, allow_code)
+    folder = out or Path("out") / loaded.name
+    files.check_writable(folder)
+    from pkm_studies import pipeline  # only now: errors of input come at once
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.run(loaded, folder, seed=seed, progress=progress)
+    return report_outcome(result, folder, quiet)
