@@ -8,7 +8,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.gap import place
 from oed.gap.cause import advice, answers, closure
 from oed.gap.cause.compare import probabilities
 from oed.gap.cause.expansion import compare_expanded
@@ -19,7 +18,8 @@ from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import UNKNOWN, Block, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
-from oed.gap.place_draws import LikelyForms
+from oed.gap.places import place
+from oed.gap.places.draws import LikelyForms
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw, describe
 

@@ -15,8 +15,8 @@ from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
 from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem, assemble
-from oed.gap.place import STANDS_OUT, locate
-from oed.gap.place_draws import LikelyForms, draw_energies
+from oed.gap.places.draws import LikelyForms, draw_energies
+from oed.gap.places.place import STANDS_OUT, locate
 from oed.noise.law import stated_law
 
 KINDS = ("leg", "run", "time", "phase", "direction")

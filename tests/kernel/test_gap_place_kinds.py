@@ -13,7 +13,7 @@ from oed.gap.cause.reversal import ReversedForms
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import Block, Diagnosis
 from oed.gap.forms import discrepancy, library
-from oed.gap.place import STANDS_OUT
+from oed.gap.places.place import STANDS_OUT
 from oed.noise.law import stated_law
 from pkm_models.effects import encoder_scale, leg_thermal, mount_drift, step
 

@@ -148,7 +148,7 @@ class Search:
             grams = self._remainders.grams_with(grams, selected, h.process)
             columns.append(np.arange(len(selected), len(grams.b)))
             sizes.append(h.process_size)
-        return evidence.noise_level(_select_in_order(grams, columns, sizes)[0])
+        return evidence.noise_level(grams.select_in_order(columns, sizes)[0])
 
     def law_at(self, level: float) -> NoiseLaw:
         """The law at a noise level, with the outliers' distribution."""
@@ -283,7 +283,7 @@ class Search:
             forms = [self._atoms[k] for k in self._atoms_of[effect]]
             columns = np.unique(np.concatenate(forms))
             grams = self._products.grams(np.concatenate([*selected, columns]))
-            grams, start = _select_in_order(grams, selected, sizes)
+            grams, start = grams.select_in_order(selected, sizes)
             places = [start + np.searchsorted(columns, form) for form in forms]
             self._tables[key] = grams.log_evidences(places, SIZES)
         return self._tables[key]
@@ -321,7 +321,7 @@ class Search:
         """Grams of the columns of a set of effects alone, these in the model."""
         columns = [self._atoms[k] for k in h.atoms]
         grams = self._products.grams(self._columns_of_set(h))
-        return _select_in_order(grams, columns, h.sizes)[0]
+        return grams.select_in_order(columns, h.sizes)[0]
 
     # -- the search --------------------------------------------------------------------
 
@@ -382,20 +382,3 @@ def _argmax(table: Array) -> tuple[int, int]:
     """Row and column of the largest entry."""
     row, column = np.unravel_index(int(np.argmax(table)), table.shape)
     return int(row), int(column)
-
-
-def _select_in_order(
-    grams: Grams,
-    columns: Sequence[Index],
-    sizes: Sequence[float],
-) -> tuple[Grams, int]:
-    """Grams whose first columns are those of some forms, with these in the model.
-
-    The second result is the number of these columns.
-    """
-    start = 0
-    for form, size in zip(columns, sizes, strict=True):
-        stop = start + len(form)
-        grams = grams.select(np.arange(start, stop), size)
-        start = stop
-    return grams, start

@@ -79,6 +79,20 @@ class Grams:
         ratio = self.log_ratio(gain, log_det).item()
         return dataclasses.replace(selected, base=self.base + ratio)
 
+    def select_in_order(
+        self, columns: Sequence[Index], sizes: Sequence[float]
+    ) -> tuple[Grams, int]:
+        """Grams whose first columns are those of some forms, with these in the model.
+
+        The second result is the number of these columns.
+        """
+        grams, start = self, 0
+        for form, size in zip(columns, sizes, strict=True):
+            stop = start + len(form)
+            grams = grams.select(np.arange(start, stop), size)
+            start = stop
+        return grams, start
+
     def project_out(self, columns: Index, size: float = USUAL) -> Grams:
         """Grams without what `columns` can explain, their coefficients unbounded.
 

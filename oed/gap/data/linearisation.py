@@ -91,7 +91,7 @@ def settle(
 
 
 @dataclasses.dataclass(frozen=True)
-class _Point:
+class _LinearPoint:
     """A point and the readings linearised about it.
 
     values   (n + k,) parameters, then coefficients, in prior standard deviations
@@ -127,7 +127,7 @@ class _PointFit:
         measurement = problem.measurement
         self._root = measurement.prior_root()[:, measurement.free]
 
-    def start(self) -> _Point:
+    def start(self) -> _LinearPoint:
         """The parameters of the problem without effects, by its own linear model."""
         problem = self._problem
         off_nominal = problem.theta - problem.measurement.nominal
@@ -136,14 +136,14 @@ class _PointFit:
         y = problem.in_noise_units(problem.y)
         exact = y - problem.residual + problem.slopes @ parameters
         values = np.concatenate([parameters, np.zeros(columns.shape[1])])
-        return _Point(values, problem, columns, exact)
+        return _LinearPoint(values, problem, columns, exact)
 
     def _columns(self, problem: GapProblem) -> Array:
         """Columns (N, k) of all forms, per prior sd, in units of the noise."""
         parts = [form.size * _columns(problem, form) for form in self._forms]
         return problem.in_noise_units(np.hstack(parts))
 
-    def at(self, values: Array) -> _Point:
+    def at(self, values: Array) -> _LinearPoint:
         """The readings linearised about values (n + k,). Raises AssemblyError."""
         nominal = self._problem.measurement.nominal
         split = self._root.shape[1]
@@ -163,7 +163,7 @@ class _PointFit:
         )
         explained = moved.slopes @ values[:split] + columns @ values[split:]
         residual = moved.in_noise_units(moved.y) - exact + explained
-        return _Point(values, moved.with_residual(residual), columns, exact)
+        return _LinearPoint(values, moved.with_residual(residual), columns, exact)
 
     def _acting(
         self, coefficients: Array
@@ -179,12 +179,12 @@ class _PointFit:
             )
             start = stop
 
-    def coefficients(self, place: _Point) -> Array:
+    def coefficients(self, place: _LinearPoint) -> Array:
         """Coefficients (k,) of all forms at a place, in expected sizes."""
         sizes = [np.full(len(form.names), form.size) for form in self._forms]
         return np.concatenate(sizes) * place.values[self._root.shape[1] :]
 
-    def most_probable(self, place: _Point) -> Array:
+    def most_probable(self, place: _LinearPoint) -> Array:
         """Values (n + k,) by the linear model about a place."""
         metric = Metric(place.problem, self._law)
         residual = place.problem.residual + self._outlying
@@ -195,13 +195,13 @@ class _PointFit:
         fitted = metric.fit(residual - columns @ coefficients)
         return np.concatenate([fitted, coefficients])
 
-    def departure(self, place: _Point, reached: _Point) -> float:
+    def departure(self, place: _LinearPoint, reached: _LinearPoint) -> float:
         """How far the linear model about a place is off at a point."""
         wrong = (reached.exact - place.linear(reached.values))[:, None]
         energy = self._metric.gram(wrong, wrong).item()
         return float(np.sqrt(max(energy, 0.0)))
 
-    def downhill(self, place: _Point, reached: _Point) -> _Point:
+    def downhill(self, place: _LinearPoint, reached: _LinearPoint) -> _LinearPoint:
         """The point reached, or one on the way to it that is no less probable."""
         before = self._cost(place)
         for _ in range(HALVINGS):
@@ -210,7 +210,7 @@ class _PointFit:
             reached = self.at(0.5 * (place.values + reached.values))
         return reached
 
-    def _cost(self, place: _Point) -> float:
+    def _cost(self, place: _LinearPoint) -> float:
         """Squared residuals and values, in units of the noise and of the prior."""
         y = self._problem.in_noise_units(self._problem.y)
         white = self._metric.whiten(y + self._outlying - place.exact)

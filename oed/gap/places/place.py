@@ -28,7 +28,7 @@ from scipy import special
 from oed.base.arrays import Array, Index
 from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem
-from oed.gap.place_draws import Draws, LikelyForms, draw_energies
+from oed.gap.places.draws import Draws, LikelyForms, draw_energies
 from oed.noise.law import NoiseLaw
 
 #: draws of the posterior

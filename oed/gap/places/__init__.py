@@ -1,0 +1,1 @@
+"""Where the gap lies: legs, set-ups, runs, times, directions."""
