@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kernel import a3_plans, test_corrected, test_senses
+from kernel import a3_plans
+from kernel.compensate import test_corrected, test_senses
 from test_bad_fit import STUDY
 
 from pkm_studies.commands import cli

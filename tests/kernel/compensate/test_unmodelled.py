@@ -5,7 +5,7 @@ import pytest
 from oracles import a3_geometry as a3
 
 from kernel import a3_plans
-from kernel.test_corrected import PER_KELVIN, WARM_LEG, planned
+from kernel.compensate.test_corrected import PER_KELVIN, WARM_LEG, planned
 from oed import compensate
 from oed.accuracy import prediction
 from oed.accuracy.budget import budget_model

@@ -10,7 +10,7 @@ import emcee
 import numpy as np
 import pytest
 
-from kernel.test_posterior import problem
+from kernel.posterior.test_posterior import problem
 from oed.base.whole_file import whole_file
 from oed.posterior import posterior
 from oed.posterior.checkpoint import Checkpoint

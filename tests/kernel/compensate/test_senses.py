@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from kernel import a3_plans, test_corrected
+from kernel import a3_plans
+from kernel.compensate import test_corrected
 from oed import checks
 from oed.checks.senses import contradictions
 from oed.compensate.effects import (
