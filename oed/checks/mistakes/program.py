@@ -125,7 +125,10 @@ def _solved(
         nearby = command.copy()
         nearby[rows, follower] += DIFFERENCE
         there = _first_channel(measurement, _at(measurement, series, nearby)) - goal
-        step = -here * DIFFERENCE / (there - here)
+        change = there - here
+        if not np.all(np.abs(change) > 0.0):  # also where a reading is not finite
+            return None
+        step = -here * DIFFERENCE / change
         command[rows, follower] += step[place]
     else:
         return None
