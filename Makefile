@@ -27,7 +27,7 @@ UV_WANTED := 'uv>=0.13,<1'
 
 SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) UV_PYTHON_DOWNLOADS=never $(BIN)/uv sync --frozen --quiet --compile-bytecode --python $(BIN)/python
 
-.PHONY: study test slow blind docs lint format wheel lock clean distclean setup setup-dev
+.PHONY: study test test-lowest slow blind docs lint format wheel lock clean distclean setup setup-dev
 .DEFAULT_GOAL := study
 
 setup: $(VENV)/.stamp-run
@@ -41,6 +41,12 @@ test: setup-dev
 
 slow: setup-dev
 	$(BIN)/pytest -m slow $(PYTEST_ARGS)
+
+# The lowest versions that pyproject.toml allows, in an environment of their own.
+test-lowest: $(BIN)/uv
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python .venv-lowest
+	VIRTUAL_ENV=.venv-lowest $(BIN)/uv pip install --quiet --resolution lowest-direct --group dev -e .
+	.venv-lowest/bin/pytest $(PYTEST_ARGS)
 
 blind: setup-dev
 	$(BLIND_DO) generate --set blind --cases $(BLIND_CASES) --out $(BLIND)/set

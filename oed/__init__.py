@@ -42,6 +42,7 @@ _HOMES = {
     "Parameter": "oed.model.machine",
     "Coordinate": "oed.model.machine",
     "Component": "oed.model.machine",
+    "PointGroup": "oed.model.machine",
     "Instrument": "oed.model.instrument",
     "Channel": "oed.model.instrument",
     "Setting": "oed.model.instrument",

@@ -311,3 +311,11 @@ def test_without_a_list_consent_ends_with_the_process(
     resolve(study.load(path, study.Consent.GIVEN))
     with pytest.raises(InputError, match="SHA-256"):
         resolve(study.load(path))
+
+
+def test_a_module_that_has_moved_has_a_remedy(folder: Path, call: Run) -> None:
+    (folder / "mine.py").write_text("from oed.machine import Machine\n", "utf-8")
+    code, _, error = call("check", folder / "s.study.toml", "--allow-code")
+    assert code == 2
+    assert "oed.machine" in error
+    assert "from oed import Machine" in error

@@ -23,9 +23,9 @@ from pathlib import Path
 
 from benchmarks.frozen import sources
 from benchmarks.frozen.numbers import Difference, differences
-from benchmarks.frozen.sources import KINDS, Source
+from benchmarks.frozen.sources import FOLDER, KINDS, Source
 
-FILE = Path(__file__).with_name("frozen.json.gz")
+FILE = FOLDER / "frozen.json.gz"
 #: differences that are printed of a source
 PRINTED = 8
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from oed.model.effect import Column, Effect
+from oed import Column, Effect
 
 #: rad of the crank: quality 8, 15 um on a wheel of 150 mm (ISO 1328-2)
 RUNOUT = 0.1e-3

@@ -9,7 +9,7 @@ import math
 
 import casadi as ca
 
-from oed.model.machine import Component, Coordinate, Machine, Parameter, PointGroup
+from oed import Component, Coordinate, Machine, Parameter, PointGroup
 
 LIMBS = (1, 2, 3)
 BASE, PLATE, CRANK, ROD = 0.350, 0.100, 0.200, 0.220  # m, from the drawing

@@ -160,6 +160,13 @@ def _failure(error: BaseException, name: str, place: Place) -> InputError:
     """What the file raised, as bad input."""
     if isinstance(error, InputError):
         return error
+    if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("oed."):
+        return place.error(
+            f"it imports {error.name}, which is not there in this version",
+            "import names such as Machine, Parameter, Instrument and Effect from oed"
+            " itself: from oed import Machine",
+            name,
+        )
     if isinstance(error, ModuleNotFoundError):
         return place.error(
             f"it imports the module {error.name}, which was not found",

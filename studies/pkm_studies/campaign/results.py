@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -46,12 +47,17 @@ def processor_time(campaign: Campaign, out: Path) -> float:
 def write_table(
     table: pd.DataFrame, summary: pd.DataFrame, out: Path
 ) -> tuple[Path, ...]:
-    """Write `cases.parquet`, `cases.csv` and `summary.csv`, whole; their paths.
+    """Write `cases.csv` and `summary.csv`, whole; their paths.
 
-    One that the user changed stays, and the new one gets a number.
+    With the extra `parquet`, `cases.parquet` too. One that the user changed stays, and
+    the new one gets a number.
     """
+    written = []
+    if importlib.util.find_spec("pyarrow") is not None:
+        save = partial(table.to_parquet, index=False)
+        written.append(save_own(out / "cases.parquet", save))
     return (
-        save_own(out / "cases.parquet", partial(table.to_parquet, index=False)),
+        *written,
         write_own(out / "cases.csv", csv_text.of_frame(table).encode()),
         write_own(out / "summary.csv", csv_text.of_frame(summary).encode()),
     )
