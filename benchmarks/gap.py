@@ -45,7 +45,7 @@ from benchmarks.blind.generator import (
 )
 from benchmarks.blind.generator.effects.thermal import climate
 from benchmarks.blind.stepwise import stepwise
-from oed.gap import diagnose
+from oed.gap import procedure as diagnose
 from oed.gap.cause.compare import compare
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches

@@ -33,7 +33,7 @@ import pandas as pd
 from oed import dataset
 from oed.gap.data import problem as problem_of
 from oed.gap.data.problem import GapProblem
-from oed.gap.diagnose import diagnose
+from oed.gap.procedure import diagnose
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from pkm_studies import pipeline, study

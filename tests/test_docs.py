@@ -23,7 +23,12 @@ from pkm_studies.commands.cli import main
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TUTORIAL = DOCS / "tutorial_own_machine.md"
 #: pages that run from top to bottom, and how many commands they have at least
-EXECUTED = {"tutorial_own_machine": 9, "tutorial_tripod": 4, "howto/test": 2}
+EXECUTED = {
+    "tutorial_own_machine": 9,
+    "tutorial_tripod": 4,
+    "howto/test": 2,
+    "howto/arrays": 1,
+}
 GALLERY = sorted(
     p for p in (DOCS / "gallery").glob("*.py") if not p.name.startswith("_")
 )

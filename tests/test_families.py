@@ -12,7 +12,7 @@ import pytest
 from oracles import machine_shapes
 from sample import refused, resolved
 
-from oed.accuracy.error_maps import error_maps
+from oed.accuracy.maps import error_maps
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Family
 

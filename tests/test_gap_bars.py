@@ -18,8 +18,8 @@ import pytest
 
 from oed.gap.data.diagnosis import UNKNOWN, Answer, Diagnosis
 from oed.gap.data.problem import GapProblem
-from oed.gap.diagnose import diagnose
 from oed.gap.forms import library
+from oed.gap.procedure import diagnose
 
 MODULES = ("cases", "effects", "noise", "plans", "scene", "severity", "write")
 

@@ -17,7 +17,7 @@ from oed.gap.data import state as states_of
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem, assemble, prepare
 from oed.gap.data.signature import exact_readings, signature
-from oed.gap.diagnose import diagnose
+from oed.gap.procedure import diagnose
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
 from oed.model.instrument import mount

@@ -29,7 +29,7 @@ def oed(
     """The command, with the diagnosis made by hand."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(
-        "oed.gap.diagnose.diagnose",
+        "oed.gap.procedure.diagnose",
         lambda problem, effects, rng: gap_fixture.diagnosis(problem),
     )
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.blind import case, loading, oracle, run
 from benchmarks.blind.generator import write as truth_of
-from oed.gap import diagnose
+from oed.gap import procedure as diagnose
 
 
 def diagnosis(setting: Mapping[str, Any], seed: int) -> dict[str, Any]:

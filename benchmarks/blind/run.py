@@ -21,7 +21,7 @@ from benchmarks.blind import loading
 from benchmarks.blind.harmonic import harmonic
 from benchmarks.blind.loading import Case
 from benchmarks.blind.stepwise import stepwise
-from oed.gap import diagnose
+from oed.gap import procedure as diagnose
 from oed.gap.data.diagnosis import Answer, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of

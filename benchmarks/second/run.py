@@ -27,7 +27,7 @@ from benchmarks.blind.run import (
 )
 from benchmarks.second import cases as case_files
 from benchmarks.second.cases import Case
-from oed.gap import diagnose
+from oed.gap import procedure as diagnose
 from oed.gap.data.problem import GapProblem
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw

@@ -20,7 +20,7 @@ import numpy as np
 from oed import dataset
 from oed.gap.data import problem as problem_of
 from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.diagnose import diagnose
+from oed.gap.procedure import diagnose
 from pkm_reports import style
 from pkm_studies import pipeline, study
 from pkm_studies.resolve import gap as resolve_gap

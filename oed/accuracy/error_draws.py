@@ -1,7 +1,7 @@
 """Exact pose errors of a compensated machine, for draws of its parameters.
 
 The machine is driven with the identified parameters and has those of a draw. First
-order maps (`oed.accuracy.error_maps`) miss the squares of what remains: millimetres of joint
+order maps (`oed.accuracy.maps`) miss the squares of what remains: millimetres of joint
 error at ten milliradians leave ten micrometres.
 """
 

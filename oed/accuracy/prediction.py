@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.accuracy.error_maps import (
+from oed.accuracy.maps import (
     ErrorMaps,
     Reference,
     error_maps,

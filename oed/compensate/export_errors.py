@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.accuracy.error_maps import Reference, relative_to_reference
+from oed.accuracy.maps import Reference, relative_to_reference
 from oed.base.arrays import Array
 from oed.compensate import (
     FurtherAxes,

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.accuracy.budget.model import budget_model
-from oed.accuracy.error_maps import Reference, maps_by_reference
+from oed.accuracy.maps import Reference, maps_by_reference
 from oed.base.arrays import Array
 from oed.measurement import simulation
 from oed.measurement.measurement import Measurement, Series

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from oed.accuracy.budget.model import EFFECTS, SETUP, BudgetModel, Kind, Part
-from oed.accuracy.error_maps import ErrorMaps
+from oed.accuracy.maps import ErrorMaps
 from oed.base.arrays import Array
 
 #: factor on the standard deviation of an error that is gone: its covariance stays

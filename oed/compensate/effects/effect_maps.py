@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from oed.accuracy.error_maps import ErrorMaps, Reference, error_maps
+from oed.accuracy.maps import ErrorMaps, Reference, error_maps
 from oed.base.arrays import Array
 from oed.gap.data import state as states_of
 from oed.measurement.measurement import Measurement, Series

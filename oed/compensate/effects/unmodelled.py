@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from oed.accuracy.budget.model import BudgetModel
-from oed.accuracy.error_maps import ErrorMaps, Reference
+from oed.accuracy.maps import ErrorMaps, Reference
 from oed.base.arrays import Array
 from oed.compensate.effects.effect_maps import (
     ActingForm,

@@ -15,7 +15,7 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.accuracy.budget import Budget, budget_model, budget_of
-from oed.accuracy.error_maps import ErrorMaps, Reference, error_maps
+from oed.accuracy.maps import ErrorMaps, Reference, error_maps
 from oed.accuracy.prediction import Prediction, Spread
 from oed.base.arrays import Array, Index
 from oed.compensate.effects.effect_maps import (

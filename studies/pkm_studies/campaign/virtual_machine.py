@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.accuracy.error_maps import error_maps
+from oed.accuracy.maps import error_maps
 from oed.base import units
 from oed.base.arrays import Array
 from oed.estimation.coordinates import coordinates_of_readings

@@ -19,7 +19,7 @@ from oed.accuracy.budget import (
     variance_over_machines,
 )
 from oed.accuracy.budget.lines import shares
-from oed.accuracy.error_maps import maps_by_reference
+from oed.accuracy.maps import maps_by_reference
 from oed.compensate import compensated_joints
 from oed.estimation.identification import identify
 from oed.identifiability import information

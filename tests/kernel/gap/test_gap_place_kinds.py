@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kernel import gap_lines, planar_session
-from oed.gap import diagnose as diagnosing
+from oed.gap import procedure as diagnosing
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.reversal import ReversedForms

@@ -12,7 +12,7 @@ import pytest
 from scipy import special
 
 from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
-from oed.gap import diagnose as diagnosing
+from oed.gap import procedure as diagnosing
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import PRIOR

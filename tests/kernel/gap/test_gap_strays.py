@@ -12,7 +12,7 @@ import pytest
 from scipy import integrate, stats
 
 from kernel.gap_lines import EFFECTS, SLIP, planted, readings, white_lines
-from oed.gap import diagnose as diagnosing
+from oed.gap import procedure as diagnosing
 from oed.gap.data import noise
 from oed.gap.data.problem import GapProblem
 from oed.noise import outliers

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import EFFECTS, readings
-from oed.gap import diagnose
+from oed.gap import procedure as diagnose
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis

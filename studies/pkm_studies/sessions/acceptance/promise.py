@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from oed.accuracy.acceptance import Promise
-from oed.accuracy.error_maps import ErrorMaps, Reference, error_maps
+from oed.accuracy.maps import ErrorMaps, Reference, error_maps
 from oed.base import units
 from oed.base.arrays import Array
 from oed.compensate.export_errors import known_errors

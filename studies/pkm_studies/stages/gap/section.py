@@ -40,7 +40,7 @@ def diagnose(
     rng: np.random.Generator,
 ) -> Diagnosis:
     """The diagnosis of readings y (N,), SI, about fitted parameters theta (n,)."""
-    from oed.gap import diagnose as kernel
+    from oed.gap import procedure as kernel
 
     residuals = problem.assemble(
         measurement, series, covariates, theta, y, gravity=request.gravity

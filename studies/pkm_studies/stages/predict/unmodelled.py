@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.accuracy.budget import budget_model
-from oed.accuracy.error_maps import ErrorMaps, Reference
+from oed.accuracy.maps import ErrorMaps, Reference
 from oed.compensate.effects import ExpectedEffect, expected_effects
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.gap.data import problem as problems

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from oed.accuracy.budget import budget_of
-from oed.accuracy.error_maps import Reference
+from oed.accuracy.maps import Reference
 from oed.accuracy.prediction import Spread
 from oed.base.arrays import Array
 from oed.base.units import MM
