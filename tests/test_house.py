@@ -1,6 +1,7 @@
 """The wheel's content, the direction of imports, and texts that no file may contain."""
 
 import ast
+import itertools
 import re
 import shutil
 import subprocess
@@ -140,7 +141,9 @@ def test_the_lock_is_of_these_dependencies(project: dict) -> None:
     metadata_table = package["metadata"]
     locked = {"run": metadata_table["requires-dist"], **metadata_table["requires-dev"]}
     groups = project["dependency-groups"]
-    stated = {"run": project["project"]["dependencies"], **groups}
+    extras = project["project"]["optional-dependencies"].values()
+    run = [*project["project"]["dependencies"], *itertools.chain(*extras)]
+    stated = {"run": run, **groups}
     assert locked.keys() == stated.keys()
     for group, entries in locked.items():
         pins = {entry["name"] + entry["specifier"] for entry in entries}
