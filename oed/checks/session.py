@@ -173,7 +173,7 @@ def session(
 ) -> SessionReadings:
     """Make a session of readings y (N,), SI.
 
-    `covariates` state order, direction and the file's row of each reading; without
+    `covariates` state order, direction, time and the file's row of each reading; without
     them, rows count from 2, as in a file with these readings alone.
     """
     parts = []
@@ -192,6 +192,6 @@ def session(
     values["row"] = number + 2
     values["order"] = number + 1
     if covariates is not None:
-        for name in {"row", "order", "direction"} & set(covariates.columns):
+        for name in {"row", "order", "direction", "time"} & set(covariates.columns):
             values[name] = covariates[name].to_numpy()[number]
     return plain
