@@ -30,20 +30,22 @@ from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, relative
 from pkm_models.machines import a3_head, planar_2dof
 
-# -- A3 head, ball bar in two set-ups --------------------------------------------------
+# -- A3 head, ball bar in two or three set-ups --------------------------------------------------
 
 POINTS, LENGTH, BAR_NOISE = 12, 0.3, 0.5 * UM
 #: set-up: tool, heights of the circles, teach height (m)
 BARS = {
     "cup": (0.0, (1.176, 1.266), 1.286),
     "long_tool": (0.1, (1.186, 1.256), 1.386),
+    "mid_tool": (0.05, (1.176, 1.256), 1.336),
 }
+TWO_BARS, THREE_BARS = ("cup", "long_tool"), ("cup", "long_tool", "mid_tool")
 #: errors of the base joints that do not choose the frame
 FREE_BASE = np.array([[0, 1, 0], [1, 0, 0], [1, 0, 0]])
 
 
 @functools.cache
-def a3_measurement() -> Measurement:
+def a3_measurement(names: tuple[str, ...] = TWO_BARS) -> Measurement:
     setups = [
         mount(
             ball_bar.instrument,
@@ -53,6 +55,7 @@ def a3_measurement() -> Measurement:
             sigma=[BAR_NOISE],
         )
         for name, (tool, _, teach) in BARS.items()
+        if name in names
     ]
     return Measurement(a3_head.machine, setups)
 
@@ -90,10 +93,13 @@ def a3_lengths(
     return np.asarray(np.linalg.norm(tip - at, axis=-1))
 
 
-def a3_readings(rng: np.random.Generator, law: str) -> pd.DataFrame:
+def a3_readings(
+    rng: np.random.Generator, law: str, names: tuple[str, ...] = TWO_BARS
+) -> pd.DataFrame:
     p = a3_errors(rng)
     parts, cups, errors = [], {}, []
-    for setup, (_, heights, _) in BARS.items():
+    for setup in names:
+        heights = BARS[setup][1]
         command = np.vstack([a3_circle(setup, z) for z in heights])
         run = [f"{setup} {1 + k // POINTS}" for k in range(len(command))]
         cup = 20 * UM * rng.standard_normal(3)
@@ -190,6 +196,10 @@ MACHINES = {
     "hexapod": VirtualMachine(hexapod_measurement, hexapod_readings),
     "delta": VirtualMachine(delta_measurement, delta_readings),
     "prs": VirtualMachine(prs_measurement, prs_readings),
+    "a3 in three set-ups": VirtualMachine(
+        functools.partial(a3_measurement, THREE_BARS),
+        functools.partial(a3_readings, names=THREE_BARS),
+    ),
 }
 
 

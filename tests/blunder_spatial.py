@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -173,11 +174,27 @@ def prs_poses(q: Array, p: Array, shift: Array, turn: Array, error: Array) -> Ar
     return np.asarray(y)
 
 
+def dead_length(amount: float, run: str = "") -> Callable[[pd.DataFrame], pd.DataFrame]:
+    """Rows whose ranges are longer by an amount, mm, in the file or in one run."""
+
+    def make(rows: pd.DataFrame) -> pd.DataFrame:
+        *others, error = rows.attrs["machine"]
+        at = (rows["run"] == run).to_numpy() | (not run)
+        longer = error.copy()
+        longer[at, :, 0] += amount * MM
+        return _with_prs_readings(rows, prs_poses(*others, longer))
+
+    return make
+
+
 def redriven_prs(rows: pd.DataFrame) -> pd.DataFrame:
     """Rows of a head whose sliders have the heights of those before them."""
-    changed = rows.copy()
     q, *others = rows.attrs["machine"]
-    y = prs_poses(np.roll(q, 1, axis=1), *others)
+    return _with_prs_readings(rows, prs_poses(np.roll(q, 1, axis=1), *others))
+
+
+def _with_prs_readings(rows: pd.DataFrame, y: Array) -> pd.DataFrame:
+    changed = rows.copy()
     for k, name in enumerate(("x_mm", "y_mm", "z_mm", "alpha_deg", "beta_deg")):
         unit = MM if k < 3 else DEG
         changed[f"read_{name}"] = np.round(y[:, k] / unit, 5)

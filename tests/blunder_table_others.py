@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 from blunder_machines import redriven_prs
+from blunder_spatial import dead_length
 from blunders import (
     READ_ANGLES,
     READ_PRS,
     TRACKED,
     Blunder,
+    after_one,
+    backward,
+    clock_of_each_run,
+    clocked,
     edit,
     exchanged_columns,
     exchanged_runs,
     last_references,
+    one_instrument,
     plus,
     rows_by_x,
     times,
     turned_bar,
     turned_legs,
+    wrapped,
 )
 
 OF_OTHER_MACHINES = [
@@ -178,5 +185,121 @@ OF_OTHER_MACHINES = [
         "prs",
         turned_bar,
         "bar.turn_z is ... mrad from its nominal value",
+    ),
+    Blunder(
+        "one gauge in two lines' channels, halved",
+        "planar",
+        one_instrument(times(0.5), ("ruler", "dz_mm"), ("square", "dy_mm")),
+        "of one instrument (dz_mm of ruler; dy_mm of square) are half of what",
+    ),
+    Blunder(
+        "one gauge in two lines' channels, reversed",
+        "planar",
+        one_instrument(times(-1.0), ("ruler", "dz_mm"), ("square", "dy_mm")),
+        "of one instrument (dz_mm of ruler; dy_mm of square) is reversed",
+    ),
+    Blunder(
+        "one gauge in two lines' channels, 25 % large",
+        "planar",
+        one_instrument(times(1.25), ("ruler", "dz_mm"), ("square", "dy_mm")),
+        "of one instrument (dz_mm of ruler; dy_mm of square) are ... too large",
+    ),
+    Blunder(
+        "one display of two in inches",
+        "a3 in three set-ups",
+        one_instrument(
+            times(1 / 25.4), ("cup", "length_mm"), ("mid_tool", "length_mm")
+        ),
+        "of one instrument (length_mm of cup; length_mm of mid_tool) are in inch",
+    ),
+    Blunder(
+        "one bar of two 0.5 mm long",
+        "a3 in three set-ups",
+        one_instrument(plus(0.5), ("cup", "length_mm"), ("mid_tool", "length_mm")),
+        "of one instrument (length_mm of cup; length_mm of mid_tool) are",
+    ),
+    Blunder(
+        "dead length of 0.5 mm",
+        "prs",
+        dead_length(-0.5),
+        "every range is ... too short: the length of the bar at its zero",
+    ),
+    Blunder(
+        "zeroed again in one run",
+        "prs",
+        dead_length(0.2, run="height 2"),
+        "every range in run height 2 is ... too long: the instrument was zeroed",
+    ),
+    Blunder(
+        "a clock of 12 hours",
+        "hexapod",
+        clocked(after_one, start=46200.0, step=50.0),
+        "A clock of 12 hours: add 12 h from row 14 on",
+    ),
+    Blunder(
+        "past midnight",
+        "delta",
+        clocked(wrapped(86400.0), start=86000.0, step=25.0),
+        "Midnight passed: add 24 h from row 18 on",
+    ),
+    Blunder(
+        "minutes and seconds of a clock",
+        "delta",
+        clocked(wrapped(3600.0), start=3400.0),
+        "The clock shows minutes and seconds alone: add 1 h from row 12 on",
+    ),
+    Blunder(
+        "min from row 5 on",
+        "hexapod",
+        clocked(times(1 / 60.0), rows=(5, 33)),
+        "From row 5 on they are in min, not in s",
+    ),
+    Blunder(
+        "one time in ms",
+        "planar",
+        clocked(times(1e3), rows=(8, 8)),
+        "The time of row 8 is wrong",
+    ),
+    Blunder(
+        "ms in one run",
+        "hexapod",
+        clocked(times(1e3), start=0.0, run="set 2"),
+        "time_s of run set 2 of tracker (row 10 on) looks as if it were in ms",
+    ),
+    Blunder(
+        "times in reversed order",
+        "hexapod",
+        clocked(backward, run="set 2"),
+        "time_s runs backward in run set 2 of tracker",
+    ),
+    Blunder(
+        "half a day too much from row 21 on",
+        "delta",
+        clocked(plus(43200.0), rows=(21, 29)),
+        "time_s jumps in run level 2 of probe",
+    ),
+    Blunder(
+        "one time for a run",
+        "delta",
+        clocked(lambda t: 0.0 * t + t[0], run="level 2"),
+        "in all 14 rows of run level 2 of probe",
+    ),
+    Blunder(
+        "a clock for each run",
+        "hexapod",
+        clock_of_each_run,
+        "time_s begins anew in each run",
+    ),
+    Blunder(
+        "two set-ups at the same times",
+        "a3 in three set-ups",
+        clocked(lambda t: t - t[0] + 32467.0, rows=(50, 73)),
+        "with the machine at two poses at once",
+    ),
+    Blunder(
+        "the afternoon on a dial of 12 hours",
+        "delta",
+        clocked(plus(-43200.0), start=40000.0, step=300.0, rows=(30, 55)),
+        "add 12 h (a clock of 12 hours) from there on",
     ),
 ]

@@ -157,6 +157,50 @@ def each_run(change: Edit) -> Change:
     return make
 
 
+def one_instrument(change: Edit, *uses: tuple[str, str]) -> Change:
+    """Columns of set-ups, each `(set-up, column)`, changed alike."""
+
+    def make(table: Rows) -> Rows:
+        changed = table
+        for setup, column in uses:
+            changed = edit(column, change, setup=setup)(changed)
+        return changed
+
+    return make
+
+
+def clocked(
+    change: Edit,
+    start: float = 32400.0,
+    step: float = 20.0,
+    *,
+    run: str = "",
+    rows: tuple[int, int] | None = None,
+) -> Change:
+    """Times, s, of one reading a step from a start on, changed in a run or in rows."""
+
+    def make(table: Rows) -> Rows:
+        times = start + step * np.arange(len(table))
+        return edit("time_s", change, run=run, rows=rows)(table.assign(time_s=times))
+
+    return make
+
+
+def wrapped(turn: float) -> Edit:
+    """Times of a display that begins again after a turn, s."""
+    return lambda times: times % turn
+
+
+def after_one(times: Array) -> Array:
+    """Times of a dial of 12 hours, on which 1 follows 12."""
+    return np.where(times >= 46800.0, times - 43200.0, times)
+
+
+def clock_of_each_run(table: Rows) -> Rows:
+    """Times from the first reading of each run on."""
+    return table.assign(time_s=20.0 * table.groupby("run", sort=False).cumcount())
+
+
 def last_references(table: Rows) -> Rows:
     """Readings of each line against its last pose in place of its first."""
     changed = table.copy()

@@ -10,8 +10,8 @@ mistakes   the usual mistakes, undone
 explain    which mistake explains readings that do not fit
 change     a change between two parts of a session
 copies     readings that no instrument took
-clock      times that contradict the runs
 senses     order and direction of runs that contradict each other
+times      times that contradict the order of readings, or each other
 goodness   residuals against the stated noise
 blind      mistakes that readings cannot reveal
 check      all of them on one session

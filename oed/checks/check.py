@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
-from oed.checks import clock, copies, sentences
+from oed.checks import copies, sentences
 from oed.checks.explain import Explanation, explain
 from oed.checks.findings import CheckFinding, Severity
 from oed.checks.fit import fit
@@ -18,6 +18,7 @@ from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges, predict_ranges
 from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
+from oed.checks.times import wrong_times
 
 #: values from which on mistakes are tried: fewer fit too many of them
 LEAST_VALUES = 8
@@ -101,7 +102,7 @@ def check_session(
         *sentences.explained(explanations),
         *_copies(session, ranges),
         *_senses(session),
-        *_clock(session),
+        *wrong_times(session),
         *_fit_findings(session, outliers, fitted, explanations, noise_is_a_guess),
     ]
     if single and outliers is not None:
@@ -175,20 +176,6 @@ def _copies(session: SessionReadings, ranges: Ranges) -> list[CheckFinding]:
 def _senses(session: SessionReadings) -> list[CheckFinding]:
     pairs = contradictions(session)
     return [sentences.contradicting(pairs)] if pairs else []
-
-
-def _clock(session: SessionReadings) -> list[CheckFinding]:
-    findings = []
-    backward = clock.backward_runs(session)
-    standing = clock.standing_runs(session)
-    overlapping = clock.overlapping_runs(session)
-    if backward:
-        findings.append(sentences.backward(backward))
-    if standing:
-        findings.append(sentences.standing(standing))
-    if overlapping and not backward:
-        findings.append(sentences.overlapping(overlapping))
-    return findings
 
 
 def _outside(

@@ -12,6 +12,7 @@ class Severity(enum.IntEnum):
     MISTAKE  a mistake explains the readings: nothing fitted to them is worth anything
     BAD_FIT  the readings do not fit, and nothing explains why
     COPIES   readings that no instrument took
+    ORDER    times that contradict the order of the readings, or each other
     OUTLIER  single rows that are set aside
     REMARK   what a user should know
     """
@@ -19,8 +20,9 @@ class Severity(enum.IntEnum):
     MISTAKE = 0
     BAD_FIT = 1
     COPIES = 2
-    OUTLIER = 3
-    REMARK = 4
+    ORDER = 3
+    OUTLIER = 4
+    REMARK = 5
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,7 +8,6 @@ import numpy as np
 
 from oed.base import text
 from oed.base.arrays import Index
-from oed.checks.clock import Overlap, TimedRun
 from oed.checks.copies import CoarseReadings, EqualReadings
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading
@@ -198,46 +197,6 @@ def contradicting(pairs: Sequence[Contradiction]) -> CheckFinding:
         " Play and friction are estimated by the order, which must be that of travel."
     )
     return CheckFinding(Severity.REMARK, "direction", sentence, first.rows)
-
-
-def backward(runs: Sequence[tuple[TimedRun, int]]) -> CheckFinding:
-    """A run whose times fall along its order."""
-    run, row = runs[0]
-    more = f" ({len(runs)} runs do)" if len(runs) > 1 else ""
-    sentence = (
-        f"The times of run {run.name} fall at row {row}{more}: time_s counts from the"
-        " start of the session. Correct it where a clock of 12 or 24 hours began anew"
-        " (add 43200 or 86400 s), or `order` where the rows were sorted. Drift and"
-        " temperatures are judged by it."
-    )
-    return CheckFinding(Severity.REMARK, "clock", sentence, (row,))
-
-
-def standing(runs: Sequence[TimedRun]) -> CheckFinding:
-    """A run of several poses with one time."""
-    run = runs[0]
-    more = f" (and {len(runs) - 1} more runs)" if len(runs) > 1 else ""
-    sentence = (
-        f"All readings of run {run.name} have the time {run.time[0]:g} s{more}: a clock"
-        " that stood still, or the time of the file. Leave time_s empty where it was not"
-        " written down. Drift within the run cannot be judged by it."
-    )
-    return CheckFinding(Severity.REMARK, "clock", sentence, (int(run.rows[0]),))
-
-
-def overlapping(pairs: Sequence[Overlap]) -> CheckFinding:
-    """Two runs that were read at the same time."""
-    first = pairs[0]
-    one, other = first.runs
-    more = f" (and {len(pairs) - 1} more pairs of runs)" if len(pairs) > 1 else ""
-    sentence = (
-        f"The runs {one.name} and {other.name} overlap in time, from {first.begin:g} to"
-        f" {first.end:g} s{more}: a machine reads one run at a time. Correct time_s: a"
-        " clock of 12 hours repeats its times (add 43200 s after noon), and one that was"
-        " started anew counts from there. Drift and temperatures are judged by it."
-    )
-    rows = (int(one.rows[0]), int(other.rows[0]))
-    return CheckFinding(Severity.REMARK, "clock", sentence, rows)
 
 
 def outliers(

@@ -282,12 +282,15 @@ class Measurement(ParameterVector):
         setup, model = self.setups[series.setup], self._models[series.setup]
         return reading_noise.reading_covariances(setup, model, series)
 
+    def source_slopes(self, series: Series) -> Array:
+        """Slopes (n, channels, sources), SI, over the errors inside the instrument."""
+        setup, model = self.setups[series.setup], self._models[series.setup]
+        return reading_noise.source_slopes(setup, model, series)
+
     def setup_of_readings(self, series: Sequence[Series]) -> list[str]:
         """Set-up of each reading (N,), in the order of `readings`."""
-        setups: list[str] = []
-        for s in series:
-            setups += [s.setup] * (len(s) * len(self.setups[s.setup].sigma))
-        return setups
+        sizes = [len(s) * len(self.setups[s.setup].sigma) for s in series]
+        return [s.setup for s, n in zip(series, sizes, strict=True) for _ in range(n)]
 
     def reading_length_factors(self, series: Sequence[Series]) -> Array:
         """Factor (N,) that turns each reading into a length, m.

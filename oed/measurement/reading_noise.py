@@ -98,12 +98,20 @@ def reading_covariances(setup: Setup, model: ObservationModel, series: Series) -
     instrument = setup.instrument
     if instrument.sources is None:
         return np.tile(np.diag(np.square(setup.sigma)), (len(series), 1, 1))
-    poses = [series.start[k] for k in series.pose_indices()]
-    nuisances = np.array([n.nominal for n in setup.nuisances])
     default = np.array([c.sigma for c in instrument.channels])
     factor = np.array(setup.sigma) / default
-    root = model.sources(poses, nuisances) * factor[:, None]
+    root = source_slopes(setup, model, series) * factor[:, None]
     return np.asarray(root @ np.swapaxes(root, 1, 2))
+
+
+def source_slopes(setup: Setup, model: ObservationModel, series: Series) -> Array:
+    """Slopes (n, channels, sources), SI, over the errors inside an instrument.
+
+    Each error is in its standard deviation. Only for instruments that state them.
+    """
+    poses = [series.start[k] for k in series.pose_indices()]
+    nuisances = np.array([n.nominal for n in setup.nuisances])
+    return model.sources(poses, nuisances)
 
 
 def level_errors(setup: Setup, count: int) -> Array:

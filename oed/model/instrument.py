@@ -77,6 +77,24 @@ class Frame:
     null_space: Expr | None = None
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class InnerReading:
+    """A number that an instrument reads inside, and turns into its channels.
+
+    name     such as `range`
+    unit     SI unit
+    noise    the setting with the standard deviation of one such reading, SI
+    sources  which of the instrument's sources are errors of it, from 0
+    zero     what its zero depends on, in words
+    """
+
+    name: str
+    unit: str
+    noise: str
+    sources: tuple[int, ...]
+    zero: str
+
+
 #: channels of a reading from frames, nuisances and settings
 Observe = Callable[[Sequence[Frame], Values, Values], Sequence[Expr]]
 #: slopes of the channels over independent errors inside the instrument
@@ -102,6 +120,8 @@ class Instrument:
                            the instrument, each in its standard deviation. None: the
                            channels' noise is independent. A set-up's sigma scales row
                            c by sigma over the default of channel c
+    inner                  numbers read inside the instrument, of which `sources` has the
+                           errors: a zero that is wrong displaces all of them alike
     fixed_reading(k)       value (SI) of the first channel that the poses are chosen to
                            keep, such as a ball bar's length; None where there is none
     renewed                names of the unknowns that each run seats anew, such as the
@@ -131,6 +151,7 @@ class Instrument:
     implied: float | None = None
     adapt: Callable[[Machine], Instrument] | None = None
     orientation: Orientation | None = None
+    inner: tuple[InnerReading, ...] = ()
 
     def for_machine(self, machine: Machine) -> Instrument:
         """The instrument with the channels and settings that it has on a machine."""

@@ -38,7 +38,14 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.base.orientation import direction
-from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model.instrument import (
+    Channel,
+    Cost,
+    Frame,
+    InnerReading,
+    Instrument,
+    Setting,
+)
 from oed.model.machine import Expr, Values
 from pkm_models import registration
 
@@ -69,6 +76,21 @@ SETTINGS = (
     Setting("angle_noise", "rad", 1.15 * ARCSEC, "standard deviation of theta and phi"),
 )
 BASELINE = Setting("baseline", "m", 0.100, "travel of the standard bar between A and B")
+
+#: what R, theta and phi need, and why a zero may be wrong
+INNER = (
+    ("range", "m", "range_noise", "the length of the bar at its zero, or a dead path,"),
+    ("elevation", "rad", "angle_noise", "the zero of the encoder"),
+    ("azimuth", "rad", "angle_noise", "the zero of the encoder"),
+)
+
+
+def _inner(balls: int) -> tuple[InnerReading, ...]:
+    """R, theta and phi of some balls, as `sources` has their errors."""
+    return tuple(
+        InnerReading(name, unit, noise, tuple(range(k, 3 * balls, 3)), zero)
+        for k, (name, unit, noise, zero) in enumerate(INNER)
+    )
 
 
 def _gimbal(k: Values) -> Expr:
@@ -135,6 +157,7 @@ instrument = Instrument(
     cost=Cost(setup=3600.0, reading=60.0),
     observe=_observe,
     sources=_sources,
+    inner=_inner(2),
     orientation=ORIENTATION,
 )
 
@@ -148,4 +171,5 @@ position = Instrument(
     cost=Cost(setup=3600.0, reading=20.0),
     observe=_observe_position,
     sources=_sources_position,
+    inner=_inner(1),
 )

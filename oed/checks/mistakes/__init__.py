@@ -21,6 +21,8 @@ pose           commanded poses with wrong signs, columns or offsets
 program        another program of a fixed length: a circle at another height
 joints         legs numbered otherwise
 reference      readings told against another pose of their run
+zero           wrong zeros inside an instrument, such as a dead length
+instruments    readings that one instrument took in several set-ups
 amounts        offsets, factors, other tools, set-ups that moved, wrong sizes
 change         two parts of a session that fit alone
 contradiction  a run that contradicts all others for a reason unknown
@@ -48,6 +50,7 @@ from oed.checks.mistakes import (
     sign,
     sorting,
     unit,
+    zero,
 )
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
@@ -69,6 +72,7 @@ _MISTAKES = (
     program,
     joints,
     reference,
+    zero,
     amounts,
     change,
     contradiction,
@@ -79,7 +83,7 @@ PHYSICAL = ("offset", "run", "factor", "tool", "size", "change", "contradiction"
 
 
 #: mistakes that may concern the first or last rows of a set-up or run
-_OF_ROWS = (unit, deviation, sign, scale, order, amounts)
+_OF_ROWS = (unit, deviation, sign, scale, order, zero, amounts)
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:

@@ -35,8 +35,15 @@ WIDER = 50.0
 def trials(given: Given) -> Iterator[MistakeTrial]:
     """Offsets, scales, tools, set-ups that moved, and sizes far from nominal."""
     for scope, channel, values in given.channel_scopes():
-        yield _offset(given, scope, channel, values)
-        yield _scale(given, scope, channel, values)
+        column = given.session.column(channel).name
+        subject = f"all readings of {column}{scope.within} are"
+        yield _offset(given, scope, subject, channel, values)
+        yield _scale(given, scope, subject, channel, values)
+    for scope, values in given.instruments:
+        channel = str(given.channel[values][0])
+        subject = f"all readings{scope.of} are"
+        yield _offset(given, scope, subject, channel, values)
+        yield _scale(given, scope, subject, channel, values)
     yield from _tools(given)
     yield from _moved_setups(given)
     yield from _sizes(given)
@@ -45,21 +52,19 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
 # -- readings --------------------------------------------------------------------------
 
 
-def _offset(given: Given, scope: Scope, channel: str, values: Mask) -> MistakeTrial:
+def _offset(
+    given: Given, scope: Scope, subject: str, channel: str, values: Mask
+) -> MistakeTrial:
     session = given.session
-    column = session.column(channel).name
     cause = "the bar length or the zero of the instrument is wrong"
     if scope.level in ("run", "rows"):
         cause = "the set-up moved or was zeroed again"
     alone = len(set(given.channel)) == 1
-    kind = "offset" if scope.level in ("file", "set-up") else "run"
+    kind = "run" if scope.level in ("run", "rows") else "offset"
 
     def words(amounts: Array, sd: Array) -> str:
         size, error = (session.fine(channel, float(v[0])) for v in (amounts, sd))
-        return (
-            f"all readings of {column}{scope.within} are off by {size} (sd {error}):"
-            f" {cause}"
-        )
+        return f"{subject} off by {size} (sd {error}): {cause}"
 
     return MistakeTrial(
         kind=kind,
@@ -75,10 +80,10 @@ def _offset(given: Given, scope: Scope, channel: str, values: Mask) -> MistakeTr
     )
 
 
-def _scale(given: Given, scope: Scope, channel: str, values: Mask) -> MistakeTrial:
+def _scale(
+    given: Given, scope: Scope, subject: str, channel: str, values: Mask
+) -> MistakeTrial:
     session = given.session
-    column = session.column(channel).name
-
     count = int(values.sum())
 
     def undo(amounts: Array) -> list[SessionReadings]:
@@ -88,7 +93,7 @@ def _scale(given: Given, scope: Scope, channel: str, values: Mask) -> MistakeTri
     def words(amounts: Array, sd: Array) -> str:
         size, error = (100.0 * float(v[0]) for v in (amounts, sd))
         return (
-            f"all readings of {column}{scope.within} are {rounded(abs(size), error)} %"
+            f"{subject} {rounded(abs(size), error)} %"
             f" (sd {error:.2g} %) too {'large' if size > 0.0 else 'small'}: the scale or"
             " conversion factor of the instrument is wrong"
         )
@@ -100,7 +105,7 @@ def _scale(given: Given, scope: Scope, channel: str, values: Mask) -> MistakeTri
         undo=undo,
         amounts=np.zeros(1),
         steps=np.array([1e-6]),
-        log_prior=0.0 if scope.level in ("file", "set-up") else SELDOM,
+        log_prior=SELDOM if scope.level in ("run", "rows") else 0.0,
         scaling=lambda amounts: -count * _log_size(1.0 + amounts[0]),
         linear_scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
         family=f"factor {channel} {scope.name}",

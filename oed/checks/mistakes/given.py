@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed.base.arrays import Array, Mask
+from oed.checks.mistakes.instruments import shared_instruments
 from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
 from oed.checks.session import SessionReadings
 
@@ -113,6 +114,11 @@ class Given:
     def runs(self) -> list[Scope]:
         """Each run."""
         return run_scopes(self.session)
+
+    @functools.cached_property
+    def instruments(self) -> list[tuple[Scope, Mask]]:
+        """Values (N,) that one instrument may have read in several set-ups."""
+        return shared_instruments(self.session)
 
     def shown_scopes(self) -> Iterator[tuple[Scope, Mask]]:
         """Every scope with the values (N,) in it that an instrument showed."""

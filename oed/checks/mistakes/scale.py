@@ -31,6 +31,8 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
             column = given.session.column(channel).name
             subject = f"readings of {column}{scope.within}"
             yield from _scaled(given, scope, subject, values)
+    for scope, values in given.instruments:
+        yield from _scaled(given, scope, f"readings{scope.of}", values)
 
 
 def _scaled(

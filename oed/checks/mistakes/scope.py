@@ -20,7 +20,7 @@ MOST_PARTS = 200
 class Scope:
     """Readings of a session.
 
-    level     `file`, `set-up`, `run` or `rows`
+    level     `file`, `instrument` (of several set-ups), `set-up`, `run` or `rows`
     name      `run cup 1`; empty for the file
     readings  their numbers, ascending
     """

@@ -26,6 +26,8 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
             y = np.where(values, -given.session.y, given.session.y)
             sentence = f"the sign of all readings{scope.of} is reversed"
             yield value_trial(given.session, "sign", scope, sentence, y)
+    for scope, values in given.instruments:
+        yield from _reversed(given, scope, f"the readings{scope.of}", values)
 
 
 def _reversed(

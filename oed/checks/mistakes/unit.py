@@ -35,6 +35,12 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
                 subject = f"{_names(given, [channel])}{scope.within} is"
                 of_channel = of_kind & (given.channel == channel)
                 yield from _in_units(given, scope, subject, of_channel)
+    yield from _of_instruments(given)
+
+
+def _of_instruments(given: Given) -> Iterator[MistakeTrial]:
+    for scope, values in given.instruments:
+        yield from _in_units(given, scope, f"the readings{scope.of} are", values)
 
 
 def _names(given: Given, channels: list[str]) -> str:
