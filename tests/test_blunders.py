@@ -38,6 +38,11 @@ QUICK = {
     "heights of one level sorted",
     "tilts exchanged",
     "sign of x",
+    "one gauge in two lines' channels, halved",
+    "dead length of 0.5 mm",
+    "a clock of 12 hours",
+    "ms in one run",
+    "two set-ups at the same times",
 }
 CASES = [
     pytest.param(b, marks=() if b.name in QUICK else pytest.mark.slow, id=b.name)
