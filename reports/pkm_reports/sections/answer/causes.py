@@ -72,9 +72,11 @@ def _table(
     columns = [
         TableColumn("Rank", number=True),
         TableColumn("Cause"),
-        *number_columns("In the readings, rms", "After calibration, rms"),
-        wide_column("Size of its own"),
         *number_columns("Probability"),
+        # of one channel a number, of six a list
+        wide_column("In the readings, rms"),
+        wide_column("After calibration, rms"),
+        wide_column("Size of its own"),
     ]
     sizes = {size.effect: size for size in gap.sizes}
     rows = []
@@ -88,10 +90,10 @@ def _table(
             [
                 str(k),
                 "an effect of unknown form" if name == "unknown" else spoken(name),
+                _probability(chance),
                 rms or text.MISSING,
                 remaining or text.MISSING,
                 own_size(name, corrected) or text.MISSING,
-                _probability(chance),
             ]
         )
     caption = (
