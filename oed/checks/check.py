@@ -83,8 +83,8 @@ def check_session(
 
     `rng` draws machines where ranges are not linear. Where the noise law is estimated, as
     in a fit, what it holds is no misfit; where the stated noise is a guess, residuals up
-    to `oed.result.trust.GUESS` times as large are no bad fit. Raises AssemblyError where the nominal machine
-    cannot be read.
+    to `oed.result.trust.GUESS` times as large are no bad fit. Raises AssemblyError where
+    the nominal machine cannot be read.
     """
     ranges = predict_ranges(session, rng)
     outside = ranges.outside(session.y)

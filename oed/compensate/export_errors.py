@@ -52,15 +52,7 @@ def joint_errors(
     if further is not None and offsets is not None:
         missed = offsets - further.offsets(poses, parameters)
         twist -= further.twists(poses, missed)
-    relative = relative_to_reference(
-        twist[:-1],
-        twist[-1:],
-        error_model(kinematics, command),
-        error_model(kinematics, home),
-        reference,
-        machine.alignment_lever,
-    )
-    return kinematics.error_components(command, relative)
+    return _components_against(kinematics, command, twist, reference)
 
 
 def interpolation_errors(
@@ -125,12 +117,20 @@ def known_errors(
     poses = np.vstack([command, home])
     joints = compensated_joints(kinematics, poses, parameters)
     twist = pose_error(kinematics, poses, joints, parameters)
+    return _components_against(kinematics, command, twist, reference)
+
+
+def _components_against(
+    kinematics: Kinematics, command: Array, twist: Array, reference: Reference
+) -> Array:
+    """Errors (n, k) of the pose components, SI, of twists (n + 1, 6), home the last."""
+    home = kinematics.machine.home_command[None]
     relative = relative_to_reference(
         twist[:-1],
         twist[-1:],
         error_model(kinematics, command),
         error_model(kinematics, home),
         reference,
-        machine.alignment_lever,
+        kinematics.machine.alignment_lever,
     )
     return kinematics.error_components(command, relative)
