@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -76,21 +75,14 @@ def _run_tests(tree: Path, room: str, limit: float | None) -> str:
         env=_environment(tree),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        start_new_session=True,
     )
     try:
         return KILLED if process.wait(limit) else SURVIVED
     except subprocess.TimeoutExpired:
         return TIMED_OUT
     finally:
-        _end(process)
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the tests and the processes that they started."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+        process.kill()
+        process.wait()
 
 
 def _environment(tree: Path) -> dict[str, str]:
