@@ -15,28 +15,16 @@ files and the command in `pkm_studies`, reports in `pkm_reports`.
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 __version__ = "0.1.0"
 
-#: public names and where they live. They are imported when first used: the command
-#: starts quickly, and this package stays below the others.
-_HOMES = {
-    "load_study": "pkm_studies.notebook.notebook",
-    "build_study": "pkm_studies.notebook.notebook",
-    "choose_design": "pkm_studies.notebook.notebook",
-    "plan": "pkm_studies.notebook.notebook",
-    "read_readings": "pkm_studies.notebook.notebook",
-    "simulate": "pkm_studies.notebook.notebook",
-    "identify": "pkm_studies.notebook.notebook",
-    "sample": "pkm_studies.notebook.notebook",
-    "predict": "pkm_studies.notebook.notebook",
-    "diagnose": "pkm_studies.notebook.notebook",
-    "run": "pkm_studies.notebook.notebook",
-    "write_report": "pkm_studies.notebook.notebook",
-    "write_compensation": "pkm_studies.notebook.notebook",
-    "Study": "pkm_studies.study",
-    "InputError": "pkm_studies.base.errors",
+#: names of the mathematics and where they are, imported when first used: the command
+#: starts quickly
+_KERNEL = {
     "StudyResult": "oed.result",
     "Machine": "oed.model.machine",
     "Parameter": "oed.model.machine",
@@ -51,16 +39,50 @@ _HOMES = {
     "Column": "oed.model.effect",
     "Measurement": "oed.measurement.measurement",
 }
+#: names that need study files: the package which has them offers each as an entry point
+_STUDIES = (
+    "load_study",
+    "build_study",
+    "choose_design",
+    "plan",
+    "read_readings",
+    "simulate",
+    "identify",
+    "sample",
+    "predict",
+    "diagnose",
+    "run",
+    "write_report",
+    "write_compensation",
+    "Study",
+    "InputError",
+)
+ENTRY_POINTS = "oed.names"
 
-__all__ = ["__version__", *_HOMES]
+__all__ = ["__version__", *_STUDIES, *_KERNEL]
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name in _KERNEL:
+        value = getattr(importlib.import_module(_KERNEL[name]), name)
+    elif name in _STUDIES:
+        value = _entry_point(name).load()
+    else:
         raise AttributeError(f"module 'oed' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOMES[name]), name)
     globals()[name] = value
     return value
+
+
+def _entry_point(name: str) -> EntryPoint:
+    from importlib.metadata import entry_points
+
+    installed = entry_points(group=ENTRY_POINTS, name=name)
+    if not installed:
+        raise AttributeError(
+            f"oed.{name} needs study files, and no installed package offers them."
+            " Install pkm-oed again: pip install pkm-oed"
+        )
+    return next(iter(installed))
 
 
 def __dir__() -> list[str]:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -134,3 +135,63 @@ def test_readings_of_a_file_are_those_of_the_command(readings, tmp_path) -> None
         table.set_index(place).sort_index() for table in (readings.to_pandas(), again)
     )
     pd.testing.assert_frame_equal(read[written.columns], written, check_dtype=False)
+
+
+def test_the_studies_names_are_entry_points() -> None:
+    from importlib.metadata import entry_points
+
+    offered = {point.name for point in entry_points(group=oed.ENTRY_POINTS)}
+    assert offered == {*oed._STUDIES}
+
+
+def test_a_name_that_no_package_offers_says_what_to_install(monkeypatch) -> None:
+    monkeypatch.setattr(oed, "ENTRY_POINTS", "oed.nothing")
+    with pytest.raises(AttributeError, match="pip install pkm-oed"):
+        oed.__getattr__("load_study")
+
+
+def test_an_estimate_is_arrays(estimate) -> None:
+    reported = estimate.section.parameters  # of the machine; those of set-ups follow
+    count = len(reported)
+    assert estimate.names[:count] == tuple(reported)
+    scale = {"mm": 1e-3, "um": 1e-6, "mrad": 1e-3, "deg": np.pi / 180}
+    units = np.array([scale[row.unit] for row in reported.values()])
+    values = np.array([row.value for row in reported.values()])
+    sd = np.array([row.sd for row in reported.values()])
+    assert estimate.theta[:count] == pytest.approx(values * units, rel=1e-9)
+    assert estimate.sd[:count] == pytest.approx(sd * units, rel=1e-9)
+    assert np.diag(estimate.covariance) == pytest.approx(estimate.sd**2)
+
+
+def test_a_fit_begins_where_it_is_told_to(readings, estimate) -> None:
+    name = estimate.names[0]
+    tolerance = readings.state.measurement.tolerance[0]
+    begin = {name: estimate.theta[0] + tolerance}
+    again = oed.identify(readings, start=begin)
+    assert again.theta == pytest.approx(estimate.theta, abs=1e-6 * tolerance)
+    assert again.state.estimate.residuals_before != pytest.approx(
+        estimate.state.estimate.residuals_before
+    )
+    with pytest.raises(ValueError, match="'leg' is no parameter; they are"):
+        oed.identify(readings, start={"leg": 1.0})
+
+
+def test_options_of_a_fit_are_those_of_the_study(readings, estimate) -> None:
+    estimated = oed.identify(readings, estimate_noise=True)
+    assert estimate.state.estimate.noise_posterior is None
+    assert estimated.state.estimate.noise_posterior is not None
+    first = [estimate.names[0]]
+    staged = oed.identify(readings, stages=[first, ["*"]])
+    assert [list(s.patterns) for s in staged.state.estimate.stages] == [first, ["*"]]
+    assert staged.theta == pytest.approx(estimate.theta)
+
+
+def test_a_posterior_goes_to_arviz(estimate) -> None:
+    posterior = oed.sample(estimate)
+    tree = posterior.to_arviz()
+    draws = tree["posterior"]["theta"]
+    assert list(draws["parameter"].values) == list(posterior.names)
+    mean = draws.mean(["chain", "draw"]).values
+    assert posterior.theta == pytest.approx(mean)
+    assert np.abs(posterior.theta - estimate.theta).max() < estimate.sd.max()
+    assert posterior.sd == pytest.approx(draws.std(["chain", "draw"]).values, rel=0.01)

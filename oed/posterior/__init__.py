@@ -1,5 +1,5 @@
 """The posterior of the parameters: log density, sampling, checks of the sampler."""
 
-from oed.posterior.posterior import Posterior, sample
+from oed.posterior.posterior import Posterior, sample, to_arviz
 
-__all__ = ["Posterior", "sample"]
+__all__ = ["Posterior", "sample", "to_arviz"]

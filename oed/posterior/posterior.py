@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from oed.measurement.measurement import Measurement, Series
 from oed.posterior.checkpoint import Checkpoint
 from oed.posterior.ensembles import Ensembles, ensemble_sizes
 from oed.posterior.log_density import LogDensity, OutOfBoundsError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 #: steps after which chains are saved, and between checks of convergence at least
 CHECK_STEPS = 50
@@ -81,6 +84,22 @@ class Posterior:
     def pooled(self) -> Array:
         """The draws of all chains (chains * draws, n), SI."""
         return self.draws.reshape(-1, self.draws.shape[2])
+
+    @property
+    def theta(self) -> Array:
+        """Means of the draws (n,), SI."""
+        mean: Array = self.pooled.mean(axis=0)
+        return mean
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the draws (n, n), SI."""
+        return np.cov(self.pooled, rowvar=False)
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of the draws (n,), SI."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 def import_samplers() -> None:
@@ -288,11 +307,8 @@ def _diagnostics(
     return ess, rhat
 
 
-def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> Path:
-    """Write the draws, SI, as NetCDF for xarray and ArviZ, whole or not at all.
-
-    Returns the path: one with a number where the user changed the file.
-    """
+def to_arviz(posterior: Posterior) -> xr.DataTree:
+    """The draws, SI, as ArviZ and xarray read them: groups posterior and sample_stats."""
     import arviz_base
 
     groups = {
@@ -302,7 +318,7 @@ def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> Path:
             "rhat": posterior.rhat[None, None],
         },
     }
-    tree = arviz_base.from_dict(
+    tree: xr.DataTree = arviz_base.from_dict(
         groups,
         # a chain of a single ensemble is a walker, and may be short
         check_conventions=False,
@@ -317,5 +333,14 @@ def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> Path:
             "rhat": ["parameter"],
         },
     )
+    return tree
+
+
+def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> Path:
+    """Write the draws, SI, as NetCDF for xarray and ArviZ, whole or not at all.
+
+    Returns the path: one with a number where the user changed the file.
+    """
+    tree = to_arviz(posterior)
     tree.attrs.update(attributes)
     return save_own(path, lambda part: tree.to_netcdf(part, engine="h5netcdf"))

@@ -6,12 +6,15 @@ a result that shows itself as a table and keeps the kernel's objects.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement
 from oed.result import StudyResult
 from pkm_studies import pipeline
 from pkm_studies.base.progress import Silent
@@ -105,12 +108,49 @@ def simulate(source: Study | DesignView | PlanView) -> ReadingsView:
     return ReadingsView(state.replace(readings=virtual.readings))
 
 
-def identify(readings: ReadingsView) -> EstimateView:
+def identify(
+    readings: ReadingsView,
+    *,
+    estimate_noise: bool | None = None,
+    start: Mapping[str, float] | None = None,
+    stages: Sequence[Sequence[str]] | None = None,
+) -> EstimateView:
     """Fit the parameters by least squares with tolerance priors.
 
-    Raises IdentificationError where the fit fails.
+    estimate_noise  estimate the noise law from the readings, or take it as stated; as
+                    [noise] estimate says by default
+    start           parameters, SI, where the fit begins; the others begin at nominal
+    stages          patterns of the parameters freed in turn (`[["dq*"], ["*"]]`); as
+                    [identify] stages says by default
+
+    Raises IdentificationError where the fit fails, and ValueError for a start that
+    names no parameter.
     """
-    return EstimateView(fit_steps.fit_parameters(readings.state))
+    state = readings.state
+    if estimate_noise is not None:
+        noise = msgspec.structs.replace(state.study.noise, estimate=estimate_noise)
+        study = msgspec.structs.replace(state.study, noise=noise)
+        state = state.replace(study=study)
+    if stages is not None:
+        patterns = tuple(tuple(stage) for stage in stages)
+        resolved = dataclasses.replace(state.resolved, identification_stages=patterns)
+        state = state.replace(resolved=resolved)
+    theta = None if start is None else _start_of(state.measurement, start)
+    return EstimateView(fit_steps.fit_parameters(state, theta))
+
+
+def _start_of(measurement: Measurement, start: Mapping[str, float]) -> Array:
+    """Nominal parameters (n,), SI, with those of `start` in their place."""
+    unknown = [name for name in start if name not in measurement.names]
+    if unknown:
+        raise ValueError(
+            f"start: {unknown[0]!r} is no parameter; they are"
+            f" {', '.join(measurement.names)}."
+        )
+    theta = measurement.nominal.copy()
+    for name, value in start.items():
+        theta[measurement.names.index(name)] = value
+    return theta
 
 
 def sample(estimate: EstimateView) -> PosteriorView:

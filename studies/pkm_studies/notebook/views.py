@@ -14,6 +14,10 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
 
+    from oed.base.arrays import Array
+    from oed.estimation import Estimate
+    from oed.posterior import Posterior
+
 #: rows that a notebook shows of a table
 ROWS_SHOWN = 30
 
@@ -156,8 +160,42 @@ class ReadingsView(View):
         return pd.read_csv(io.StringIO(dataset.to_csv(data)))
 
 
-class EstimateView(View):
+class _ParametersView(View):
+    """Parameters as arrays, SI, in the order of `names`."""
+
+    @property
+    def _parameters_si(self) -> Estimate | Posterior:
+        raise NotImplementedError
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the n parameters."""
+        return tuple(self.state.measurement.names)
+
+    @property
+    def theta(self) -> Array:
+        """Most probable parameters, or the mean of the draws (n,), SI."""
+        return self._parameters_si.theta
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations (n,), SI."""
+        return self._parameters_si.sd
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (n, n), SI."""
+        return self._parameters_si.covariance
+
+
+class EstimateView(_ParametersView):
     """The identified parameters, each with its standard deviation."""
+
+    @property
+    def _parameters_si(self) -> Estimate:
+        estimate = self.state.estimate
+        assert estimate is not None
+        return estimate
 
     @property
     def section(self) -> result.EstimateSection:
@@ -192,8 +230,14 @@ class EstimateView(View):
         return figures.residuals(self.section, axes)
 
 
-class PosteriorView(View):
+class PosteriorView(_ParametersView):
     """Draws of the parameters, and their summary."""
+
+    @property
+    def _parameters_si(self) -> Posterior:
+        posterior = self.state.posterior
+        assert posterior is not None
+        return posterior
 
     @property
     def section(self) -> result.PosteriorSection:
@@ -216,11 +260,16 @@ class PosteriorView(View):
         """The draws themselves, SI: one variable `theta` over chain, draw, parameter."""
         import xarray as xr
 
-        posterior = self.state.posterior
-        assert posterior is not None
+        posterior = self._parameters_si
         dims = ("chain", "draw", "parameter")
         names = list(posterior.names)
         return xr.Dataset({"theta": (dims, posterior.draws)}, {"parameter": names})
+
+    def to_arviz(self) -> xr.DataTree:
+        """The draws as ArviZ reads them: groups `posterior` and `sample_stats`, SI."""
+        from oed.posterior import to_arviz
+
+        return to_arviz(self._parameters_si)
 
     @property
     def _parameters(self) -> dict[str, result.ParameterEstimate]:

@@ -30,14 +30,17 @@ from pkm_studies.stages.fit.posterior import (
 from pkm_studies.stages.run_state import RunState, Stream
 
 
-def fit_parameters(state: RunState) -> RunState:
-    """Identify the parameters by least squares with tolerance priors."""
+def fit_parameters(state: RunState, start: Array | None = None) -> RunState:
+    """Identify the parameters by least squares with tolerance priors.
+
+    `start` (n,), SI, is where the fit begins; nominal by default.
+    """
     assert state.readings is not None
     series, y = state.readings.series, state.readings.y
     if y is None:
         return state
     state.progress.stage("identification")
-    estimate = _identify(state, series, y)
+    estimate = _identify(state, series, y, start)
     _refuse_mode_jump(state, estimate.theta)
     section = estimate_section(
         state.measurement, series, estimate, state.readings.truth
@@ -69,7 +72,7 @@ def _without_resolved_warning(
 
 
 def _identify(
-    state: RunState, series: Sequence[Series], y: Array
+    state: RunState, series: Sequence[Series], y: Array, start: Array | None
 ) -> identification.Estimate:
     """The fit; where it fails, the error opens with what the check of readings found."""
     try:
@@ -79,6 +82,7 @@ def _identify(
             y,
             stages=state.resolved.identification_stages,
             estimate_noise=state.estimates_noise,
+            start=start,
             max_iterations=state.study.identify.max_iterations,
         )
     except identification.IdentificationError as error:
