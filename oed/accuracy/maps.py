@@ -49,6 +49,16 @@ def error_maps(
 
     `further` are twists (n + 1, 6, m) per unit of m coefficients, raw and remaining,
     the home pose last; the maps are then over them in place of the parameters.
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.accuracy import error_maps
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> maps = error_maps(measurement.kinematics, np.array([[0.0, 0.5], [1.0, 0.5]]))
+    >>> maps.names
+    ('y', 'z')
     """
     maps = maps_by_reference(kinematics, command, (reference,), tool, further)
     return maps[reference]

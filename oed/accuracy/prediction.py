@@ -130,6 +130,18 @@ def predict(
     worth    number of independent draws that these are worth; m by default
     variance (n, k) of the errors that delta causes, where it is known better than by
              the maps (`oed.accuracy.budget.linearisation`); draws are scaled to it
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.accuracy import error_maps, predict
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> maps = error_maps(measurement.kinematics, np.array([[-1.0, 0.5], [1.0, 0.5]]))
+    >>> prior = np.diag(measurement.tolerance[:7] ** 2)
+    >>> halved = predict(maps, prior, prior / 4.0, np.random.default_rng(1))
+    >>> round(halved.after["z"].rms / halved.before["z"].rms, 2)
+    0.5
     """
     measured = mean is not None
     centre = np.zeros(len(prior)) if mean is None else mean

@@ -49,6 +49,13 @@ class Choice:
     efficiency   phi(plan) / phi(bound): the share of the readings that the best plan
                  would need
     proven       whether no plan is better
+
+    >>> import numpy as np
+    >>> from oed.design import choose
+    >>> rows = np.eye(4)[[0, 0, 1, 1, 2, 3]]
+    >>> design = choose(rows, 4, np.random.default_rng(1), "E")
+    >>> design.criterion, design.directions, design.proven
+    ('E', 4, True)
     """
 
     indices: Index
@@ -98,6 +105,18 @@ def choose(
                the others comes at no cost
 
     Raises ValueError where no plan under the rules determines what the criterion needs.
+
+    The D-optimal three readings of a parabola on [-1, 1] lie at its ends and middle:
+
+    >>> import numpy as np
+    >>> from oed.design import choose
+    >>> x = np.linspace(-1.0, 1.0, 21)
+    >>> rows = np.column_stack([np.ones(21), x, x**2])
+    >>> design = choose(rows, 3, np.random.default_rng(1))
+    >>> x[design.indices]
+    array([-1.,  0.,  1.])
+    >>> round(design.efficiency, 3)
+    1.0
     """
     blocks = as_blocks(rows)
     columns = blocks.shape[2]

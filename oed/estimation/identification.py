@@ -63,6 +63,23 @@ def identify(
     max_iterations  of each solution
 
     Raises IdentificationError, and AssemblyError where the start cannot be assembled.
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.estimation import identify
+    >>> from oed.measurement import draw_parameters, draw_readings
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> rng = np.random.default_rng(1)
+    >>> truth = draw_parameters(measurement, rng)
+    >>> y = draw_readings(measurement, [series], truth, rng)
+    >>> estimate = identify(measurement, [series], y)
+    >>> deviations = (estimate.theta - truth) / estimate.sd
+    >>> bool(np.abs(deviations[measurement.free]).max() < 4.0)
+    True
     """
     fit = _Fit(measurement, series, y, max_iterations)
     fit.check_readings()

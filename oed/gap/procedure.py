@@ -46,6 +46,27 @@ def diagnose(
 
     `law` is the noise law where it is known but for its level; by default the readings
     determine it.
+
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from oed import Measurement, mount
+    >>> from oed.gap import diagnose, prepare
+    >>> from oed.measurement import draw_parameters, draw_readings
+    >>> from pkm_models.effects.encoder_scale import effect
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> rng = np.random.default_rng(1)
+    >>> truth = draw_parameters(measurement, rng)
+    >>> y = draw_readings(measurement, [series], truth, rng)
+    >>> covariates = pd.DataFrame(
+    ...     {"setup": "tracker", "run": "1", "order": np.arange(25), "direction": 1}
+    ... )
+    >>> problem = prepare(measurement, [series], y, covariates)
+    >>> diagnose(problem, [effect], rng).verdict
+    'none'
     """
     comparison = compare_expanded(
         problem, effects, lambda about: _searches(about, effects, law)

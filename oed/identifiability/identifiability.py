@@ -76,6 +76,15 @@ def analyse(
 
     H has the columns of free parameters only. Raises ValueError where the numbers of
     columns, names and scales differ.
+
+    Two legs whose sum alone is read:
+
+    >>> import numpy as np
+    >>> from oed.identifiability import analyse
+    >>> h = np.array([[1.0, 1.0], [2.0, 2.0], [3.0, 3.0]])
+    >>> verdict = analyse(h, ["l1", "l2"], scale=np.ones(2))
+    >>> verdict.rank
+    1
     """
     n = h.shape[1]
     if n != len(names) or n != len(scale):

@@ -37,6 +37,19 @@ class Measurement(ParameterVector):
     kinematics  of the machine; compiled here unless they are given
 
     Raises ValueError where an instrument cannot read the machine, or names repeat.
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> series = measurement.series("tracker", np.array([[0.0, 0.5], [1.0, 0.5]]))
+    >>> y = measurement.readings([series], measurement.nominal)
+    >>> y.reshape(2, 3).round(6)  # x, y and z of the tool point at both commands, m
+    array([[0. , 0. , 0.5],
+           [0. , 1. , 0.5]])
+    >>> measurement.jacobian([series], measurement.nominal).shape
+    (6, 13)
     """
 
     def __init__(

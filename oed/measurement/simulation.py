@@ -23,7 +23,21 @@ MOST_DRAWS = 1000
 def draw_parameters(
     measurement: Measurement, rng: np.random.Generator, machines: int | None = None
 ) -> Array:
-    """Draw true parameters theta (n,) or (machines, n), SI, about nominal."""
+    """Draw true parameters theta (n,) or (machines, n), SI, about nominal.
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.measurement import draw_parameters
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> theta = draw_parameters(measurement, np.random.default_rng(1), machines=200)
+    >>> theta.shape
+    (200, 13)
+    >>> scatter = theta.std(axis=0) / measurement.tolerance
+    >>> bool(np.abs(scatter - 1.0).max() < 0.2)
+    True
+    """
     n = len(measurement.parameters)
     shape = (n,) if machines is None else (machines, n)
     theta = measurement.nominal + draw_deviations(measurement, rng, shape)
@@ -70,6 +84,21 @@ def draw_readings(
     """Draw noisy readings y (N,) or (m, N), SI, of machines at `truth` (n,) or (m, n).
 
     Raises AssemblyError where a pose cannot be assembled.
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.measurement import draw_readings
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> truth = measurement.nominal
+    >>> y = draw_readings(measurement, [series], truth, np.random.default_rng(1))
+    >>> errors = y - measurement.readings([series], truth)
+    >>> scatter = float((errors / measurement.sigma([series])).std())
+    >>> 0.7 < scatter < 1.3  # of 75 errors
+    True
     """
     exact = measurement.readings(series, truth)
     return exact + draw_errors(measurement, series, rng, exact.shape)

@@ -167,6 +167,12 @@ class Column:
 
     Names that a machine or set-up does not have are ignored. A column that changes
     nothing is dropped.
+
+    >>> import numpy as np
+    >>> from oed import Column
+    >>> slope = Column("leg 1", scale=50e-6, joints={0: np.array([0.1, 0.2])})
+    >>> slope.scale * slope.joints[0]
+    array([5.e-06, 1.e-05])
     """
 
     name: str
@@ -203,6 +209,12 @@ class Effect:
                          m where none does
     textbook_share       prior probability of its textbook form, where it has columns
                          that adapt the shape
+
+    >>> from pkm_models.effects.backlash import effect
+    >>> effect.needs
+    ('direction: both',)
+    >>> effect.varies_with_time
+    False
     """
 
     name: str

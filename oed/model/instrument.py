@@ -23,6 +23,10 @@ class Channel:
     resolution  step of its display, SI; a set-up's sigma holds its variance, a twelfth
                 of the square; 0 for fine ones
     about   what it reads: frame and sense, for tables
+
+    >>> from oed import Channel
+    >>> Channel("length", "m", sigma=1e-6, resolution=1e-7).unit
+    'm'
     """
 
     name: str
@@ -40,6 +44,10 @@ class Setting:
     name, unit  SI unit
     default     SI; None where a set-up must state it
     about       what it is, for tables
+
+    >>> from oed import Setting
+    >>> Setting("length", "m", default=0.3, about="of the bar").default
+    0.3
     """
 
     name: str
@@ -133,6 +141,12 @@ class Instrument:
     adapt(machine)         the instrument for a machine, where its channels or settings
                            depend on it
     orientation            how its angles make the orientation that it reads
+
+    >>> from pkm_models.instruments.ball_bar import instrument
+    >>> [channel.name for channel in instrument.channels]
+    ['length']
+    >>> [unknown.name for unknown in instrument.nuisances]
+    ['cup_x', 'cup_y', 'cup_z']
     """
 
     name: str
@@ -291,6 +305,11 @@ def mount(
     settings    values of settings, by name
 
     Raises ValueError for unknown names and missing settings.
+
+    >>> from oed import mount
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> mount(position, "tracker", sigma=[5e-6, 5e-6, 5e-6]).sigma
+    (5e-06, 5e-06, 5e-06)
     """
     if sigma is None:
         sigma = [c.sigma for c in instrument.channels]

@@ -43,6 +43,11 @@ class Parameter:
     unit       SI unit: m, rad, s, N, K or 1
     about      what it is, for tables
     bounds     least and largest value that it can have, SI
+
+    >>> from oed import Parameter
+    >>> length = Parameter("l1", nominal=3.350, tolerance=0.5e-3, unit="m")
+    >>> length.tolerance
+    0.0005
     """
 
     name: str
@@ -73,6 +78,11 @@ class Coordinate:
     """A pose, joint or command coordinate with its range, in the SI `unit`.
 
     about  what it measures: frame and sense, for tables
+
+    >>> from oed import Coordinate
+    >>> z = Coordinate("z", "m", lower=0.0, upper=1.5, about="height above the table")
+    >>> z.upper
+    1.5
     """
 
     name: str
@@ -90,6 +100,10 @@ class Component:
     unit           SI unit
     compensatable  whether the controller can null it
     about          what it measures: frame and sense, for tables
+
+    >>> from oed import Component
+    >>> Component("theta", "rad", compensatable=False).compensatable
+    False
     """
 
     name: str
@@ -106,6 +120,11 @@ class PointGroup:
     origin  of the body's frame, in words
     points  for each centre the names of its x, y, z error parameters, and its nominal
             place (3,) in the body's frame, m
+
+    >>> from oed import PointGroup
+    >>> ball = (("dx", "dy", "dz"), (0.1, 0.0, 0.0))
+    >>> PointGroup("platform joints", "the tool point", (ball,)).points[0][1]
+    (0.1, 0.0, 0.0)
     """
 
     name: str
@@ -212,6 +231,30 @@ class Machine:
     drive                what moves the joints: `screw`, `belt`, `cable` or
                          `linear_motor`; "" where it is not stated. Effects that such a
                          drive cannot have are left out
+
+    A slider on a straight guide, whose scale has a home error:
+
+    >>> import casadi as ca
+    >>> from oed import Component, Coordinate, Machine, Parameter
+    >>> slider = Machine(
+    ...     name="slider",
+    ...     source="a drawing",
+    ...     pose=(Coordinate("x", "m"),),
+    ...     joints=(Coordinate("q", "m", 0.0, 1.0),),
+    ...     command=(Coordinate("x", "m", 0.0, 1.0),),
+    ...     parameters=(Parameter("home", 0.0, 1e-4, "m"),),
+    ...     components=(Component("x", "m", compensatable=True),),
+    ...     home={"x": 0.5},
+    ...     lever=1.0,
+    ...     closure=lambda x, q, p: [x["x"] - q["q"] - p["home"]],
+    ...     platform=lambda x: (ca.SX.eye(3), ca.vertcat(x["x"], 0.0, 0.0)),
+    ...     commanded=lambda x, tip: [tip[0]],
+    ...     target=lambda c: [c["x"]],
+    ...     guess=lambda c: ([c["x"]], [c["x"]]),
+    ...     read_error=lambda c, twist: [twist[0]],
+    ... )
+    >>> slider.nominal
+    array([0.])
     """
 
     name: str

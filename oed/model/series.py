@@ -22,6 +22,17 @@ class Series:
     command  (m, n_dof) commands; NaN where joints were recorded instead
     index    (n, arity) poses that each reading sees: its own, then its reference
     run      (n,) label of the run (circle, line) of each reading
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> series = measurement.series("tracker", np.array([[0.0, 0.5], [1.0, 0.5]]))
+    >>> len(series), series.q.shape
+    (2, (2, 2))
+    >>> series.take(np.array([1])).command
+    array([[1. , 0.5]])
     """
 
     setup: str

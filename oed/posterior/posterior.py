@@ -141,6 +141,27 @@ def sample(
 
     Raises KeyboardInterrupt where Ctrl-C arrives, OSError where the checkpoint cannot
     be written, OutOfBoundsError where readings and bounds contradict each other.
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.estimation import identify
+    >>> from oed.measurement import draw_parameters, draw_readings
+    >>> from oed.posterior import sample
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> rng = np.random.default_rng(1)
+    >>> truth = draw_parameters(measurement, rng)
+    >>> y = draw_readings(measurement, [series], truth, rng)
+    >>> estimate = identify(measurement, [series], y)
+    >>> posterior = sample(measurement, [series], y, estimate, rng, ess=400)
+    >>> bool(np.nanmin(posterior.ess) > 400)
+    True
+    >>> shift = np.abs(posterior.theta - estimate.theta)
+    >>> bool(np.all(shift < estimate.sd))
+    True
     """
     target = LogDensity(measurement, series, y, estimate)
     sizes = ensemble_sizes(walkers, target.dimensions)
@@ -308,7 +329,26 @@ def _diagnostics(
 
 
 def to_arviz(posterior: Posterior) -> xr.DataTree:
-    """The draws, SI, as ArviZ and xarray read them: groups posterior and sample_stats."""
+    """The draws, SI, as ArviZ and xarray read them: groups posterior and sample_stats.
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.estimation import identify
+    >>> from oed.measurement import draw_parameters, draw_readings
+    >>> from oed.posterior import sample, to_arviz
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> rng = np.random.default_rng(1)
+    >>> truth = draw_parameters(measurement, rng)
+    >>> y = draw_readings(measurement, [series], truth, rng)
+    >>> estimate = identify(measurement, [series], y)
+    >>> posterior = sample(measurement, [series], y, estimate, rng, ess=400)
+    >>> to_arviz(posterior)["posterior"]["theta"].dims
+    ('chain', 'draw', 'parameter')
+    """
     import arviz_base
 
     groups = {

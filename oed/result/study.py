@@ -91,7 +91,14 @@ class SetupInfo(Record, frozen=True):
 
 
 class StudyResult(Record, frozen=True, kw_only=True):
-    """The whole result of one study; sections of stages that did not run are null."""
+    """The whole result of one study; sections of stages that did not run are null.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> result = oed.run(study, "out/planar")
+    >>> sorted(result.estimate.parameters)[:3]
+    ['D', 'beta1', 'beta2']
+    """
 
     schema: int
     version: str

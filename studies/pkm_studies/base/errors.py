@@ -18,7 +18,15 @@ _MISSING: Final = object()
 
 
 class InputError(Exception):
-    """An input that cannot be used. `str()` is one paragraph without line breaks."""
+    """An input that cannot be used. `str()` is one paragraph without line breaks.
+
+    >>> import oed
+    >>> try:
+    ...     oed.build_study({"name": "gauge", "machine": {"modell": "planar_2dof"}})
+    ... except oed.InputError as error:
+    ...     print(error)
+    gauge.study.toml: machine.modell: unknown field; did you mean model? (...)...
+    """
 
     def __init__(
         self,

@@ -43,6 +43,11 @@ def load_study(study: str | Path, *, allow_code: bool = False) -> Study:
     """A study file, or a shipped study by its name. Raises InputError.
 
     `allow_code` lets Python files that it names run, now and while they are unchanged.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> study.name
+    'planar_step_calibration'
     """
     given = consent(allow_code=allow_code)
     return load(shipped.study_path(Path(study)), given)
@@ -55,6 +60,17 @@ def build_study(
 
     `allow_code` lets Python files that it names run, now and while they are unchanged.
     Raises InputError that names table, field, value and remedy.
+
+    >>> import oed
+    >>> study = oed.build_study(
+    ...     {
+    ...         "name": "gauge",
+    ...         "machine": {"model": "planar_2dof"},
+    ...         "setup": [{"name": "gauge", "instrument": "rm4"}],
+    ...     }
+    ... )
+    >>> study.setup[0].instrument
+    'rm4'
     """
     return loader.from_tables(tables, Path(folder), consent(allow_code=allow_code))
 
@@ -63,6 +79,13 @@ def choose_design(study: Study, *, seed: int | None = None) -> DesignView:
     """Choose the readings that [design] asks for, with their certificate.
 
     Raises InputError where the study has no candidates.
+
+    >>> import oed
+    >>> design = oed.choose_design(oed.load_study("a3_ball_bar"))
+    >>> design.section.n
+    30
+    >>> design.section.efficiency > 0.9
+    True
     """
     state = design_steps.select_design(start(study, seed, Silent(), []))
     if state.design is None:
@@ -78,12 +101,25 @@ def plan(study: Study, *, seed: int | None = None) -> PlanView:
     """Plan which measurement to do at which stage, by [plan].
 
     Raises InputError where the study lists no measurement, or none fits the time.
+
+    >>> import oed
+    >>> plan = oed.plan(oed.load_study("planar_plan"))
+    >>> plan.section.stages[0].measurement
+    'RM 4'
     """
     return PlanView(pipeline.planned_state(study, None, seed, Silent()))
 
 
 def read_readings(study: Study, *files: str | Path) -> ReadingsView:
-    """Readings of files (of the study's own, if none is given). Raises InputError."""
+    """Readings of files (of the study's own, if none is given). Raises InputError.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> readings = oed.simulate(study)
+    >>> readings.to_pandas().to_csv("mine.csv", index=False)
+    >>> oed.read_readings(study, "mine.csv").title
+    '45 readings, recorded'
+    """
     paths = [Path(file) for file in files] or None
     state = start(study, None, Silent(), paths)
     if state.resolved.dataset is None:
@@ -97,6 +133,12 @@ def simulate(source: Study | DesignView | PlanView) -> ReadingsView:
     """Readings of a virtual machine at the planned poses.
 
     Its parameters are those of [readings] truth, or drawn within their tolerances.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> readings = oed.simulate(study)
+    >>> readings.title
+    '45 readings, of a virtual machine'
     """
     if isinstance(source, Study):
         state = design_steps.select_design(start(source, None, Silent(), []))
@@ -125,6 +167,14 @@ def identify(
 
     Raises IdentificationError where the fit fails, and ValueError for a start that
     names no parameter.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> estimate = oed.identify(oed.simulate(study))
+    >>> estimate.names[:3]
+    ('D', 'z1', 'z2')
+    >>> estimate.theta.shape == estimate.sd.shape
+    True
     """
     state = readings.state
     if estimate_noise is not None:
@@ -154,7 +204,14 @@ def _start_of(measurement: Measurement, start: Mapping[str, float]) -> Array:
 
 
 def sample(estimate: EstimateView) -> PosteriorView:
-    """Sample the posterior about an estimate, as [posterior] says."""
+    """Sample the posterior about an estimate, as [posterior] says.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> posterior = oed.sample(oed.identify(oed.simulate(study)))
+    >>> posterior.title
+    'Posterior of ... draws'
+    """
     return PosteriorView(fit_steps.sample_posterior(estimate.state))
 
 
@@ -165,6 +222,12 @@ def predict(
 
     `virtual_machines` are read, identified and compensated to check the prediction.
     Raises InputError where the study has no such table.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> accuracy = oed.predict(oed.identify(oed.simulate(study)))
+    >>> list(accuracy.section.components)
+    ['y', 'z']
     """
     study = source.state.study
     if study.prediction is None:
@@ -179,7 +242,14 @@ def predict(
 
 
 def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
-    """Find which effects cause what calibration leaves of the readings."""
+    """Find which effects cause what calibration leaves of the readings.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> diagnosis = oed.diagnose(oed.simulate(study))
+    >>> diagnosis.section.verdict
+    'none'
+    """
     state = source.state
     if state.estimate is None:
         state = fit_steps.fit_parameters(state)
@@ -189,13 +259,27 @@ def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
 def run(
     study: Study, out: str | Path | None = None, *, seed: int | None = None
 ) -> StudyResult:
-    """Run all that the study asks for; files and reports in `out` (`out/NAME`)."""
+    """Run all that the study asks for; files and reports in `out` (`out/NAME`).
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> result = oed.run(study, "out/planar")
+    >>> result.study
+    'planar_step_calibration'
+    """
     folder = Path("out") / study.name if out is None else Path(out)
     return pipeline.run(study, folder, seed=seed)
 
 
 def write_report(view: View, out: str | Path) -> tuple[Path, ...]:
-    """HTML and PDF reports of all steps that led to a view, in the folder `out`."""
+    """HTML and PDF reports of all steps that led to a view, in the folder `out`.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> estimate = oed.identify(oed.simulate(study))
+    >>> [path.name for path in oed.write_report(estimate, "out/report")]
+    ['report.html', 'report.pdf']
+    """
     from pkm_reports import write_report
 
     return write_report(_result(view.state), Path(out))
@@ -213,6 +297,12 @@ def write_compensation(
 
     Formats are those of `oed list formats`; `commands` limits a table. Raises InputError, and BadFitError where
     the fit is bad, unless forced.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> estimate = oed.identify(oed.simulate(study))
+    >>> [path.name for path in oed.write_compensation(estimate, "json", "out/control")]
+    ['compensation.json']
     """
     from pkm_studies.compensation.export import export
     from pkm_studies.stages.corrected.table_grid import COMMANDS

@@ -22,7 +22,13 @@ SUFFIX = ".study.toml"
 
 
 class Study(StudyFile, frozen=True, kw_only=True):
-    """A study as loaded: its tables, its file, its text, and consent to its code."""
+    """A study as loaded: its tables, its file, its text, and consent to its code.
+
+    >>> import oed
+    >>> study = oed.load_study("planar_step_calibration")
+    >>> study.machine.model
+    'planar_2dof'
+    """
 
     path: Path
     text: str

@@ -1,0 +1,38 @@
+"""Examples in docstrings of the names a user meets first: each is run as it stands."""
+
+import doctest
+import importlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import oed
+
+#: what a room offers to users of arrays
+ROOMS = {
+    "oed.accuracy": ("error_maps", "predict"),
+    "oed.design": ("Choice", "choose"),
+    "oed.estimation": ("Estimate", "identify"),
+    "oed.gap": ("diagnose", "prepare"),
+    "oed.identifiability": ("analyse",),
+    "oed.measurement": ("Series", "draw_parameters", "draw_readings"),
+    "oed.posterior": ("sample", "to_arviz"),
+}
+FACE = [("oed", name) for name in oed.__all__ if name != "__version__"]
+NAMES = FACE + [(room, name) for room, names in ROOMS.items() for name in names]
+FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+
+
+@pytest.mark.parametrize(("room", "name"), NAMES, ids=lambda part: part)
+def test_the_example_runs(
+    room: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    value: Any = getattr(importlib.import_module(room), name)
+    text = value.__doc__
+    assert ">>>" in text, f"{room}.{name} has no example"
+    monkeypatch.chdir(tmp_path)
+    example = doctest.DocTestParser().get_doctest(text, {}, name, None, 0)
+    failures: list[str] = []
+    doctest.DocTestRunner(optionflags=FLAGS).run(example, out=failures.append)
+    assert not failures, "".join(failures)
