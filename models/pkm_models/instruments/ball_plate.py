@@ -25,7 +25,7 @@ import casadi as ca
 
 from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
 from oed.model.machine import Expr, Parameter, Values
-from pkm_models import registration
+from pkm_models.parts import registration
 
 SOURCE = "ISO 10360-2 (calibrated test lengths for coordinate measuring machines)"
 

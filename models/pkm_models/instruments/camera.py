@@ -3,7 +3,7 @@ reflector, any position reader.
 
 The instrument stands somewhere: its frame is registered with the machine's base frame
 by a shift and a small turn, unknown within their tolerances
-(`pkm_models.registration`), and it reads
+(`pkm_models.parts.registration`), and it reads
 
     y = R(turn) (tool point) + shift.
 
@@ -20,7 +20,7 @@ import casadi as ca
 
 from oed.model.instrument import Channel, Cost, Frame, Instrument
 from oed.model.machine import Expr, Values
-from pkm_models import registration
+from pkm_models.parts import registration
 
 SOURCE = (
     "three-coordinate position readings; 1 mm is what markers on a mover a few metres"

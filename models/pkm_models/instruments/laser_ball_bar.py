@@ -47,7 +47,7 @@ from oed.model.instrument import (
     Setting,
 )
 from oed.model.machine import Expr, Values
-from pkm_models import registration
+from pkm_models.parts import registration
 
 SOURCE = "Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, section 5"
 ARCSEC = math.pi / 648000.0

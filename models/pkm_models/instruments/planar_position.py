@@ -18,7 +18,7 @@ import casadi as ca
 
 from oed.model.instrument import Channel, Cost, Frame, Instrument
 from oed.model.machine import Expr, Machine, Parameter, Values
-from pkm_models import registration
+from pkm_models.parts import registration
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:

@@ -25,7 +25,7 @@ import casadi as ca
 from oed.base.orientation import rotation
 from oed.model.instrument import Channel, Cost, Frame, Instrument
 from oed.model.machine import Expr, Values
-from pkm_models import registration
+from pkm_models.parts import registration
 
 SOURCE = "laser tracker with six-component target; ISO 10360-10 for the instrument"
 ORIENTATION = rotation(("x", "read_alpha"), ("y", "read_beta"), ("z", "read_gamma"))

@@ -28,8 +28,8 @@ from oed.model.machine import (
     PointGroup,
     Values,
 )
-from pkm_models import coordinates
-from pkm_models.rotation import tilt_torsion
+from pkm_models.parts import coordinates
+from pkm_models.parts.rotation import tilt_torsion
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
 LIMBS = (1, 2, 3)

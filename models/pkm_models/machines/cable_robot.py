@@ -25,7 +25,7 @@ import math
 import casadi as ca
 
 from oed.model.machine import Expr, Machine, Parameter, Values
-from pkm_models.coordinates import joint, point, point_errors, points
+from pkm_models.parts.coordinates import joint, point, point_errors, points
 
 LINES = (1, 2, 3, 4)  # A, B, C, D
 GEAR, BUILDUP = 255.0 / 20.0, 0.06875e-3  # 1, m

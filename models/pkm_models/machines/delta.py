@@ -35,11 +35,11 @@ from oed.model.machine import (
     Start,
     Values,
 )
-from pkm_models import families
-from pkm_models.coordinates import joint, point, point_errors, points
-from pkm_models.families import Geometry, as_rows
 from pkm_models.machines import linear_delta
 from pkm_models.machines.linear_delta import DOWN
+from pkm_models.parts import families
+from pkm_models.parts.coordinates import joint, point, point_errors, points
+from pkm_models.parts.families import Geometry, as_rows
 
 TOWERS = (1, 2, 3)
 NAME = "delta"

@@ -26,8 +26,8 @@ import math
 import casadi as ca
 
 from oed.model.machine import Expr, Machine, Parameter, PointGroup, Values
-from pkm_models.coordinates import joint
-from pkm_models.six_dof import (
+from pkm_models.parts.coordinates import joint
+from pkm_models.parts.six_dof import (
     COMPONENTS,
     ORIENTATION,
     POSE,

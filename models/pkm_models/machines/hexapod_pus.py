@@ -19,9 +19,9 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models import families, legs, six_dof
-from pkm_models.carriages import GuidedStruts
-from pkm_models.families import Geometry, as_rows
+from pkm_models.parts import families, legs, six_dof
+from pkm_models.parts.carriages import GuidedStruts
+from pkm_models.parts.families import Geometry, as_rows
 
 NAME = "hexapod_pus"
 GUIDES = families.ring(0.350, (-15, 15, 105, 135, 225, 255), 0.0)

@@ -16,8 +16,8 @@ import math
 import numpy as np
 
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models import families, legs, six_dof
-from pkm_models.families import Geometry
+from pkm_models.parts import families, legs, six_dof
+from pkm_models.parts.families import Geometry
 
 LEGS = (1, 2, 3, 4, 5, 6)
 NAME = "hexapod_ups"

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.model.machine import Expr, Machine, Parameter, Values
-from pkm_models.coordinates import joint, point, point_errors, points
+from pkm_models.parts.coordinates import joint, point, point_errors, points
 
 TOWERS = (1, 2, 3)
 DOWN = "travel of carriage {} down from its endstop"

@@ -25,7 +25,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Expr, Machine, Parameter, Values
-from pkm_models.coordinates import joint, point, point_errors, points
+from pkm_models.parts.coordinates import joint, point, point_errors, points
 
 LEGS = (1, 2, 3)
 R_FRAME, R_PLATFORM = 0.200, 0.060  # m

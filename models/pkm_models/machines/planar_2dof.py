@@ -22,7 +22,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.model.machine import Expr, Machine, Parameter, Values
-from pkm_models.coordinates import joint, point, point_errors, points
+from pkm_models.parts.coordinates import joint, point, point_errors, points
 
 LIMBS = (1, 2)
 SIDE = {1: -0.5, 2: 0.5}

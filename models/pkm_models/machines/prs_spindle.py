@@ -38,8 +38,8 @@ from oed.model.machine import (
     PointGroup,
     Values,
 )
-from pkm_models import coordinates
-from pkm_models.rotation import tilt_torsion
+from pkm_models.parts import coordinates
+from pkm_models.parts.rotation import tilt_torsion
 
 R, RADIUS, H, L = (
     0.349,

@@ -31,8 +31,8 @@ from oed.model.machine import (
     Start,
     Values,
 )
-from pkm_models import coordinates, families, legs, six_dof
-from pkm_models.families import XYZ, Geometry
+from pkm_models.parts import coordinates, families, legs, six_dof
+from pkm_models.parts.families import XYZ, Geometry
 
 LEGS = (1, 2, 3)
 NAME = "tripod_passive_leg"

@@ -21,9 +21,9 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models import coordinates, families, legs, six_dof
-from pkm_models.carriages import GuidedStruts
-from pkm_models.families import Geometry, as_rows
+from pkm_models.parts import coordinates, families, legs, six_dof
+from pkm_models.parts.carriages import GuidedStruts
+from pkm_models.parts.families import Geometry, as_rows
 
 NAME = "tripod_prs"
 DEGREES = (0.0, 120.0, 240.0)

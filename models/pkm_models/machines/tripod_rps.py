@@ -19,8 +19,8 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models import coordinates, families, legs, six_dof
-from pkm_models.families import Geometry
+from pkm_models.parts import coordinates, families, legs, six_dof
+from pkm_models.parts.families import Geometry
 
 LEGS = (1, 2, 3)
 NAME = "tripod_rps"

@@ -160,11 +160,13 @@ def _failure(error: BaseException, name: str, place: Place) -> InputError:
     """What the file raised, as bad input."""
     if isinstance(error, InputError):
         return error
-    if isinstance(error, ModuleNotFoundError) and str(error.name).startswith("oed."):
+    moved = str(getattr(error, "name", "")).startswith(("oed.", "pkm_models."))
+    if isinstance(error, ModuleNotFoundError) and moved:
         return place.error(
             f"it imports {error.name}, which is not there in this version",
             "import names such as Machine, Parameter, Instrument and Effect from oed"
-            " itself: from oed import Machine",
+            " itself: from oed import Machine; what machines share is in"
+            " pkm_models.parts",
             name,
         )
     if isinstance(error, ModuleNotFoundError):

@@ -22,8 +22,8 @@ import numpy as np
 
 from oed.base.orientation import Orientation, rotation
 from oed.model.machine import Coordinate, Dimension, Expr, Parameter, Start, Values
-from pkm_models import families
-from pkm_models.coordinates import (
+from pkm_models.parts import families
+from pkm_models.parts.coordinates import (
     POSE_ORIENTATION,
     angle,
     joint,
@@ -31,8 +31,8 @@ from pkm_models.coordinates import (
     point_error,
     turn_error,
 )
-from pkm_models.families import Geometry
-from pkm_models.rotation import about_z, tilt_torsion
+from pkm_models.parts.families import Geometry
+from pkm_models.parts.rotation import about_z, tilt_torsion
 
 #: prior standard deviation of the drums' scales
 SCALE_SD = 0.5e-3

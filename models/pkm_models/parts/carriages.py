@@ -7,8 +7,8 @@ import functools
 
 from oed.base.arrays import Array
 from oed.model.machine import Expr, Strut, Values
-from pkm_models import legs
-from pkm_models.families import point
+from pkm_models.parts import legs
+from pkm_models.parts.families import point
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -17,9 +17,9 @@ from oed.model.machine import (
     Strut,
     Values,
 )
-from pkm_models import coordinates, families
-from pkm_models.families import Geometry, point
-from pkm_models.six_dof import ANGLES, XYZ, platform
+from pkm_models.parts import coordinates, families
+from pkm_models.parts.families import Geometry, point
+from pkm_models.parts.six_dof import ANGLES, XYZ, platform
 
 #: prior standard deviations of directions, rad
 DIRECTION_SD = 1e-3

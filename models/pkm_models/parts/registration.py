@@ -11,7 +11,7 @@ from __future__ import annotations
 import casadi as ca
 
 from oed.model.machine import Expr, Parameter, Values
-from pkm_models.rotation import tilt_torsion
+from pkm_models.parts.rotation import tilt_torsion
 
 
 def coordinate(name: str) -> str:

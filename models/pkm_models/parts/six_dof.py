@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.model.machine import Component, Coordinate, Expr, Values
-from pkm_models import coordinates
-from pkm_models.rotation import tilt_torsion
+from pkm_models.parts import coordinates
+from pkm_models.parts.rotation import tilt_torsion
 
 XYZ, ANGLES = "xyz", ("rx", "ry", "spin")
 POSE = coordinates.points() + coordinates.angles()

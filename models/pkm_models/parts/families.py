@@ -11,7 +11,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Coordinate, Dimension, Expr, Parameter, Values
-from pkm_models.coordinates import joint
+from pkm_models.parts.coordinates import joint
 
 #: a table of geometry, SI, by name
 Geometry = Mapping[str, Any]

@@ -1,0 +1,1 @@
+"""What machines and instruments share: coordinates, legs, cables, registration."""
