@@ -59,10 +59,10 @@ OF_OTHER_MACHINES = [
         "in run ruler 2 from the nominal machine are twice what they should be",
     ),
     Blunder(
-        "told against the last pose",
+        "differences from the last pose",
         "planar",
         last_references,
-        "the readings are told against the last pose of each run",
+        "the readings are differences from the last pose of each run",
     ),
     Blunder(
         "legs turned by one",
