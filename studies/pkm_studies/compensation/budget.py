@@ -151,9 +151,8 @@ def with_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSectio
         return {n: (values[n] ** 2 + extra[n]) ** 0.5 for n in names}
 
     lines = [
-        BudgetLine(
-            source=line.source,
-            kind=line.kind,
+        msgspec.structs.replace(
+            line,
             share={n: line.size[n] * abs(line.size[n]) / total[n] ** 2 for n in names},
             size={n: line.size[n] for n in names},
             without=None if line.without is None else grown(line.without),

@@ -6,12 +6,14 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from oed import checks
 from oed.base import text
 from oed.checks import CheckedSession
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading
+from oed.checks.goodness import Goodness
 from oed.checks.sentences import misfits
 from oed.dataset import Dataset
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
@@ -53,17 +55,23 @@ def goodness_section(checked: CheckedSession) -> GoodnessSection:
         MistakeRecord(what=one.what, evidence=_evidence(one))
         for one in checked.explanations
     ]
-    return GoodnessSection(
-        chi2=None if fitted is None else fitted.chi2,
-        dof=None if fitted is None else fitted.dof,
-        p_low=None if fitted is None else fitted.p_low,
-        p_high=None if fitted is None else fitted.p_high,
+    return replace(
+        fit_figures(fitted),
         bad_fit=checked.bad_fit,
         outliers=_records(checked, () if outliers is None else outliers.gross),
         doubtful=_records(checked, () if outliers is None else outliers.doubtful),
         unlocated=_unlocated_rows(checked),
         mistakes=mistakes,
         findings=[finding.sentence for finding in checked.findings],
+    )
+
+
+def fit_figures(fitted: Goodness | None) -> GoodnessSection:
+    """The section with the figures of a fit alone; without a fit, none are known."""
+    if fitted is None:
+        return GoodnessSection(None, None, None, None)
+    return GoodnessSection(
+        chi2=fitted.chi2, dof=fitted.dof, p_low=fitted.p_low, p_high=fitted.p_high
     )
 
 

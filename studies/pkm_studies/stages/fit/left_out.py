@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from oed.estimation.run_prediction import RunPrediction
-from oed.result import GoodnessSection, LeftOutRun
+from oed.result import GoodnessSection
 
 #: runs that a sentence names, at most
 NAMED = 3
@@ -17,20 +17,9 @@ def with_left_out(
     """The section with the runs; as it is where there is one run alone."""
     if prediction is None:
         return section
-    runs = [
-        LeftOutRun(
-            setup=one.setup,
-            run=one.run,
-            values=one.values,
-            ratio=one.ratio,
-            p_high=one.p_high,
-            log_score=one.log_score,
-        )
-        for one in prediction.runs
-    ]
     return msgspec.structs.replace(
         section,
-        left_out=runs,
+        left_out=list(prediction.runs),
         left_out_score=prediction.log_score,
         left_out_sd=prediction.log_score_sd,
     )

@@ -15,9 +15,9 @@ from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
 from pkm_studies.stages.fit.combinations import combination_estimates
 from pkm_studies.stages.fit.estimate import estimate_section
+from pkm_studies.stages.fit.goodness import fit_figures
 from pkm_studies.stages.fit.left_out import surprises, with_left_out
 from pkm_studies.stages.fit.noise import (
-    unchecked_section,
     with_assumption,
     with_noise,
 )
@@ -103,7 +103,7 @@ def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSec
         fitted = goodness_of_estimate(
             state.measurement, state.readings.series, estimate
         )
-        section = unchecked_section(fitted)
+        section = fit_figures(fitted)
     section = with_noise(section, estimate, state.measurement.setups)
     if not state.study.noise.assumed:
         return section
