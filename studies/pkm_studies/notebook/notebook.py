@@ -6,7 +6,8 @@ a result that shows itself as a table and keeps the kernel's objects.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,13 @@ from pkm_studies.notebook.views import (
     ReadingsView,
     View,
 )
-from pkm_studies.stages.run_state import Readings, RunState, start
+from pkm_studies.stages.run_state import (
+    Fitted,
+    Readings,
+    Scheduled,
+    promote,
+    start,
+)
 from pkm_studies.stages.steps import design as design_steps
 from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import gap as gap_steps
@@ -66,9 +73,10 @@ def choose_design(study: Study, *, seed: int | None = None) -> DesignView:
         raise study.place.key("design").error(
             "the study has no candidates to choose from", "add [[design.candidates]]"
         )
-    state = state.replace(readings=Readings(series=state.design.series))
-    state = design_steps.analyse_identifiability(state)
-    return DesignView(design_steps.report_design(state))
+    readings = Readings(series=state.design.series)
+    scheduled = promote(Scheduled, state, readings=readings)
+    scheduled, verdict = design_steps.analyse_identifiability(scheduled)
+    return DesignView(design_steps.report_design(scheduled, verdict))
 
 
 def plan(study: Study, *, seed: int | None = None) -> PlanView:
@@ -83,11 +91,12 @@ def read_readings(study: Study, *files: str | Path) -> ReadingsView:
     """Readings of files (of the study's own, if none is given). Raises InputError."""
     paths = [Path(file) for file in files] or None
     state = start(study, None, Silent(), paths)
-    if state.resolved.dataset is None:
+    data = state.resolved.dataset
+    if data is None:
         raise study.place.key("readings").error(
             "the study names no readings", "give a file, or add [readings] files"
         )
-    return ReadingsView(readings_steps.take_readings(state))
+    return ReadingsView(readings_steps.take_recorded(state, data))
 
 
 def simulate(source: Study | DesignView | PlanView) -> ReadingsView:
@@ -95,14 +104,11 @@ def simulate(source: Study | DesignView | PlanView) -> ReadingsView:
 
     Its parameters are those of [readings] truth, or drawn within their tolerances.
     """
-    if isinstance(source, Study):
-        state = design_steps.select_design(start(source, None, Silent(), []))
-        state = design_steps.plan_stages(state)
-    else:
-        state = source.state
-    series = readings_steps.planned_series(state)
-    virtual = readings_steps.simulate_readings(state, series)
-    return ReadingsView(state.replace(readings=virtual.readings))
+    if not isinstance(source, Study):
+        return ReadingsView(readings_steps.take_simulated(source.state))
+    state = design_steps.select_design(start(source, None, Silent(), []))
+    state = design_steps.plan_stages(state)
+    return ReadingsView(readings_steps.take_simulated(state))
 
 
 def identify(readings: ReadingsView) -> EstimateView:
@@ -126,22 +132,24 @@ def predict(
     `virtual_machines` are read, identified and compensated to check the prediction.
     Raises InputError where the study has no such table.
     """
-    study = source.state.study
-    if study.prediction is None:
+    state: Scheduled = source.state
+    study, request = state.study, state.resolved.prediction
+    if request is None:
         raise study.place.key("prediction").error(
             "the study does not say where accuracy counts",
             "add [prediction] with a workspace, see `oed schema study`",
         )
-    table = msgspec.structs.replace(study.prediction, virtual_machines=virtual_machines)
-    study = msgspec.structs.replace(study, prediction=table)
-    state = source.state.replace(study=study)
+    table = msgspec.structs.replace(request.table, virtual_machines=virtual_machines)
+    request = dataclasses.replace(request, table=table)
+    resolved = dataclasses.replace(state.resolved, prediction=request)
+    state = state.replace(resolved=resolved)
     return AccuracyView(prediction_steps.predict_accuracy(state))
 
 
 def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
     """Find which effects cause what calibration leaves of the readings."""
     state = source.state
-    if state.estimate is None:
+    if not isinstance(state, Fitted):
         state = fit_steps.fit_parameters(state)
     return DiagnosisView(gap_steps.diagnose_always(state))
 
@@ -154,7 +162,7 @@ def run(
     return pipeline.run(study, folder, seed=seed)
 
 
-def write_report(view: View, out: str | Path) -> tuple[Path, ...]:
+def write_report(view: View[Any], out: str | Path) -> tuple[Path, ...]:
     """HTML and PDF reports of all steps that led to a view, in the folder `out`."""
     from pkm_reports import write_report
 
@@ -162,7 +170,7 @@ def write_report(view: View, out: str | Path) -> tuple[Path, ...]:
 
 
 def write_compensation(
-    view: View,
+    view: View[Any],
     to: str,
     out: str | Path,
     *,
@@ -186,8 +194,5 @@ def write_compensation(
     ).paths
 
 
-def _result(state: RunState) -> StudyResult:
-    complete: Callable[[RunState], RunState] = (
-        design_steps.draw_machine if state.readings is not None else lambda same: same
-    )
-    return pipeline.assemble_result(complete(state))
+def _result(state: Scheduled) -> StudyResult:
+    return pipeline.assemble_result(design_steps.draw_machine(state))

@@ -53,12 +53,12 @@ class StudyCriteria:
     @functools.cached_property
     def error_maps(self) -> prediction.ErrorMaps | None:
         """Pose error over the workspace of [prediction]; None without one."""
-        table = self.resolved.study.prediction
-        command = self.resolved.prediction_commands
-        if table is None or command is None:
+        request = self.resolved.prediction
+        if request is None:
             return None
         kinematics = self.resolved.measurement.kinematics
-        return prediction.error_maps(kinematics, command, table.reference)
+        reference = request.table.reference
+        return prediction.error_maps(kinematics, request.command, reference)
 
     # -- criteria ----------------------------------------------------------------------
 

@@ -11,6 +11,7 @@ import numpy as np
 from oed.base import units
 from oed.design.stages.search import PlanSearchResult
 from pkm_studies.base.progress import Progress
+from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.alternatives import list_alternatives
 from pkm_studies.stages.plan.comparison import compare_sequence
@@ -24,12 +25,13 @@ from pkm_studies.stages.plan.virtual import add_realisations
 
 def compute_plan(
     resolved: ResolvedStudy,
+    request: PlanRequest,
     seed: Sequence[int],
     machines: np.random.Generator,
     progress: Progress,
     earlier: EarlierSession | None,
-) -> PlanOutcome | None:
-    """The plan that the study requests; None where it lists no measurement.
+) -> PlanOutcome:
+    """The plan that the study requests.
 
     seed      of the study and the plan stage
     machines  draws virtual machines
@@ -37,9 +39,7 @@ def compute_plan(
 
     Raises InputError where the time pays for no measurement.
     """
-    if resolved.plan is None:
-        return None
-    task = build_task(resolved, resolved.plan, seed, earlier)
+    task = build_task(resolved, request, seed, earlier)
     search = _search(task, progress)
     best = without_small_stages(task, search)
     outcome = build_outcome(task, search, best)

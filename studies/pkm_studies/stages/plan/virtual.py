@@ -29,14 +29,13 @@ def add_realisations(
     if not task.table.virtual_machines:
         return records
     progress.stage("virtual machines through the plan")
-    assert task.resolved.prediction_commands is not None
-    assert task.resolved.study.prediction is not None
+    where = task.request.prediction
     realisation = propagate(
         plan.stages,
-        task.resolved.prediction_commands,
+        where.command,
         task.table.virtual_machines,
         rng,
-        reference=task.resolved.study.prediction.reference,
+        reference=where.table.reference,
         start=start,
         progress=progress.share,
     )

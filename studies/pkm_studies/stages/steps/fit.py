@@ -27,32 +27,26 @@ from pkm_studies.stages.fit.posterior import (
     sampling_warnings,
     with_checks,
 )
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.run_state import Fitted, Measured, Stream, promote
 
 
-def fit_parameters(state: RunState) -> RunState:
+def fit_parameters(state: Measured) -> Fitted:
     """Identify the parameters by least squares with tolerance priors."""
-    assert state.readings is not None
-    series, y = state.readings.series, state.readings.y
-    if y is None:
-        return state
+    readings, measurement = state.readings, state.measurement
     state.progress.stage("identification")
-    estimate = _identify(state, series, y)
+    estimate = _identify(state, readings.series, readings.y)
     _refuse_mode_jump(state, estimate.theta)
-    section = estimate_section(
-        state.measurement, series, estimate, state.readings.truth
-    )
-    state = state.replace(estimate=estimate).with_sections(estimate=section)
+    section = estimate_section(measurement, readings.series, estimate, readings.truth)
     if state.identifiability is not None:
         verdict = state.identifiability.identifiability
-        combinations = combination_estimates(state.measurement, estimate, verdict)
+        combinations = combination_estimates(measurement, estimate, verdict)
         section = msgspec.structs.replace(section, combinations=combinations)
-        state = state.with_sections(estimate=section)
-    runs = run_prediction.predict_runs(state.measurement, series, estimate)
+    runs = run_prediction.predict_runs(measurement, readings.series, estimate)
     goodness = with_left_out(_goodness(state, estimate), runs)
     section = _without_resolved_warning(section, goodness, estimate)
-    state = state.with_sections(estimate=section, goodness=goodness)
-    return state.with_warnings(*section.warnings, *surprises(runs))
+    fitted = promote(Fitted, state, estimate=estimate)
+    fitted = fitted.with_sections(estimate=section, goodness=goodness)
+    return fitted.with_warnings(*section.warnings, *surprises(runs))
 
 
 def _without_resolved_warning(
@@ -69,7 +63,7 @@ def _without_resolved_warning(
 
 
 def _identify(
-    state: RunState, series: Sequence[Series], y: Array
+    state: Measured, series: Sequence[Series], y: Array
 ) -> identification.Estimate:
     """The fit; where it fails, the error opens with what the check of readings found."""
     try:
@@ -86,7 +80,7 @@ def _identify(
 
 
 def with_finding(
-    state: RunState, error: identification.IdentificationError
+    state: Measured, error: identification.IdentificationError
 ) -> identification.IdentificationError:
     """The error, opened by what the check of the readings found."""
     checked = state.checked
@@ -95,10 +89,9 @@ def with_finding(
     return identification.IdentificationError(f"{checked.findings[0].sentence} {error}")
 
 
-def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSection:
+def _goodness(state: Measured, estimate: identification.Estimate) -> GoodnessSection:
     """The check's section with the estimated noise; of the fit where there was none."""
-    assert state.readings is not None
-    section: GoodnessSection | None = state.sections.get("goodness")
+    section = state.result.goodness
     if section is None:
         fitted = goodness_of_estimate(
             state.measurement, state.readings.series, estimate
@@ -113,9 +106,8 @@ def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSec
     return with_assumption(section, estimate, setups, count)
 
 
-def _refuse_mode_jump(state: RunState, theta: Array) -> None:
+def _refuse_mode_jump(state: Measured, theta: Array) -> None:
     """Raises IdentificationError where the fit mirrors the machine."""
-    assert state.readings is not None
     jumps, count = mode_jumps(state.measurement, state.readings.series, theta)
     if jumps:
         raise identification.IdentificationError(
@@ -125,13 +117,11 @@ def _refuse_mode_jump(state: RunState, theta: Array) -> None:
         )
 
 
-def sample_posterior(state: RunState) -> RunState:
+def sample_posterior(state: Fitted) -> Fitted:
     """Sample the posterior about the estimate."""
     table = state.study.posterior
-    if state.estimate is None or not table.enabled:
+    if not table.enabled:
         return state
-    assert state.readings is not None
-    assert state.readings.y is not None
     posterior.import_samplers()
     state.progress.stage("posterior")
     draws = posterior.sample(

@@ -6,11 +6,11 @@ import msgspec
 
 from oed.base import units
 from oed.measurement.measurement import Measurement
-from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
 from pkm_studies.stages.gap import detectability, section
 from pkm_studies.stages.gap.virtual_readings import empty_readings
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT, Stream
 
 #: the only advice after a fit that failed its check, where no effect explains it
 AFTER_BAD_FIT = (
@@ -19,12 +19,11 @@ AFTER_BAD_FIT = (
 )
 
 
-def preview_gap(state: RunState) -> RunState:
+def preview_gap(state: ScheduledT) -> ScheduledT:
     """Predict what the readings could find, and choose the runs of [gap.design]."""
     request = state.resolved.gap
     if request is None:
         return state
-    assert state.readings is not None
     state.progress.stage("what the readings could find")
     series, covariates = state.readings.series, state.readings.covariates
     if covariates is None:
@@ -67,26 +66,20 @@ def _with_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest |
     return with_planned_readings(request, plan.series, remaining, measurement)
 
 
-def diagnose_gap(state: RunState) -> RunState:
+def diagnose_gap(state: Fitted) -> Fitted:
     """Find which effects cause what calibration leaves, where [gap] asks for it."""
     if state.resolved.gap is None:
         return state
     return _diagnose(state, state.resolved.gap)
 
 
-def diagnose_always(state: RunState) -> RunState:
+def diagnose_always(state: Fitted) -> Fitted:
     """Diagnose by [gap], or by its defaults where the study has none."""
-    request = state.resolved.gap
-    if request is None:
-        request = gap_request(state.study, state.resolved.machine, always=True)
-        assert request is not None
-    return _diagnose(state, request)
+    return _diagnose(state, state.resolved.gap_or_default)
 
 
-def _diagnose(state: RunState, request: GapRequest) -> RunState:
+def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     readings = state.readings
-    if readings is None or readings.y is None or state.estimate is None:
-        return state
     if state.checked is not None and state.checked.mistaken:
         return state.with_warnings(
             "There is no diagnosis: a mistake in the readings explains their misfit"
