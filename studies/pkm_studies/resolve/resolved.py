@@ -20,7 +20,7 @@ from pkm_studies.resolve.design import DesignRequest, design_request
 from pkm_studies.resolve.gap import GapRequest, gap_request, stated_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
 from pkm_studies.resolve.grids import Circles, ReferencePlan
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.plan import PlanRequest, plan_request
 from pkm_studies.resolve.prediction import (
     PredictionRequest,
@@ -92,8 +92,11 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
 
     `readings` replaces the files of [readings]; with an empty list, none are read.
     """
-    machine, mounted = _machine_and_setups(study)
-    measurement_with = measurement_factory(machine, mounted)
+    nominal = study_kinematics(study)
+    mounted = setups.mounted_setups(study, nominal)
+    machine, mounted = tolerances.with_tolerances(study, nominal.machine, mounted)
+    kinematics = nominal.with_priors_of(machine)
+    measurement_with = measurement_factory(kinematics, mounted)
     everything = measurement_with(mounted)
     pool, refusals, warnings = candidates.candidates(study, everything)
     references = candidates.references(study, everything)
@@ -139,11 +142,10 @@ def with_readings(resolved: ResolvedStudy) -> ResolvedStudy:
 
 
 def measurement_factory(
-    machine: Machine, mounted: Mapping[str, Setup]
+    kinematics: Kinematics, mounted: Mapping[str, Setup]
 ) -> Callable[[Iterable[str]], Measurement]:
     """A function that gives the measurement with the set-ups of some names, once each."""
     cache: dict[tuple[str, ...], Measurement] = {}
-    kinematics = Kinematics(machine)
 
     def measurement_with(names: Iterable[str]) -> Measurement:
         """The measurement with these set-ups, in the study's order."""
@@ -151,13 +153,7 @@ def measurement_factory(
         key = tuple(name for name in mounted if name in wanted)
         if key not in cache:
             chosen = [mounted[name] for name in key]
-            cache[key] = Measurement(machine, chosen, kinematics)
+            cache[key] = Measurement(kinematics.machine, chosen, kinematics)
         return cache[key]
 
     return measurement_with
-
-
-def _machine_and_setups(study: Study) -> tuple[Machine, dict[str, Setup]]:
-    machine = study_machine(study)
-    mounted = setups.mounted_setups(study, machine)
-    return tolerances.with_tolerances(study, machine, mounted)

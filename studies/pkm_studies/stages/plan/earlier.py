@@ -14,6 +14,7 @@ from oed.base.arrays import Array
 from oed.design.candidates import reading_time
 from oed.design.stages.option import Option
 from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, ParameterEstimate, StudyResult
 from pkm_studies.base.errors import Place
@@ -117,7 +118,7 @@ def _without_done(
     done: Mapping[str, int],
 ) -> tuple[ResolvedStudy, PlanRequest]:
     """The study about another machine, without the measurements that are done."""
-    measurement_with = measurement_factory(machine, resolved.setups)
+    measurement_with = measurement_factory(Kinematics(machine), resolved.setups)
     plan = request_of(
         request.table,
         resolved.study,
