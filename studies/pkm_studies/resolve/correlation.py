@@ -46,8 +46,7 @@ def with_correlation(study: Study, machine: Machine) -> Machine:
         groups.append(CommonTolerance(members, table.correlation))
         changed = dataclasses.replace(machine, correlated=tuple(groups))
         matrix = ParameterVector(changed, []).correlation
-        assert matrix is not None
-        if np.linalg.eigvalsh(matrix)[0] < LEAST:
+        if matrix is not None and np.linalg.eigvalsh(matrix)[0] < LEAST:
             raise at.key("correlation").error(
                 "no errors have such correlations"
                 + (" together with those above" if i else ""),

@@ -116,9 +116,9 @@ def _coefficients(
 ) -> Iterator[tuple[str, EffectEstimate]]:
     """Each coefficient in a unit that a person reads."""
     records = coefficient_records(corrected)
-    for name, c in zip(corrected.coefficient_names, records, strict=True):
+    names, scales = corrected.coefficient_names, corrected.scales
+    for name, c, scale in zip(names, records, scales, strict=True):
         unit, factor = units.coefficient_unit(c.unit)
-        assert c.prior_sd is not None
         yield (
             name,
             EffectEstimate(
@@ -126,7 +126,7 @@ def _coefficients(
                 sd=c.sd / factor,
                 unit=unit,
                 effect=c.effect,
-                prior_sd=c.prior_sd / factor,
+                prior_sd=float(scale) / factor,
                 shape=c.shape,
             ),
         )

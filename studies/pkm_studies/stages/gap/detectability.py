@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from oed.design.rules import Rules
 from oed.gap.before import detect
 from oed.gap.data import problem
 from oed.measurement.measurement import Measurement, Series
@@ -36,11 +37,11 @@ def preview(
     covariates: pd.DataFrame,
     request: GapRequest,
     rng: np.random.Generator,
-    design: tuple[Measurement, GapDesignRequest] | None,
+    design: tuple[Measurement, GapDesignRequest, Rules] | None,
 ) -> GapPreview:
     """What readings as planned could find, and the runs that [gap.design] chooses.
 
-    `design` comes with a measurement of its set-ups. The noise is the stated one: what
+    `design` comes with a measurement of its set-ups, and the rules of the choice. The noise is the stated one: what
     real runs add to it is unknown before they are read.
     """
     planned = problem.assemble(measurement, series, covariates, gravity=request.gravity)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from oed.base import units
+from oed.design.rules import Rules
 from oed.measurement.measurement import Measurement
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
@@ -41,18 +42,20 @@ def preview_gap(state: ScheduledT) -> ScheduledT:
     return state.with_sections(gap_before=preview.section)
 
 
-def _gap_design(state: RunState) -> tuple[Measurement, GapDesignRequest] | None:
-    """[gap.design] with a measurement of its set-ups.
+def _gap_design(
+    state: RunState,
+) -> tuple[Measurement, GapDesignRequest, Rules] | None:
+    """[gap.design] with a measurement of its set-ups, and the rules of the choice.
 
     None without the table, and where it waits for a plan that was not made.
     """
     request = state.resolved.gap_design
     if request is not None and request.follows_plan:
         request = _with_plan(state, request)
-    if request is None:
+    if request is None or request.rules is None:
         return None
     setups = {run.setup for run in request.runs}
-    return state.resolved.measurement_with(setups), request
+    return state.resolved.measurement_with(setups), request, request.rules
 
 
 def _with_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest | None:
