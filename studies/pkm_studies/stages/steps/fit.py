@@ -13,10 +13,8 @@ from oed.measurement.assembly_mode import mode_jumps
 from oed.measurement.measurement import Series
 from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
-from pkm_studies.stages.fit.combinations import combination_estimates
-from pkm_studies.stages.fit.estimate import estimate_section
-from pkm_studies.stages.fit.goodness import fit_figures
-from pkm_studies.stages.fit.left_out import surprises, with_left_out
+from pkm_studies.stages.fit.estimate import combination_estimates, estimate_section
+from pkm_studies.stages.fit.goodness import fit_figures, surprises, with_left_out
 from pkm_studies.stages.fit.noise import (
     with_assumption,
     with_noise,

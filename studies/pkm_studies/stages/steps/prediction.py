@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import get_args
 
 import msgspec
 import numpy as np
 
-from oed.accuracy.budget import budget_of
-from oed.accuracy.maps import Reference
+from oed.accuracy.budget import budget_model, budget_of
+from oed.accuracy.maps import ErrorMaps, Reference
 from oed.accuracy.prediction import Spread
 from oed.base.arrays import Array
 from oed.base.units import MM
-from oed.compensate.effects import ExpectedEffect
+from oed.compensate.effects import ExpectedEffect, expected_effects
+from oed.compensate.effects.effect_maps import SessionStates
+from oed.gap.data import problem as problems
+from oed.measurement.measurement import Measurement, Series
 from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
+from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
 from pkm_studies.stages.predict.held_out import held_out_sections
 from pkm_studies.stages.predict.knowledge import Accuracy, ParameterKnowledge
-from pkm_studies.stages.predict.unmodelled import expected_unmodelled
 from pkm_studies.stages.predict.virtual_machines import realised_accuracy
 from pkm_studies.stages.run_state import (
     Fitted,
@@ -203,3 +207,28 @@ def predict_held_out(state: Fitted) -> Fitted:
         state.rng(Stream.HELD_OUT),
     )
     return state.with_sections(held_out=sections)
+
+
+# -- effects that no plan models -------------------------------------------------------
+
+
+def expected_unmodelled(
+    measurement: Measurement,
+    series: Sequence[Series],
+    maps: ErrorMaps,
+    request: GapRequest,
+    reference: Reference,
+    rng: np.random.Generator,
+) -> list[ExpectedEffect]:
+    """Errors by each effect of a request in planned readings and over the workspace."""
+    planned = empty_readings(measurement, series, request)
+    problem = problems.assemble(
+        measurement, planned.series, planned.covariates, gravity=request.gravity
+    )
+    model = budget_model(measurement, problem.series, measurement.nominal)
+    session = SessionStates(
+        measurement, planned.covariates, problem.states, request.gravity
+    )
+    return expected_effects(
+        problem, session, model, maps, request.effects, reference, rng
+    )
