@@ -138,7 +138,7 @@ def prepare(folder: Path, readings: int, gap: bool) -> tuple[GapProblem, list[Ef
     stated = study.load(write_study(folder, readings, False, NOISE))
     resolved = resolve.resolve(stated, readings=[])
     measurement = resolved.measurement_with(resolved.setups)
-    request = resolve_gap.gap_request(stated, resolved.machine, always=True)
+    request = resolve_gap.gap_request(stated, resolved.machine)
     assert request is not None  # `always` makes one
     data = dataset.load(csv, measurement)
     problem = problem_of.prepare(

@@ -87,8 +87,8 @@ def slopes(resolved: ResolvedStudy) -> np.ndarray:
     by differences of poses.
     """
     m, kinematics = resolved.measurement, resolved.measurement.kinematics
-    assert resolved.prediction_commands is not None
-    command = np.vstack([m.machine.home_command, resolved.prediction_commands])
+    assert resolved.prediction is not None
+    command = np.vstack([m.machine.home_command, resolved.prediction.command])
     x, q = kinematics.inverse(command)
     p, step = m.machine.nominal, 1e-6
     differences = []

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.gap.data.diagnosis import Answer, Block, Closure, Coefficient, Diagnosis, Size
+from oed.gap.data.diagnosis import Closure, Diagnosis, Size
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import signature
 from oed.model.effect import Column, Effect, State
 from oed.noise.law import stated_law
+from oed.result.gap import AnswerRecord, CoefficientRecord, PlaceRecord
 
 STUDY = """\
 schema = 1
@@ -137,7 +138,7 @@ backlash = Effect(
 
 
 #: the best answer
-ACTS = Answer(("backlash",), 0.97, (("backlash", "friction"),))
+ACTS = AnswerRecord(("backlash",), 0.97, (("backlash", "friction"),))
 
 
 def diagnosis(problem: GapProblem) -> Diagnosis:
@@ -166,8 +167,8 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         verdict="effect",
         answers=(
             ACTS,
-            Answer((), 0.02),
-            Answer(("backlash", "unknown"), 0.01),
+            AnswerRecord((), 0.02),
+            AnswerRecord(("backlash", "unknown"), 0.01),
         ),
         set95=(ACTS,),
         marginal={"cold": 0.01, "backlash": 0.98},
@@ -194,19 +195,19 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
 
 def _coefficients(
     names: Sequence[str], means: Array, sds: Array
-) -> tuple[Coefficient, ...]:
+) -> tuple[CoefficientRecord, ...]:
     return tuple(
-        Coefficient("backlash", name, name, float(mean), float(sd))
+        CoefficientRecord("backlash", name, name, float(mean), float(sd))
         for name, mean, sd in zip(names, means, sds, strict=True)
     )
 
 
-def _places(problem: GapProblem) -> tuple[Block, ...]:
+def _places(problem: GapProblem) -> tuple[PlaceRecord, ...]:
     runs = dict.fromkeys(problem.rows["run"])
     return (
-        Block("leg 2", 0.002, 0.9),
-        *[Block(f"run {run}", 0.4, 0.1) for run in runs],
-        Block("leg 1", 0.7, np.nan),
+        PlaceRecord("leg 2", 0.002, 0.9),
+        *[PlaceRecord(f"run {run}", 0.4, 0.1) for run in runs],
+        PlaceRecord("leg 1", 0.7, None),
     )
 
 

@@ -93,16 +93,20 @@ def test_the_runner_cannot_know_labels():
 
 def diagnosed(blind, problem):
     """A diagnosis without a search: no gap."""
-    from oed.gap.data.diagnosis import Answer, Block, Closure, Diagnosis
+    from oed.gap.data.diagnosis import Closure, Diagnosis
     from oed.noise.law import stated_law
+    from oed.result.gap import AnswerRecord, PlaceRecord
 
-    answers = (Answer((), 0.9), Answer(("step",), 0.1, (("step", "mount_drift"),)))
+    answers = (
+        AnswerRecord((), 0.9),
+        AnswerRecord(("step",), 0.1, (("step", "mount_drift"),)),
+    )
     nothing = np.zeros(len(problem))
     fields = {f.name: () for f in dataclasses.fields(Diagnosis)} | {
         "problem": problem, "verdict": "none", "answers": answers, "set95": answers, "marginal": {"step": 0.1},
         "law": dataclasses.replace(stated_law(problem), variance=np.linspace(1.0, 2.0, len(problem))),
         "explained": nothing, "unexplained": nothing, "before": nothing, "after": nothing,
-        "where": (Block("leg 1", 0.5, 0.1),), "not_testable": {},
+        "where": (PlaceRecord("leg 1", 0.5, 0.1),), "not_testable": {},
         "closure": (Closure("whole", math.nan, -math.inf, math.inf, 0.5, 1.0, 1.1, 1.0, 10),),
     }  # fmt: skip
     return Diagnosis(**fields)

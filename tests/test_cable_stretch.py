@@ -185,7 +185,7 @@ def test_the_diagnosis_names_the_stretch(
     assert cli.main([str(a) for a in arguments]) == 0
     result = msgspec.json.decode((out / "result.json").read_bytes(), type=StudyResult)
     assert result.gap is not None
-    assert result.gap.answers[0].effects == ["cable_stretch"]
+    assert result.gap.answers[0].effects == ("cable_stretch",)
     assert not any("mistaken" in sentence for sentence in result.headline)
 
 

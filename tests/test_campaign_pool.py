@@ -98,7 +98,7 @@ import resource
 
 import numpy as np
 
-from pkm_studies.campaign.memory import keep_freed_memory
+from pkm_studies.campaign.pool import keep_freed_memory
 
 
 def faults():

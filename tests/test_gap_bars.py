@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from oed.gap.data.diagnosis import UNKNOWN, Answer, Diagnosis
+from oed.gap.data.diagnosis import UNKNOWN, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.procedure import diagnose
+from oed.result.gap import AnswerRecord
 
 MODULES = ("cases", "effects", "noise", "plans", "scene", "severity", "write")
 
@@ -126,7 +127,7 @@ def virtual(
     return Virtual(case, problem, blind.loading.bench(layout.study).effects)
 
 
-def together(answers: Sequence[Answer], names: set[str]) -> list[bool]:
+def together(answers: Sequence[AnswerRecord], names: set[str]) -> list[bool]:
     """For each class of the answers, down to 95 % of them, that has one of these names,
     whether it has them all.
     """

@@ -10,7 +10,7 @@ from oracles.delta_trilateration import nozzle, travel_to
 
 import oed
 from pkm_studies.base.errors import InputError
-from pkm_studies.importers import base, session, thinning
+from pkm_studies.importers import ballbar, base, session
 
 #: the shipped delta, and a true one: mm and rad
 NOMINAL = (161.75, [345.0] * 3, np.radians([210.0, 330.0, 90.0]), [420.0] * 3)
@@ -225,7 +225,7 @@ def test_means_have_the_noise_that_correlation_leaves(rng: np.random.Generator) 
     for _ in range(40):
         noise = trace(rng, 1, rho)
         residual = noise[:, 1] - trace(rng, 1, 0.0)[:, 1]  # no geometry; white added
-        thinned = thinning.thin(
+        thinned = ballbar.thin(
             np.radians(noise[:, 0]), 1e-6 * residual, np.zeros(2000), 100
         )
         assert thinned.block == block

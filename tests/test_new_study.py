@@ -125,8 +125,8 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     path = template.write("fresh", machine, instrument, Origin(tmp_path))
     resolved = resolve(study.load(path))
     assert 20 <= len(resolved.candidates[0]) <= 1000
-    assert resolved.prediction_commands is not None
-    assert len(resolved.prediction_commands) <= 1000
+    assert resolved.prediction is not None
+    assert len(resolved.prediction.command) <= 1000
     text = path.read_text(encoding="utf-8")
     sample.resolved(uncommented(text), tmp_path)
     with pytest.raises(InputError, match="of this name"):

@@ -102,7 +102,7 @@ def bench(name: str) -> Bench:
     """
     stated = study.load(HERE / name)
     resolved = resolve.resolve(stated, readings=[])
-    request = resolve_gap.gap_request(stated, resolved.machine, always=True)
+    request = resolve_gap.gap_request(stated, resolved.machine)
     assert request is not None  # `always` makes one
     measurement = resolved.measurement_with(resolved.setups)
     return Bench(measurement, request.effects, request.gravity)

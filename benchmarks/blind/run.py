@@ -22,11 +22,12 @@ from benchmarks.blind.harmonic import harmonic
 from benchmarks.blind.loading import Case
 from benchmarks.blind.stepwise import stepwise
 from oed.gap import procedure as diagnose
-from oed.gap.data.diagnosis import Answer, Closure, Diagnosis
+from oed.gap.data.diagnosis import Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
+from oed.result.gap import AnswerRecord
 from pkm_studies.campaign.jobs import Row
 
 if TYPE_CHECKING:
@@ -149,7 +150,7 @@ def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
                 "effect": c.effect,
                 "name": c.name,
                 "label": c.label,
-                "mean": _known(c.mean),
+                "mean": _known(c.value),
                 "sd": _known(c.sd),
             }
             for c in diagnosis.coefficients
@@ -158,7 +159,7 @@ def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _answer(answer: Answer) -> dict[str, Any]:
+def _answer(answer: AnswerRecord) -> dict[str, Any]:
     return {
         "effects": list(answer.effects),
         "probability": round(float(answer.probability), 6),

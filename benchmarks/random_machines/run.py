@@ -25,7 +25,7 @@ def answer(case: Case) -> dict[str, Any]:
         readings = read_readings(build_study(case.study, folder), path)
         estimate = identify(readings)
         state = diagnose(estimate).state
-    fit, gap = state.sections["estimate"], state.sections.get("gap")
+    fit, gap = state.estimate, state.result.gap
     record = {"chi2": float(fit.chi2), "dof": float(fit.dof)}
     if gap is None:
         return record | {"verdict": MISTAKEN, "words": list(state.warnings)}

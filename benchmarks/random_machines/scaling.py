@@ -96,12 +96,9 @@ def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
             _with_sizes(case.study, Path(folder), factor), folder, allow_code=True
         )
         state = identify(read_readings(study, path)).state
-        request = gap_request(study, state.resolved.machine, always=True)
+        request = gap_request(study, state.resolved.machine)
     readings, estimate = state.readings, state.estimate
-    assert readings is not None
     assert readings.covariates is not None
-    assert estimate is not None
-    assert request is not None
     residuals = problem.assemble(
         state.measurement,
         readings.series,

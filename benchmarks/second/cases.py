@@ -87,7 +87,7 @@ def prepare(case: Case) -> tuple[GapProblem, tuple[Effect, ...]]:
     path, readings = adapter.write_case(case.stem, out)
     study = studies.load(path, studies.Consent.GIVEN)
     resolved = resolve.resolve(study, readings=[])
-    request = resolve_gap.gap_request(study, resolved.machine, always=True)
+    request = resolve_gap.gap_request(study, resolved.machine)
     assert request is not None  # `always` makes one
     measurement = resolved.measurement_with(resolved.setups)
     data = dataset.load(readings, measurement)

@@ -29,7 +29,7 @@ from pkm_studies.resolve import resolved as resolve
 study_file = study.load(Path(__file__).with_suffix(".study.toml"))
 resolved = resolve.resolve(study_file, readings=[])
 measurement = resolved.measurement_with(resolved.setups)
-request = resolve_gap.gap_request(study_file, resolved.machine, always=True)
+request = resolve_gap.gap_request(study_file, resolved.machine)
 with tempfile.TemporaryDirectory() as folder:
     readings, _ = pipeline.simulate(study_file, Path(folder) / "circles.csv")
     data = dataset.load(readings, measurement)

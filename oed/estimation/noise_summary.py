@@ -12,63 +12,50 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.model.instrument import Setup
 from oed.noise.marginal import NoisePosterior
 from oed.noise.prior import CARRIED, RUN
 from oed.noise.process import Laws
+from oed.result.goodness import NoiseRecord
 
 #: probability from which on a departure is reported
 SURE = 0.95
+#: kinds of numbers that are standard deviations
+ERRORS = ("reading", "run", "seat")
 #: factor on the stated noise, share of it that a run shares, and share of the variance
 #: carried along, beyond which a law is another than the stated one
 SCATTER, SHARED, MOST_CARRIED = 1.2, 0.5, 0.25
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class NoiseNumber:
-    """One number of the noise law.
-
-    kind     reading, run, seat (standard deviations), carried (share of the variance) or
-             reach (in readings)
-    of       set-up and channel, `cup.length`; set-up for a seat; "" for all readings
-    unit     SI unit of a standard deviation; 1 for a share, `readings` for the reach
-    value    posterior mean, SI; the reach at most as long as the longest run
-    sd       posterior standard deviation, SI
-    stated   what the stated noise has, SI; None for the reach
-    departs  whether it surely differs from that by more than matters
-    """
-
-    kind: str
-    of: str
-    unit: str
-    value: float
-    sd: float
-    stated: float | None
-    departs: bool
-
-
 def noise_numbers(
     posterior: NoisePosterior, setups: Mapping[str, Setup]
-) -> list[NoiseNumber]:
-    """The numbers of an estimated law, for readings of these set-ups."""
+) -> list[NoiseRecord]:
+    """The numbers of an estimated law, for readings of these set-ups, in fine units.
+
+    The reach is at most as long as the longest run.
+    """
     return list(_numbers(posterior, setups))
 
 
 def _numbers(
     posterior: NoisePosterior, setups: Mapping[str, Setup]
-) -> Iterator[NoiseNumber]:
+) -> Iterator[NoiseRecord]:
     laws, weights = posterior.prior.laws(posterior.draws), posterior.weights
 
     def number(
         kind: str, of: str, unit: str, values: Array, stated: float | None, far: Mask
-    ) -> NoiseNumber:
+    ) -> NoiseRecord:
+        fine = units.FINE.get(unit, unit) if kind in ERRORS else unit
+        factor = units.factor(fine) if kind in ERRORS else 1.0
         mean = float(weights @ values)
         sd = float(np.sqrt(weights @ (values - mean) ** 2))
+        known = None if stated is None else stated / factor
         departs = bool(weights @ far > SURE)
-        return NoiseNumber(kind, of, unit, mean, sd, stated, departs)
+        return NoiseRecord(kind, of, mean / factor, sd / factor, fine, known, departs)
 
-    seated: dict[str, NoiseNumber] = {}
+    seated: dict[str, NoiseRecord] = {}
     for g, name in enumerate(posterior.structure.names):
         setup_name, _, channel = name.rpartition(".")
         setup = setups[setup_name]

@@ -22,38 +22,17 @@ from scipy import linalg, special
 from oed.base.arrays import Array, Index
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
+from oed.result.goodness import LeftOutRun
 
 #: probability below which a run is surprising, over the number of runs
 SURPRISE = 1e-3
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class PredictedRun:
-    """One run against what all others predict of it.
-
-    chi2       squared standardised errors, of as many degrees of freedom as values
-    p_high     probability of a larger chi2
-    log_score  log predictive density of its readings in units of their noise
-    """
-
-    setup: str
-    run: str
-    values: int
-    chi2: float
-    p_high: float
-    log_score: float
-
-    @property
-    def ratio(self) -> float:
-        """Size of the errors over what is predicted."""
-        return float(np.sqrt(self.chi2 / self.values))
 
 
 @dataclasses.dataclass(frozen=True)
 class RunPrediction:
     """All runs, each predicted from the others."""
 
-    runs: tuple[PredictedRun, ...]
+    runs: tuple[LeftOutRun, ...]
 
     @property
     def log_score(self) -> float:
@@ -67,7 +46,7 @@ class RunPrediction:
         return float(np.sqrt(len(scores)) * np.std(scores, ddof=1))
 
     @property
-    def surprising(self) -> tuple[PredictedRun, ...]:
+    def surprising(self) -> tuple[LeftOutRun, ...]:
         """Runs that the others contradict, the worst first."""
         limit = SURPRISE / len(self.runs)
         far = [one for one in self.runs if one.p_high < limit]
@@ -109,7 +88,7 @@ def _residuals(
     return np.asarray(estimate.robust_readings - predicted)
 
 
-def _predicted(label: tuple[str, str], error: Array, shared: Array) -> PredictedRun:
+def _predicted(label: tuple[str, str], error: Array, shared: Array) -> LeftOutRun:
     """A run of whitened errors (Q r)_b (n,), with Q_bb = 1 - B B^T, B (n, r)."""
     count = len(error)
     # By the smaller of the two matrices: Q_bb^-1 = 1 + B (1 - B^T B)^-1 B^T.
@@ -120,7 +99,8 @@ def _predicted(label: tuple[str, str], error: Array, shared: Array) -> Predicted
     log_det = 2.0 * float(np.log(np.diag(root)).sum())
     score = -0.5 * (count * np.log(2.0 * np.pi) - log_det + chi2)
     p_high = float(special.chdtrc(count, chi2))
-    return PredictedRun(*label, count, chi2, p_high, float(score))
+    ratio = float(np.sqrt(chi2 / count))
+    return LeftOutRun(*label, count, ratio, p_high, float(score))
 
 
 def _runs(

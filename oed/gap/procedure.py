@@ -16,12 +16,13 @@ from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.reversal import ReversedForms
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
-from oed.gap.data.diagnosis import UNKNOWN, Block, Closure, Diagnosis
+from oed.gap.data.diagnosis import UNKNOWN, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw, describe
+from oed.result.gap import PlaceRecord
 
 #: forms that an unknown remainder is reported to be like, at most, and the least
 #: probability of each
@@ -74,7 +75,7 @@ def diagnose(
     search_results, hypotheses = comparison.searches, comparison.hypotheses
     diagnosis, best = conclude(problem, search_results, hypotheses, effects)
     clean = search_results[best.law].problem  # without outliers, where there are any
-    where: tuple[Block, ...] = ()
+    where: tuple[PlaceRecord, ...] = ()
     if diagnosis.verdict == "none":
         # the closure by the likeliest effect is reported all the same, nil or not
         named = (h for h in hypotheses if h.effects and not h.unknown)
@@ -184,7 +185,7 @@ def _locate(
     effects: Sequence[Effect],
     law: NoiseLaw,
     rng: np.random.Generator,
-) -> tuple[Block, ...]:
+) -> tuple[PlaceRecord, ...]:
     """Places in which the gap lies, over all likely forms of the best hypothesis."""
     library, processes = search.library, search.processes
     other_way = ReversedForms(search.problem, library, processes, effects)

@@ -20,6 +20,7 @@ All functions run over many poses and many parameter vectors at once.
 
 from __future__ import annotations
 
+import copy
 import functools
 
 import casadi as ca
@@ -66,6 +67,19 @@ class Kinematics:
         self._components, self._components_slope = _component_functions(machine, e)
         self._struts = _strut_function(machine, e)
         self._skeleton = _skeleton_functions(machine, e)
+
+    def with_priors_of(self, machine: Machine) -> Kinematics:
+        """The same mechanism for a machine that differs only in what is known of it.
+
+        Tolerances, bounds and correlations move nothing: all compiled functions are
+        shared. Raises ValueError for another closure, or other nominal numbers.
+        """
+        same = machine.closure is self.machine.closure
+        if not same or not np.array_equal(machine.nominal, self.machine.nominal):
+            raise ValueError(f"{machine.name}: the machines differ in their geometry")
+        shared = copy.copy(self)
+        shared.machine = machine
+        return shared
 
     @functools.cached_property
     def _closure_slope(self) -> BatchedFunction:

@@ -21,9 +21,9 @@ class AnswerRecord(Record, frozen=True):
     unseen: part of the probability at sizes that these readings cannot show
     """
 
-    effects: list[str]
+    effects: tuple[str, ...]
     probability: float
-    classes: list[list[str]] = []
+    classes: tuple[tuple[str, ...], ...] = ()
     unseen: float = 0.0
 
     @property
@@ -91,8 +91,8 @@ class CoefficientRecord(Record, frozen=True):
     label: str
     value: float
     sd: float
-    unit: str
-    prior_sd: float | None
+    unit: str = "SI"
+    prior_sd: float | None = None
     shape: bool = False
 
 

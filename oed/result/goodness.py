@@ -57,6 +57,11 @@ class LeftOutRun(Record, frozen=True):
     p_high: float
     log_score: float
 
+    @property
+    def chi2(self) -> float:
+        """Squared standardised errors, of as many degrees of freedom as values."""
+        return self.ratio**2 * self.values
+
 
 class GoodnessSection(Record, frozen=True):
     """Goodness of fit against the stated noise, and what a check of the readings says.

@@ -3,26 +3,35 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-import oed
-from oed import dataset, result
+from oed import dataset
+from oed.dataset import Dataset
 from oed.result import StudyResult
 from pkm_studies.base import files
 from pkm_studies.base.progress import Progress, Silent
 from pkm_studies.results import claims
 from pkm_studies.stages import describe, headline, result_folder
 from pkm_studies.stages.plan.earlier import read_earlier_session
-from pkm_studies.stages.run_state import Readings, RunState, start
+from pkm_studies.stages.run_state import (
+    Fitted,
+    Measured,
+    Readings,
+    RunState,
+    Scheduled,
+    promote,
+    start,
+)
 from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.correct import correct_for_effects
 from pkm_studies.stages.steps.design import (
     analyse_identifiability,
     draw_machine,
+    plan_measurements,
     plan_stages,
     report_design,
     report_single_stage,
@@ -35,41 +44,11 @@ from pkm_studies.stages.steps.readings import (
     planned_series,
     simulate_readings,
     take_readings,
+    take_recorded,
+    take_simulated,
 )
 from pkm_studies.study import Study
 
-Step = Callable[[RunState], RunState]
-
-#: from readings to accuracy
-EVALUATION: tuple[Step, ...] = (
-    take_readings,
-    check_readings,
-    analyse_identifiability,
-    report_design,
-    preview_gap,
-    fit_parameters,
-    sample_posterior,
-    diagnose_gap,
-    correct_for_effects,
-    predict_accuracy,
-    predict_held_out,
-    report_single_stage,
-    draw_machine,
-)
-#: everything a study can ask for
-STUDY: tuple[Step, ...] = (select_design, plan_stages, *EVALUATION)
-#: the same with readings from files: nothing is left to plan
-READINGS_GIVEN: tuple[Step, ...] = (select_design, *EVALUATION)
-#: the diagnosis alone: neither posterior nor prediction
-DIAGNOSIS: tuple[Step, ...] = (
-    take_readings,
-    check_readings,
-    analyse_identifiability,
-    fit_parameters,
-    diagnose_always,
-    correct_for_effects,
-    draw_machine,
-)
 #: sections that the diagnosis alone and the plan alone make: claims about others wait
 DIAGNOSIS_SECTIONS = (
     "gap",
@@ -103,9 +82,10 @@ def run(
     state = state.replace(with_effects=tuple(effects))
     result_folder.prepare(out)
     checkpoint = result_folder.checkpoint(out, study, state.seed)
-    steps = READINGS_GIVEN if state.readings_given else STUDY
-    state = _follow(steps, state.replace(checkpoint=checkpoint))
-    study_result = _finish(state, out, report=report)
+    state = select_design(state.replace(checkpoint=checkpoint))
+    if not state.readings_given:
+        state = plan_stages(state)
+    study_result = _finish(_evaluate(state), out, report=report)
     checkpoint.clear()
     return study_result
 
@@ -123,14 +103,17 @@ def diagnose(
     Raises InputError where there are no readings.
     """
     state = start(study, seed, progress or Silent(), readings)
-    recorded = state.resolved.dataset is not None
-    if not recorded and study.readings is None:
+    data = state.resolved.dataset
+    if data is None and study.readings is None:
         raise study.place.key("readings").error(
             "there are no readings to diagnose", "give --readings FILE.csv"
         )
     result_folder.prepare(out)
-    steps = DIAGNOSIS if recorded else (select_design, plan_stages, *DIAGNOSIS)
-    return _finish(_follow(steps, state), out, report=True, sections=DIAGNOSIS_SECTIONS)
+    measured = _measure(state, data)
+    measured, _ = analyse_identifiability(check_readings(measured))
+    fitted = diagnose_always(fit_parameters(measured))
+    fitted = draw_machine(correct_for_effects(fitted))
+    return _finish(fitted, out, report=True, sections=DIAGNOSIS_SECTIONS)
 
 
 def plan(
@@ -153,10 +136,11 @@ def plan(
 
 def planned_state(
     study: Study, after: Path | None, seed: int | None, progress: Progress
-) -> RunState:
+) -> Scheduled:
     """The state of a run with the plan of stages. Raises InputError as `plan` does."""
     state = start(study, seed, progress, [])
-    if state.resolved.plan is None:
+    request = state.resolved.plan
+    if request is None:
         raise (
             study.place.key("plan")
             .key("measurement")
@@ -168,19 +152,18 @@ def planned_state(
     earlier = None
     if after is not None:
         earlier_result = result_folder.load_result(after)
-        earlier = read_earlier_session(state.resolved, after, earlier_result)
+        earlier = read_earlier_session(state.resolved, request, after, earlier_result)
         state = state.replace(resolved=earlier.resolved)
-    state = plan_stages(state, earlier)
-    assert state.plan is not None
-    state = state.replace(readings=Readings(series=state.plan.series))
-    state = analyse_identifiability(state)
-    assert state.identifiability is not None
-    state = state.replace(measurement=state.identifiability.measurement)
-    state = draw_machine(state)
-    cause = state.resolved.gap_design
+        request = earlier.plan
+    state, outcome = plan_measurements(state, request, earlier)
+    readings = Readings(series=outcome.series)
+    scheduled = promote(Scheduled, state, readings=readings)
+    scheduled, verdict = analyse_identifiability(scheduled)
+    scheduled = draw_machine(scheduled.replace(measurement=verdict.measurement))
+    cause = scheduled.resolved.gap_design
     if cause is not None and cause.follows_plan:
-        state = preview_gap(state)
-    return state
+        return preview_gap(scheduled)
+    return scheduled
 
 
 def simulate(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path, Path]:
@@ -195,8 +178,6 @@ def simulate(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path,
     state = plan_stages(select_design(state))
     virtual = simulate_readings(state, planned_series(state))
     readings, measurement = virtual.readings, state.measurement
-    assert readings.y is not None
-    assert readings.truth is not None
     covariates = readings.covariates
     if covariates is not None:
         covariates = covariates.drop(columns=["setup", "run", "order"])
@@ -205,7 +186,7 @@ def simulate(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path,
     dataset.save(out, data)
     truth: dict[str, Any] = {
         p.name: {"value": float(value), "unit": p.unit}
-        for p, value in zip(measurement.parameters, readings.truth, strict=True)
+        for p, value in zip(measurement.parameters, virtual.truth, strict=True)
     }
     if virtual.effects:
         truth["effects"] = virtual.effects
@@ -218,10 +199,32 @@ def _truth_path(readings: Path) -> Path:
     return readings.with_name(f"{stem}.truth.json")
 
 
-def _follow(steps: Sequence[Step], state: RunState) -> RunState:
-    for step in steps:
-        state = step(state)
-    return state
+def _evaluate(state: RunState) -> Scheduled:
+    """From readings to accuracy."""
+    scheduled = take_readings(state)
+    if isinstance(scheduled, Measured):
+        scheduled = check_readings(scheduled)
+    scheduled, verdict = analyse_identifiability(scheduled)
+    scheduled = preview_gap(report_design(scheduled, verdict))
+    if isinstance(scheduled, Measured):
+        scheduled = _fit(scheduled)
+    scheduled = predict_accuracy(scheduled)
+    if isinstance(scheduled, Fitted):
+        scheduled = predict_held_out(scheduled)
+    return draw_machine(report_single_stage(scheduled, verdict))
+
+
+def _fit(state: Measured) -> Fitted:
+    """From values to the estimate, its posterior, and the gap that it leaves."""
+    fitted = sample_posterior(fit_parameters(state))
+    return correct_for_effects(diagnose_gap(fitted))
+
+
+def _measure(state: RunState, data: Dataset | None) -> Measured:
+    """Recorded readings, or those of the virtual machine at the planned poses."""
+    if data is not None:
+        return take_recorded(state, data)
+    return take_simulated(plan_stages(select_design(state)))
 
 
 def _finish(
@@ -249,21 +252,14 @@ def _finish(
 
 def assemble_result(state: RunState) -> StudyResult:
     """The result of the steps so far; without claims."""
-    study, machine = state.study, state.resolved.machine
-    setups = state.measurement.setups.values()
-    return StudyResult(
-        schema=result.SCHEMA,
-        version=oed.__version__,
-        study=study.name,
-        title=study.title or study.name,
-        question=study.question,
+    machine, setups = state.resolved.machine, state.measurement.setups.values()
+    recorded = state.resolved.dataset is not None
+    return msgspec.structs.replace(
+        state.result,
         seed=state.seed,
-        seconds=0.0,
         machine=describe.machine_info(machine),
         setups=[describe.setup_info(machine, setup) for setup in setups],
-        study_text=study.text,
         versions=describe.package_versions(),
-        headline=headline.sentences(state.sections, state.resolved.dataset is not None),
+        headline=headline.sentences(state.result, recorded),
         warnings=list(dict.fromkeys(state.warnings)),
-        **state.sections,
     )

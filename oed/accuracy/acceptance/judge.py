@@ -2,38 +2,31 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
 
 from oed.base.arrays import Array
-
-
-@dataclasses.dataclass(frozen=True)
-class ComponentVerdict:
-    """The judgement of one pose component, SI.
-
-    rms      of the measured errors
-    largest  of their sizes
-    limit    largest rms with which it passes
-    passed   whether it does
-    """
-
-    rms: float
-    largest: float
-    limit: float
-    passed: bool
+from oed.result.acceptance import PromiseRecord, VerdictRecord
 
 
 def judge(
-    errors: Mapping[str, Array], limits: Mapping[str, float]
-) -> dict[str, ComponentVerdict]:
-    """Verdicts by component, from the errors (n,) measured at the planned poses, SI."""
-    verdicts = {}
-    for name, limit in limits.items():
-        values = errors[name]
-        rms = float(np.sqrt(np.mean(values**2)))
-        largest = float(np.abs(values).max())
-        verdicts[name] = ComponentVerdict(rms, largest, limit, rms <= limit)
-    return verdicts
+    errors: Mapping[str, Array], demands: Mapping[str, PromiseRecord]
+) -> dict[str, VerdictRecord]:
+    """Verdicts by component, from the errors (n,) measured at the planned poses.
+
+    Errors are in the unit of their demand.
+    """
+    return {name: _verdict(errors[name], demand) for name, demand in demands.items()}
+
+
+def _verdict(errors: Array, demand: PromiseRecord) -> VerdictRecord:
+    rms = float(np.sqrt(np.mean(errors**2)))
+    return VerdictRecord(
+        rms=rms,
+        max=float(np.abs(errors).max()),
+        limit=demand.limit,
+        promised=demand.promised,
+        unit=demand.unit,
+        passed=rms <= demand.limit,
+    )

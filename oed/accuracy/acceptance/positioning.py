@@ -15,28 +15,16 @@ many there were.
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from oed.base.arrays import Array, Index
+from oed.result.acceptance import PositioningRecord
 
 
-@dataclasses.dataclass(frozen=True)
-class Positioning:
-    """Figures of one pose component, SI; `reversal` and `mean` need both directions."""
-
-    targets: int
-    approaches: int
-    accuracy: float
-    systematic: float
-    repeatability: float
-    mean: float | None
-    reversal: float | None
-
-
-def positioning(errors: Array, target: Index, direction: Array) -> Positioning | None:
-    """Figures of errors (n,) at numbered targets, approached in directions (n,).
+def positioning(
+    errors: Array, target: Index, direction: Array, unit: str
+) -> PositioningRecord | None:
+    """Figures of errors (n,) in `unit` at numbered targets, approached in directions (n,).
 
     direction  +1 or -1; NaN where unknown, which counts as one direction
 
@@ -63,7 +51,7 @@ def positioning(errors: Array, target: Index, direction: Array) -> Positioning |
         reversal = float(step.max())
         middle = float(np.ptp(means.mean(axis=1)))
         spread = np.maximum(spread, 2.0 * sds.sum(axis=1) + step)
-    return Positioning(
+    return PositioningRecord(
         targets=len(means),
         approaches=fewest,
         accuracy=float(accuracy),
@@ -71,4 +59,5 @@ def positioning(errors: Array, target: Index, direction: Array) -> Positioning |
         repeatability=float(spread.max()),
         mean=middle,
         reversal=reversal,
+        unit=unit,
     )

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from oed.gap.data.diagnosis import UNKNOWN, Answer
+from oed.gap.data.diagnosis import UNKNOWN
 from oed.gap.data.signature import LACKS
 from oed.model.effect import Effect
+from oed.result.gap import AnswerRecord
 
 #: probability of the leading answer below which the advice considers its rival too
 SURE = 0.8
@@ -16,7 +17,7 @@ MOST_NAMES = 4
 
 
 def advise(
-    answers: Sequence[Answer],
+    answers: Sequence[AnswerRecord],
     effects: Sequence[Effect],
     not_testable: Mapping[str, str],
 ) -> tuple[str, ...]:
@@ -58,7 +59,7 @@ def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
     return sorted(missing)
 
 
-def _for_answer(answer: Answer, known: Mapping[str, Effect]) -> list[str]:
+def _for_answer(answer: AnswerRecord, known: Mapping[str, Effect]) -> list[str]:
     sentences = []
     named = [e for e in answer.effects if e != UNKNOWN]
     for effect, members in zip(named, answer.classes, strict=True):
@@ -103,8 +104,8 @@ def _for_class(members: Sequence[str], known: Mapping[str, Effect]) -> str:
 
 
 def _between(
-    first: Answer,
-    second: Answer,
+    first: AnswerRecord,
+    second: AnswerRecord,
     known: Mapping[str, Effect],
 ) -> list[str]:
     """What would distinguish the leading answer from the second."""

@@ -12,11 +12,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+from msgspec.structs import replace
+
 from oed.base.arrays import Array
 from oed.gap.cause.equivalence import equivalent_effects
 from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
-from oed.gap.data.diagnosis import UNKNOWN, Answer, Verdict
+from oed.gap.data.diagnosis import UNKNOWN, Verdict
+from oed.result.gap import AnswerRecord
 
 #: least probability of an answer that is reported
 REPORTED = 0.002
@@ -109,13 +112,13 @@ def _without_a_sign(nothing: AnswerGroup, names: tuple[str, ...]) -> list[Answer
     return groups
 
 
-def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[Answer, ...], Hypothesis]:
+def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[AnswerRecord, ...], Hypothesis]:
     """The decision first, then the other answers by probability.
 
     A gap is reported where one of a size that shows is probable enough. The second
     result is the best hypothesis of the first answer.
     """
-    answers: list[Answer] = []
+    answers: list[AnswerRecord] = []
     leading: list[Hypothesis] = []
     for entry in groups:
         _add(answers, entry)
@@ -126,7 +129,7 @@ def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[Answer, ...], Hypothesis]
     return tuple(answers[k] for k in [decision, *order]), leading[decision]
 
 
-def _decision(answers: Sequence[Answer]) -> int:
+def _decision(answers: Sequence[AnswerRecord]) -> int:
     """Number of the answer that costs least by the loss table."""
     gaps = [k for k, answer in enumerate(answers) if answer.effects]
     nothing = [k for k, answer in enumerate(answers) if not answer.effects]
@@ -139,14 +142,14 @@ def _decision(answers: Sequence[Answer]) -> int:
     return likeliest if MISSED * gap > cost * (total - gap) else nothing[0]
 
 
-def _is_vague(answer: Answer) -> bool:
+def _is_vague(answer: AnswerRecord) -> bool:
     """Whether an answer's effect could be any of many."""
     if answer.effects == (UNKNOWN,):
         return True
     return any(len(members) >= VAGUE for members in answer.classes)
 
 
-def _add(answers: list[Answer], entry: AnswerGroup) -> None:
+def _add(answers: list[AnswerRecord], entry: AnswerGroup) -> None:
     """Add an answer, or its probability to the one that says the same.
 
     What acts with a named effect and may be any of many is reported as unknown: a name
@@ -162,7 +165,7 @@ def _add(answers: list[Answer], entry: AnswerGroup) -> None:
         if (UNKNOWN in answer.effects) != unknown or entry.is_any_effect:
             continue
         if _stands_for(names, answer.classes):
-            answers[k] = dataclasses.replace(
+            answers[k] = replace(
                 answer,
                 probability=answer.probability + entry.probability,
                 unseen=answer.unseen + entry.unseen,
@@ -173,10 +176,10 @@ def _add(answers: list[Answer], entry: AnswerGroup) -> None:
 
 def _answer(
     members: Classes, unknown: bool, probability: float, unseen: float = 0.0
-) -> Answer:
+) -> AnswerRecord:
     names = tuple(m[0] for m in members)
     effects = (*names, UNKNOWN) if unknown else names
-    return Answer(effects, probability, tuple(members), unseen)
+    return AnswerRecord(effects, probability, tuple(members), unseen)
 
 
 def _stands_for(effects: frozenset[str], members: Classes) -> bool:
@@ -192,7 +195,7 @@ def _stands_for(effects: frozenset[str], members: Classes) -> bool:
     )
 
 
-def credible_set(groups: Sequence[AnswerGroup]) -> tuple[Answer, ...]:
+def credible_set(groups: Sequence[AnswerGroup]) -> tuple[AnswerRecord, ...]:
     """The fewest sets of named effects that together have 95 %, by probability.
 
     An unknown remainder joins them where it has most of their probability.
@@ -236,7 +239,7 @@ def _has_same_names(entry: AnswerGroup, other: AnswerGroup) -> bool:
     return alike and _stands_for(names, other.members)
 
 
-def verdict(answer: Answer) -> Verdict:
+def verdict(answer: AnswerRecord) -> Verdict:
     """The kind of an answer."""
     if not answer.effects:
         return "none"

@@ -11,11 +11,12 @@ from scipy import linalg
 from oed.base.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
-from oed.gap.data.diagnosis import Coefficient, Size
+from oed.gap.data.diagnosis import Size
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
 from oed.noise.law import stated_law
+from oed.result.gap import CoefficientRecord
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Explained:
     level           noise level
     """
 
-    coefficients: tuple[Coefficient, ...]
+    coefficients: tuple[CoefficientRecord, ...]
     sizes: tuple[Size, ...]
     explained: Array
     unexplained: Array
@@ -57,7 +58,7 @@ def explain(
     columns = h.columns(library, search.processes)
     mean, covariance = _posterior(metric, columns, residual)
     by_effects = np.zeros(len(problem))
-    coefficients: list[Coefficient] = []
+    coefficients: list[CoefficientRecord] = []
     sizes, start = [], 0
     stated = Metric(search.problem, stated_law(problem))
     forms = zip(h.effects, h.atoms, h.sizes, strict=True)
@@ -108,12 +109,14 @@ def _coefficients(
     rows: Index,
     means: Array,
     sds: Array,
-) -> list[Coefficient]:
+) -> list[CoefficientRecord]:
     """Coefficients of an effect from their means (k,) and sds (k,)."""
-    coefficients: list[Coefficient] = []
+    coefficients: list[CoefficientRecord] = []
     for c, mean, sd in zip(rows, means, sds, strict=True):
         name, label = library.names[c], library.labels[c]
-        coefficients.append(Coefficient(effect, name, label, float(mean), float(sd)))
+        coefficients.append(
+            CoefficientRecord(effect, name, label, float(mean), float(sd))
+        )
     return coefficients
 
 

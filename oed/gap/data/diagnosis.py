@@ -9,43 +9,10 @@ from typing import Literal
 from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
+from oed.result.gap import AnswerRecord, CoefficientRecord, PlaceRecord
 
 Verdict = Literal["none", "effect", "class", "mixture", "unknown"]
 UNKNOWN = "unknown"
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Answer:
-    """One explanation of the residuals.
-
-    effects        effects that act together; none for no gap, `unknown` for a form that
-                   no effect of the library has
-    probability    posterior probability
-    classes        for each effect the names that these readings cannot distinguish from
-                   it, itself among them
-    unseen         part of the probability at sizes that no reading shows
-    """
-
-    effects: tuple[str, ...]
-    probability: float
-    classes: tuple[tuple[str, ...], ...] = ()
-    unseen: float = 0.0
-
-    @property
-    def visible(self) -> float:
-        """Probability at sizes that the readings show."""
-        return self.probability - self.unseen
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Coefficient:
-    """A coefficient of a selected effect: posterior mean and sd in its own unit."""
-
-    effect: str
-    name: str
-    label: str
-    mean: float
-    sd: float
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -62,24 +29,6 @@ class Size:
     rms: Mapping[str, float]
     remaining: Mapping[str, float]
     detectability: float
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Block:
-    """Where a gap lies.
-
-    block       `leg K` from 1, `run ID`, `time A-B` in s, `phase A-B` in deg,
-                `direction +1`, `set-up NAME`
-    p_value     posterior probability that it holds no more than its even share
-    strength    share of the gap's energy that it holds
-    same_as     a place of another kind with the same readings, from which these cannot
-                tell it; "" for none
-    """
-
-    block: str
-    p_value: float
-    strength: float = 0.0
-    same_as: str = ""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -137,20 +86,20 @@ class Diagnosis:
 
     problem: GapProblem
     verdict: Verdict
-    answers: tuple[Answer, ...]
-    set95: tuple[Answer, ...]
+    answers: tuple[AnswerRecord, ...]
+    set95: tuple[AnswerRecord, ...]
     marginal: Mapping[str, float]
     law: NoiseLaw
     noise_words: tuple[str, ...]
     constants: Mapping[str, Mapping[str, float]]
-    coefficients: tuple[Coefficient, ...]
+    coefficients: tuple[CoefficientRecord, ...]
     sizes: tuple[Size, ...]
     explained: Array
     unexplained: Array
     likeness: Mapping[str, float]
     before: Array
     after: Array
-    where: tuple[Block, ...]
+    where: tuple[PlaceRecord, ...]
     closure: tuple[Closure, ...]
     not_testable: Mapping[str, str]
     confusable: tuple[tuple[str, ...], ...]

@@ -23,13 +23,14 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from scipy import special
 
 from oed.base.arrays import Array, Index
-from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem
 from oed.gap.places.draws import Draws, LikelyForms, draw_energies
 from oed.noise.law import NoiseLaw
+from oed.result.gap import PlaceRecord
 
 #: draws of the posterior
 DRAWS = 400
@@ -52,7 +53,7 @@ def locate(
     models: Sequence[LikelyForms],
     rng: np.random.Generator,
     draws: int = DRAWS,
-) -> tuple[Block, ...]:
+) -> tuple[PlaceRecord, ...]:
     """Places of the gap: those that stand out, and confine it best, first.
 
     All legs, or set-ups, that a form has columns of; the best runs; one stretch of the
@@ -77,17 +78,18 @@ def locate(
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Place:
-    """A place as reported, and its even share."""
+    """A place as reported, its mean share of the gap, and its even share."""
 
-    block: Block
+    block: PlaceRecord
+    share: float
     even: float
 
     @property
     def confines(self) -> float:
         """Nats by which the gap is confined: of its share, relative to the even one."""
-        held, even = self.block.strength, self.even
-        inside = special.rel_entr(held, even)
-        return float(inside + special.rel_entr(1.0 - held, 1.0 - even))
+        share, even = self.share, self.even
+        inside = special.rel_entr(share, even)
+        return float(inside + special.rel_entr(1.0 - share, 1.0 - even))
 
 
 def _rank(place: _Place) -> tuple[bool, float, float]:
@@ -102,7 +104,8 @@ def _place(name: str, energy: Array, total: Array, even: float) -> _Place:
     """A place with energies (D,) of a total (D,), and its even share."""
     share = energy / np.maximum(total, 1e-300)
     p_value = (1.0 + np.sum(share <= even)) / (len(share) + 1.0)
-    return _Place(Block(name, float(p_value), float(share.mean())), even)
+    mean = float(share.mean())
+    return _Place(PlaceRecord(name, float(p_value), mean), mean, even)
 
 
 def _labelled(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
@@ -177,7 +180,7 @@ def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
         yield stretch
 
 
-def _with_same_readings(problem: GapProblem, block: Block) -> Block:
+def _with_same_readings(problem: GapProblem, block: PlaceRecord) -> PlaceRecord:
     """The block with the place of another kind that has the same readings, if any.
 
     A set-up that was read in one stretch of the session is that stretch as well.
@@ -186,7 +189,7 @@ def _with_same_readings(problem: GapProblem, block: Block) -> Block:
         names = (f"set-up {setup}", f"time {extent}")
         if block.block in names:
             (other,) = set(names) - {block.block}
-            return dataclasses.replace(block, same_as=other)
+            return replace(block, same_as=other)
     return block
 
 

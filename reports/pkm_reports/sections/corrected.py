@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from oed.result import CorrectedSection, EffectEstimate, StudyResult
+from oed.result import CorrectedSection, EffectEstimate, PredictionSection, StudyResult
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -35,8 +35,8 @@ def blocks(result: StudyResult) -> list[Block]:
     chapter.append(_parameters(result, corrected))
     chapter.append(_effects(corrected.effects))
     if corrected.prediction is not None:
-        chapter.append(_accuracy(corrected))
         section = corrected.prediction
+        chapter.append(_accuracy(corrected, section))
         if section.budget is not None:
             chapter += budget.blocks(section.budget, section.components)
     return chapter
@@ -110,14 +110,13 @@ def _effects(effects: Mapping[str, EffectEstimate]) -> Table:
     return Table(columns, rows, caption)
 
 
-def _accuracy(corrected: CorrectedSection) -> Table:
-    assert corrected.prediction is not None
+def _accuracy(corrected: CorrectedSection, prediction: PredictionSection) -> Table:
     columns = [
         TableColumn("Component"),
         *number_columns("Before", "Parameters alone", "With effects", "p95", "max"),
     ]
     rows = []
-    for name, c in corrected.prediction.components.items():
+    for name, c in prediction.components.items():
         alone = corrected.parameters_only[name]
         cells = [text.number(c.before.rms), text.number(alone.rms)]
         unit = text.unit_symbol(c.after.unit)

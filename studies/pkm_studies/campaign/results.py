@@ -15,10 +15,19 @@ from oed.base import csv_text
 from oed.base.own_files import save_own, write_own
 from pkm_studies.campaign import jobs
 from pkm_studies.campaign.case import ERROR, PROCESSOR_TIME
-from pkm_studies.campaign.machine_summary import summarise_machines
-from pkm_studies.campaign.mean_summary import summarise_means
 from pkm_studies.campaign.runner import case_paths
 from pkm_studies.campaign.tables import Campaign
+
+if TYPE_CHECKING:
+    import pandas as pd
+from typing import TYPE_CHECKING
+
+from pkm_studies.campaign.case import COLUMNS
+from pkm_studies.campaign.interval import mean_interval
+
+if TYPE_CHECKING:
+    import pandas as pd
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,3 +110,52 @@ def _summary_function(
 def _cell(value: Any) -> Any:
     """A value that a table can hold: lists and tables as JSON."""
     return json.dumps(value) if isinstance(value, list | dict) else value
+
+
+# -- summary of a case function --------------------------------------------------------
+
+
+def summarise_means(cases: pd.DataFrame, setting: dict[str, Any]) -> dict[str, Any]:
+    """Mean of each column of numbers, and the ends of its interval over cases."""
+    row: dict[str, Any] = {}
+    for column in cases.select_dtypes(["number", "bool"]).columns:
+        if column in setting or column in COLUMNS:
+            continue
+        values = cases[column].dropna().to_numpy(dtype=float)
+        if not len(values):
+            continue
+        low, high = mean_interval(values)
+        row |= {column: float(values.mean())}
+        row |= {f"{column}_low": low, f"{column}_high": high}
+    return row
+
+
+# -- summary of virtual machines -------------------------------------------------------
+
+
+def summarise_machines(fitted: pd.DataFrame) -> dict[str, Any]:
+    """Figures of the machines of a combination that could be fitted.
+
+    inside_95  share of intervals of identifiable combinations that hold the truth, with
+               the 95 % interval of its mean over machines
+    not_trusted  share of machines whose fit is not to be trusted
+    nees       mean squared error over the predicted covariance, a combination
+    predicted, realised   rms over machines, by component
+    """
+    inside = fitted["inside_95"].to_numpy()
+    low, high = mean_interval(inside)
+    row: dict[str, Any] = {
+        "inside_95": float(inside.mean()),
+        "inside_95_low": float(np.maximum(0.0, low)),
+        "inside_95_high": float(np.minimum(1.0, high)),
+        "nees": float(fitted["nees"].mean()),
+    }
+    if "trusted" in fitted:
+        row["not_trusted"] = 1.0 - float(fitted["trusted"].mean())
+    for column in fitted.columns:
+        if column.startswith(("predicted_", "realised_")):
+            row[column] = float(np.sqrt(np.mean(fitted[column] ** 2)))
+    if "verdict" in fitted:
+        exact = fitted["answer"] == fitted["acting"]
+        row["effects_named"] = float(exact.mean())
+    return row

@@ -116,8 +116,12 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return UserFunction(reference, origin, str(self.path))
 
     def study_with(self, setting: Mapping[str, Any]) -> Study:
-        """The study with other values of some fields. Raises InputError."""
-        assert self.varied is not None
+        """The study with other values of some fields.
+
+        Raises InputError, and LookupError for a campaign of a function.
+        """
+        if self.varied is None:
+            raise LookupError("a campaign of a function varies no study")
         return vary.with_setting(self.varied, setting, self.place.key("vary"))
 
 

@@ -14,15 +14,22 @@ from oed.accuracy.maps import error_maps
 from oed.base import units
 from oed.base.arrays import Array
 from oed.estimation.coordinates import coordinates_of_readings
-from oed.estimation.estimate import Estimate
 from oed.identifiability.assessment import assess
-from oed.measurement.measurement import Series
-from oed.result import GoodnessSection, trust
+from oed.result import trust
 from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent
 from pkm_studies.campaign.interval import HALF_WIDTH
+from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.stages.predict.virtual_machines import errors_after
-from pkm_studies.stages.run_state import Readings, RunState, start
+from pkm_studies.stages.run_state import (
+    Fitted,
+    Measured,
+    Readings,
+    Scheduled,
+    promote,
+    start,
+    written,
+)
 from pkm_studies.stages.steps import design as design_steps
 from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import gap as gap_steps
@@ -52,39 +59,38 @@ class VirtualMachine:
 
         Raises IdentificationError, AssemblyError, numpy.linalg.LinAlgError.
         """
-        prepared, series = _prepared(self.study, self.path, self.consent)
-        state = prepared.replace(seed=seed)
-        simulated = readings_steps.simulate_readings(state, series)
-        state = state.replace(readings=simulated.readings)
-        state = fit_steps.fit_parameters(state)
-        figures = {**_fit_figures(state), **_accuracy_figures(state)}
+        state = _prepared(self.study, self.path, self.consent).replace(seed=seed)
+        virtual = readings_steps.simulate_readings(state, state.readings.series)
+        measured = promote(Measured, state, readings=virtual.readings)
+        fitted = fit_steps.fit_parameters(measured)
+        figures = _fit_figures(fitted, virtual.truth)
+        if state.resolved.prediction is not None:
+            figures |= _accuracy_figures(
+                fitted, state.resolved.prediction, virtual.truth
+            )
         if self.diagnose:
-            figures |= _diagnosis_figures(state, simulated.effects)
+            figures |= _diagnosis_figures(fitted, virtual.effects)
         return figures
 
 
 @functools.lru_cache(maxsize=REMEMBERED)
-def _prepared(
-    text: str, path: str, consent: Consent
-) -> tuple[RunState, tuple[Series, ...]]:
+def _prepared(text: str, path: str, consent: Consent) -> Scheduled:
     """The state with its plan, made once for all machines of a combination."""
     study: Study = loader.parse(text, Path(path), consent)
     state = design_steps.select_design(start(study, None, Silent(), []))
     state = design_steps.plan_stages(state)
     series = readings_steps.planned_series(state)
-    state = state.replace(readings=Readings(series=series))
     scaling = study.design.scaling if study.design else "length"
     verdict = assess(state.measurement, series, scaling)
-    return state.replace(identifiability=verdict), series
+    readings = Readings(series=series)
+    return promote(Scheduled, state, readings=readings, identifiability=verdict)
 
 
-def _fit_figures(state: RunState) -> dict[str, Any]:
-    """Fit and intervals against the true parameters."""
-    estimate = state.estimate
-    assert estimate is not None
-    goodness: GoodnessSection = state.sections["goodness"]
-    objections = trust.section_objections(goodness, state.sections["estimate"])
-    inside, squared, rank = _interval_figures(state, estimate)
+def _fit_figures(state: Fitted, truth: Array) -> dict[str, Any]:
+    """Fit and intervals against the true parameters (n,)."""
+    estimate, goodness = state.estimate, state.goodness
+    objections = trust.section_objections(goodness, state.estimate_section)
+    inside, squared, rank = _interval_figures(state, truth)
     return {
         "readings": len(estimate.residuals),
         "rank": rank,
@@ -97,17 +103,17 @@ def _fit_figures(state: RunState) -> dict[str, Any]:
     }
 
 
-def _interval_figures(state: RunState, estimate: Estimate) -> tuple[float, float, int]:
+def _interval_figures(state: Fitted, truth: Array) -> tuple[float, float, int]:
     """Share of 95 % intervals of identifiable combinations that hold the truth.
 
     And the mean squared standardised error, the Mahalanobis distance over the rank:
     1 on average where the covariance is right. A combination's true value is the one
     that gives the exact readings with the lost directions at nominal.
     """
-    assert state.readings is not None
     measurement, series = state.measurement, state.readings.series
+    estimate = state.estimate
     coordinates = estimate.coordinates
-    exact = measurement.readings(series, _truth(state))
+    exact = measurement.readings(series, truth)
     true = coordinates_of_readings(measurement, series, coordinates, exact, estimate.z)
     error = estimate.z - true
     covariance = coordinates.dual @ estimate.covariance @ coordinates.dual.T
@@ -117,18 +123,16 @@ def _interval_figures(state: RunState, estimate: Estimate) -> tuple[float, float
     return float(inside.mean()), float(squared), rank
 
 
-def _accuracy_figures(state: RunState) -> dict[str, Any]:
+def _accuracy_figures(
+    state: Fitted, request: PredictionRequest, truth: Array
+) -> dict[str, Any]:
     """Predicted and realised rms error after compensation, by component."""
     estimate, measurement = state.estimate, state.measurement
-    command = state.resolved.prediction_commands
-    table = state.study.prediction
-    assert estimate is not None
-    assert command is not None
-    assert table is not None
+    table, command = request.table, request.command
     count = len(measurement.machine.parameters)
     maps = error_maps(measurement.kinematics, command, table.reference)
     covariance = estimate.covariance[:count, :count]
-    identified, true = estimate.theta[None, :count], _truth(state)[None, :count]
+    identified, true = estimate.theta[None, :count], truth[None, :count]
     known = maps.remaining @ (identified[0] - measurement.machine.nominal)
     unknown = np.einsum("nkp,pq,nkq->nk", maps.raw, covariance, maps.raw, optimize=True)
     expected = np.sqrt(np.mean(known**2 + unknown, axis=0))
@@ -143,11 +147,9 @@ def _accuracy_figures(state: RunState) -> dict[str, Any]:
     return figures
 
 
-def _diagnosis_figures(
-    state: RunState, effects: list[dict[str, Any]]
-) -> dict[str, Any]:
+def _diagnosis_figures(state: Fitted, effects: list[dict[str, Any]]) -> dict[str, Any]:
     """The verdict, and the effects that act."""
-    section = gap_steps.diagnose_always(state).sections["gap"]
+    section = written(gap_steps.diagnose_always(state).result.gap, "gap")
     answer = section.answers[0]
     return {
         "verdict": section.verdict,
@@ -155,9 +157,3 @@ def _diagnosis_figures(
         "probability": answer.probability,
         "acting": "+".join(sorted(e["effect"] for e in effects)),
     }
-
-
-def _truth(state: RunState) -> Array:
-    assert state.readings is not None
-    assert state.readings.truth is not None
-    return state.readings.truth

@@ -10,7 +10,7 @@ up. Without further axes the known errors of what no joint corrects join them.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -24,7 +24,11 @@ from oed.compensate.export_errors import (
 )
 from oed.mechanism.kinematics import AssemblyError
 from oed.result import BudgetLine, BudgetSection, PredictionSection, StudyResult
-from pkm_studies.catalogue.controller_format import Compensation, ControllerFormat
+from pkm_studies.catalogue.controller_format import (
+    Compensation,
+    ControllerFormat,
+    Texts,
+)
 from pkm_studies.stages.predict.budget import advice_on, quantities
 
 #: end of the name of the file with the budget
@@ -65,24 +69,26 @@ def complete_budget(
     """
     corrected = result.corrected
     prediction = result.final_prediction
-    if prediction is None or prediction.budget is None or controller.joints is None:
+    joints = controller.joints
+    if prediction is None or prediction.budget is None or joints is None:
         return None
-    shown = _shown(controller, content, prediction.budget)
-    lines = [_rounding(controller, content, prediction, shown)]
+    budget = prediction.budget
+    shown = _shown(controller, content, budget)
+    lines = [_rounding(controller, joints, content, prediction, shown)]
     if controller.interpolated:
         lines += _interpolation(content, prediction, shown)
     lines += _of_effects(content, shown)
     if corrected is not None and not controller.tables:
         alone = {n: s.rms for n, s in corrected.parameters_only.items()}
         lines.append(_left_out(prediction, alone, shown))
-    section = with_lines(prediction.budget, lines)
+    section = with_lines(budget, lines)
     driven = driven_units(content)
     section = msgspec.structs.replace(
         section,
         advice=advice_on(section.lines, section.predicted, driven),
-        no_axes=_without_axes(content, prediction, section),
+        no_axes=_without_axes(content, prediction, budget, section),
     )
-    exact = quantities(prediction.budget.predicted, driven)
+    exact = quantities(budget.predicted, driven)
     sentence = (
         f"with this file the predicted rms is {quantities(section.predicted, driven)};"
         f" exact compensation leaves {exact}"
@@ -101,15 +107,17 @@ def _shown(
 
 
 def _without_axes(
-    content: Compensation, prediction: PredictionSection, section: BudgetSection
+    content: Compensation,
+    prediction: PredictionSection,
+    budget: BudgetSection,
+    section: BudgetSection,
 ) -> dict[str, float]:
     """Rms errors of what no joint drives, by component in its fine unit.
 
     Without further axes what is known of them stays as well.
     """
     undriven = undriven_units(content)
-    assert prediction.budget is not None
-    unknown = prediction.budget.predicted | section.predicted
+    unknown = budget.predicted | section.predicted
     predicted = [name for name in undriven if name in unknown]
     if not predicted:
         return {}
@@ -151,9 +159,8 @@ def with_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSectio
         return {n: (values[n] ** 2 + extra[n]) ** 0.5 for n in names}
 
     lines = [
-        BudgetLine(
-            source=line.source,
-            kind=line.kind,
+        msgspec.structs.replace(
+            line,
             share={n: line.size[n] * abs(line.size[n]) / total[n] ** 2 for n in names},
             size={n: line.size[n] for n in names},
             without=None if line.without is None else grown(line.without),
@@ -206,12 +213,12 @@ def undriven_units(content: Compensation) -> dict[str, str]:
 
 def _rounding(
     controller: ControllerFormat,
+    joints: Callable[[Texts, Compensation], Array],
     content: Compensation,
     prediction: PredictionSection,
     shown: Mapping[str, str],
 ) -> FileLine:
     """Printed digits and the controller's model, at the commands of the workspace."""
-    assert controller.joints is not None
     command = content.command
     home = content.machine.home_command[None]
     poses = np.vstack([command, home])
@@ -223,7 +230,7 @@ def _rounding(
     errors = joint_errors(
         content.kinematics,
         command,
-        controller.joints(texts, whole),
+        joints(texts, whole),
         content.identified.values,
         prediction.reference,  # type: ignore[arg-type]
         content.further,

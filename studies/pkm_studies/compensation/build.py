@@ -11,7 +11,6 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.compensate.command_grid import GridAxis
-from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import StudyResult
 from pkm_studies.base.errors import InputError
@@ -21,7 +20,7 @@ from pkm_studies.catalogue.controller_format import (
     MeasuringPose,
 )
 from pkm_studies.compensation import identified
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.workspace import workspace_axes, workspace_commands
 from pkm_studies.stages.corrected import table_grid
@@ -41,7 +40,8 @@ def compensation(
 
     Raises InputError where nothing was identified, and where `largest` is too small.
     """
-    machine, tables = study_machine(study), controller.tables
+    kinematics, tables = study_kinematics(study), controller.tables
+    machine = kinematics.machine
     parameters = identified.identified_parameters(result, machine, tables=tables)
     if parameters is None:
         raise InputError(
@@ -49,7 +49,6 @@ def compensation(
             "run the study with readings: `oed identify STUDY --readings CSV --out DIR`",
             file=str(folder / "result.json"),
         )
-    kinematics = Kinematics(machine)
     notes = [f"parameters: section {parameters.origin} of result.json"]
     if identified.is_virtual(result):
         notes.append("the readings are simulated: these values fit no real machine")

@@ -6,6 +6,7 @@ One file has one run or several. Deviations are added to the bar's length. The m
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -29,13 +30,14 @@ from pkm_studies.importers.base import (
     Row,
 )
 from pkm_studies.importers.column_map import Model
-from pkm_studies.importers.thinning import Thinned, thin
 from pkm_studies.resolve.poses import PLANES
 from pkm_studies.resolve.quantities import column as usual_column
 from pkm_studies.resolve.quantities import read_values
 from pkm_studies.resolve.tool_points import ToolPoints
 from pkm_studies.study.tables.column_map import CircleFacts, ColumnMap
 
+#: harmonics of a turn that are not noise, at most
+HARMONICS = 15
 INSTRUMENT = "ball_bar_free_cup"
 
 
@@ -187,3 +189,62 @@ def _statements(
             f"Lengths of {name}: deviation plus {length:g} mm; a longer bar is positive."
         )
     return sentences
+
+
+# -- thinning of dense traces ----------------------------------------------------------
+#
+# Neighbouring points of a trace share noise, so that a mean of m points has a variance of
+# sigma^2 / m (1 + 2 sum_j (1 - j/m) rho_j), not sigma^2 / m. It is estimated from the
+# means themselves: what a Fourier series over the angle leaves of them.
+
+
+@dataclasses.dataclass(frozen=True)
+class Thinned:
+    """A trace of block means.
+
+    angle    (n,) rad
+    reading  (n,) m
+    time     (n,) s, NaN where unknown
+    block    points a mean
+    sigma    standard deviation of a mean, m
+    lag_one  correlation of neighbouring means
+    """
+
+    angle: Array
+    reading: Array
+    time: Array
+    block: int
+    sigma: float
+    lag_one: float
+
+
+def thin(angle: Array, reading: Array, time: Array, most: int) -> Thinned:
+    """A trace (n,) as at most `most` means of blocks of equal length.
+
+    Points beyond the last whole block, fewer than a block, are left out.
+    """
+    block = max(1, -(-len(angle) // most))
+    count = len(angle) // block
+
+    def means(values: Array) -> Array:
+        return np.asarray(values[: count * block].reshape(count, block).mean(axis=1))
+
+    around, level = means(angle), means(reading)
+    residual, free = _residual(around, level)
+    sigma = float(np.sqrt(np.sum(residual**2) / max(free, 1)))
+    lag_one = 0.0
+    if free > 1 and sigma > 0.0:
+        lag_one = float(residual[1:] @ residual[:-1] / np.sum(residual**2))
+    return Thinned(around, level, means(time), block, sigma, lag_one)
+
+
+def _residual(angle: Array, reading: Array) -> tuple[Array, int]:
+    """What a Fourier series over the angle leaves, and its degrees of freedom."""
+    turns = abs(angle[-1] - angle[0]) / (360.0 * units.DEG)
+    harmonics = min(HARMONICS, int(len(angle) * min(turns, 1.0)) // 6)
+    columns = [np.ones_like(angle)]
+    for k in range(1, harmonics + 1):
+        columns += [np.cos(k * angle), np.sin(k * angle)]
+    basis = np.column_stack(columns)
+    fitted, _, rank, _ = np.linalg.lstsq(basis, reading)
+    return reading - basis @ fitted, len(angle) - int(rank)

@@ -232,8 +232,8 @@ def statements(
     sentences = [f"Readings: {len(table)} lines of {table.file}; {taken}."]
     for name, number in given.fixed.items():
         sentences.append(f"All readings: {name} = {number:g}.")
-    if given.orientation is not None:
-        sentences.append(orientations.statement(given.orientation, tool))
+    if given.orientation is not None and tool.orientation is not None:
+        sentences.append(orientations.statement(given.orientation, tool.orientation))
     used = {*columns.values(), *orientations.source_columns(given.orientation)}
     unused = [name for name in table.header if name not in used]
     if unused:

@@ -62,7 +62,7 @@ def angle_columns(
     }
 
 
-def statement(given: OrientationColumns, tool: Instrument) -> str:
+def statement(given: OrientationColumns, stated: Orientation) -> str:
     """What was taken for an orientation, in a sentence."""
     form = next(f for f in FORMS if getattr(given, f) is not None)
     names = ", ".join(getattr(given, form))
@@ -70,11 +70,10 @@ def statement(given: OrientationColumns, tool: Instrument) -> str:
         "quaternion": f"{names} as the quaternion w, x, y, z",
         "direction": f"{names} as the direction of the tool axis",
     }.get(form, f"{names} as a rotation vector in {form.rpartition('_')[2]}")
-    assert tool.orientation is not None
     sense = "the platform's frame to the instrument's"
     if given.inverse:
         sense = "the instrument's frame to the platform's"
-    return f"Orientation: {words}, from {sense}; angles: {tool.orientation.formula}."
+    return f"Orientation: {words}, from {sense}; angles: {stated.formula}."
 
 
 def rotate_rows(

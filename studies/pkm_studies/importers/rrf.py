@@ -8,6 +8,7 @@ commands. G31 X Y says where the probe is, M666 A B how z is raised for a bed th
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 
@@ -15,12 +16,25 @@ from pkm_studies.importers import facts, gcode
 from pkm_studies.importers.base import ImportedSession, ImportRequest
 from pkm_studies.importers.delta_probe import delta_session
 from pkm_studies.importers.delta_study import DeltaGeometry, Firmware
-from pkm_studies.importers.gcode import Command, TextLine
+from pkm_studies.importers.gcode import NUMBER, Command, TextLine
 from pkm_studies.importers.rrf_points import probed_points
-from pkm_studies.importers.rrf_replies import as_commands
 from pkm_studies.importers.rrf_sequence import ExecutionOrder, execution_order
 from pkm_studies.importers.rrf_words import WORDS
 
+DELTA = re.compile(
+    rf"Diagonals?\s+(?P<L>{NUMBER}(?::{NUMBER})*),\s*delta radius\s+(?P<R>{NUMBER}),"
+    rf"\s*homed height\s+(?P<H>{NUMBER}),\s*bed radius\s+(?P<B>{NUMBER}),"
+    rf"\s*X\s+(?P<X>{NUMBER})[^,]*,\s*Y\s+(?P<Y>{NUMBER})[^,]*,\s*Z\s+(?P<Z>{NUMBER})"
+)
+STOPS = re.compile(
+    rf"Endstop adjustments\s+X(?P<X>{NUMBER})\s+Y(?P<Y>{NUMBER})\s+Z(?P<Z>{NUMBER}),"
+    rf"\s*tilt\s+X(?P<A>{NUMBER})%\s+Y(?P<B>{NUMBER})%"
+)
+PROBE = re.compile(
+    rf"Z probe(?: (?P<K>\d+))?: current reading.*offsets\s+X(?P<X>{NUMBER})"
+    rf"\s+Y(?P<Y>{NUMBER})"
+)
+REPLIES = {"M665": DELTA, "M666": STOPS, "G31": PROBE}
 ANGLES = {"X": 210.0, "Y": 330.0, "Z": 90.0}
 #: M666 A and B are in percent
 PERCENT_PPM = 1e4
@@ -129,3 +143,21 @@ def _firmware(
 
 def _written(words: dict[str, str]) -> str:
     return " ".join(f"{letter}{text}" for letter, text in words.items())
+
+
+# -- replies as commands ---------------------------------------------------------------
+
+
+def as_commands(lines: Sequence[TextLine]) -> list[TextLine]:
+    """The lines with each answer written as its command."""
+    return [_as_command(line) for line in lines]
+
+
+def _as_command(line: TextLine) -> TextLine:
+    for name, pattern in REPLIES.items():
+        match = pattern.search(line.text)
+        if match is not None:
+            numbers = match.groupdict().items()
+            words = [f"{letter}{text}" for letter, text in numbers if text is not None]
+            return dataclasses.replace(line, text=" ".join([name, *words]))
+    return line

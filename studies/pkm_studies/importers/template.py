@@ -103,15 +103,15 @@ def _first_sound(drafts: Iterable[str], path: Path, origin: Origin) -> str:
     A user's machine may reach less than its ranges say. Raises InputError where it does
     not even reach what lies near its home pose.
     """
-    problem: InputError | None = None
+    problems: list[InputError] = []
     for draft in drafts:
         try:
             resolve(parse(draft, path, origin.consent), readings=())
         except (InputError, AssemblyError) as error:
-            problem = problem or _as_input(error)
+            problems.append(_as_input(error))
             continue
         return draft
-    assert problem is not None
+    problem = problems[0]
     raise InputError(
         f"no draft of a study passes its check: {problem.problem}",
         "check the machine's home pose, the ranges of commands and joints, and guess",

@@ -7,7 +7,7 @@ a result that shows itself as a table and keeps the kernel's objects.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,13 @@ from pkm_studies.notebook.views import (
     ReadingsView,
     View,
 )
-from pkm_studies.stages.run_state import Readings, RunState, start
+from pkm_studies.stages.run_state import (
+    Fitted,
+    Readings,
+    Scheduled,
+    promote,
+    start,
+)
 from pkm_studies.stages.steps import design as design_steps
 from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import gap as gap_steps
@@ -92,9 +98,10 @@ def choose_design(study: Study, *, seed: int | None = None) -> DesignView:
         raise study.place.key("design").error(
             "the study has no candidates to choose from", "add [[design.candidates]]"
         )
-    state = state.replace(readings=Readings(series=state.design.series))
-    state = design_steps.analyse_identifiability(state)
-    return DesignView(design_steps.report_design(state))
+    readings = Readings(series=state.design.series)
+    scheduled = promote(Scheduled, state, readings=readings)
+    scheduled, verdict = design_steps.analyse_identifiability(scheduled)
+    return DesignView(design_steps.report_design(scheduled, verdict))
 
 
 def plan(study: Study, *, seed: int | None = None) -> PlanView:
@@ -122,11 +129,12 @@ def read_readings(study: Study, *files: str | Path) -> ReadingsView:
     """
     paths = [Path(file) for file in files] or None
     state = start(study, None, Silent(), paths)
-    if state.resolved.dataset is None:
+    data = state.resolved.dataset
+    if data is None:
         raise study.place.key("readings").error(
             "the study names no readings", "give a file, or add [readings] files"
         )
-    return ReadingsView(readings_steps.take_readings(state))
+    return ReadingsView(readings_steps.take_recorded(state, data))
 
 
 def simulate(source: Study | DesignView | PlanView) -> ReadingsView:
@@ -140,14 +148,11 @@ def simulate(source: Study | DesignView | PlanView) -> ReadingsView:
     >>> readings.title
     '45 readings, of a virtual machine'
     """
-    if isinstance(source, Study):
-        state = design_steps.select_design(start(source, None, Silent(), []))
-        state = design_steps.plan_stages(state)
-    else:
-        state = source.state
-    series = readings_steps.planned_series(state)
-    virtual = readings_steps.simulate_readings(state, series)
-    return ReadingsView(state.replace(readings=virtual.readings))
+    if not isinstance(source, Study):
+        return ReadingsView(readings_steps.take_simulated(source.state))
+    state = design_steps.select_design(start(source, None, Silent(), []))
+    state = design_steps.plan_stages(state)
+    return ReadingsView(readings_steps.take_simulated(state))
 
 
 def identify(
@@ -229,15 +234,17 @@ def predict(
     >>> list(accuracy.section.components)
     ['y', 'z']
     """
-    study = source.state.study
-    if study.prediction is None:
+    state: Scheduled = source.state
+    study, request = state.study, state.resolved.prediction
+    if request is None:
         raise study.place.key("prediction").error(
             "the study does not say where accuracy counts",
             "add [prediction] with a workspace, see `oed schema study`",
         )
-    table = msgspec.structs.replace(study.prediction, virtual_machines=virtual_machines)
-    study = msgspec.structs.replace(study, prediction=table)
-    state = source.state.replace(study=study)
+    table = msgspec.structs.replace(request.table, virtual_machines=virtual_machines)
+    request = dataclasses.replace(request, table=table)
+    resolved = dataclasses.replace(state.resolved, prediction=request)
+    state = state.replace(resolved=resolved)
     return AccuracyView(prediction_steps.predict_accuracy(state))
 
 
@@ -251,7 +258,7 @@ def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
     'none'
     """
     state = source.state
-    if state.estimate is None:
+    if not isinstance(state, Fitted):
         state = fit_steps.fit_parameters(state)
     return DiagnosisView(gap_steps.diagnose_always(state))
 
@@ -271,7 +278,7 @@ def run(
     return pipeline.run(study, folder, seed=seed)
 
 
-def write_report(view: View, out: str | Path) -> tuple[Path, ...]:
+def write_report(view: View[Any], out: str | Path) -> tuple[Path, ...]:
     """HTML and PDF reports of all steps that led to a view, in the folder `out`.
 
     >>> import oed
@@ -286,7 +293,7 @@ def write_report(view: View, out: str | Path) -> tuple[Path, ...]:
 
 
 def write_compensation(
-    view: View,
+    view: View[Any],
     to: str,
     out: str | Path,
     *,
@@ -316,8 +323,5 @@ def write_compensation(
     ).paths
 
 
-def _result(state: RunState) -> StudyResult:
-    complete: Callable[[RunState], RunState] = (
-        design_steps.draw_machine if state.readings is not None else lambda same: same
-    )
-    return pipeline.assemble_result(complete(state))
+def _result(state: Scheduled) -> StudyResult:
+    return pipeline.assemble_result(design_steps.draw_machine(state))

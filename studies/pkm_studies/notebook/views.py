@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import html
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from oed import result
-from pkm_studies.stages.run_state import RunState
+from pkm_studies.stages.run_state import Fitted, Measured, Scheduled, written
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,18 +18,20 @@ if TYPE_CHECKING:
     from oed.estimation import Estimate
     from oed.posterior import Posterior
 
+StageT = TypeVar("StageT", bound=Scheduled)
+
 #: rows that a notebook shows of a table
 ROWS_SHOWN = 30
 
 
 @dataclasses.dataclass(frozen=True)
-class View:
+class View(Generic[StageT]):
     """A step's outcome, with the state of the run that led to it.
 
     state    of the run: kernel objects, random streams, sections so far
     """
 
-    state: RunState
+    state: StageT
 
     @property
     def title(self) -> str:
@@ -64,14 +66,13 @@ class View:
         return f"<p><b>{html.escape(self.title)}</b></p>{warnings}{shown}{more}"
 
 
-class DesignView(View):
+class DesignView(View[Scheduled]):
     """The chosen readings: `section` has value, bound, efficiency and poses."""
 
     @property
     def section(self) -> result.DesignSection:
         """The `design` section of the result."""
-        section: result.DesignSection = self.state.sections["design"]
-        return section
+        return written(self.state.result.design, "design")
 
     @property
     def title(self) -> str:
@@ -97,14 +98,13 @@ class DesignView(View):
         return figures.design(self.section, axes)
 
 
-class PlanView(View):
+class PlanView(View[Scheduled]):
     """The plan of stages: which measurement first, which next."""
 
     @property
     def section(self) -> result.PlanSection:
         """The `plan` section of the result."""
-        section: result.PlanSection = self.state.sections["plan"]
-        return section
+        return written(self.state.result.plan, "plan")
 
     @property
     def title(self) -> str:
@@ -131,13 +131,12 @@ class PlanView(View):
         return figures.stages(self.section, axes)
 
 
-class ReadingsView(View):
+class ReadingsView(View[Measured]):
     """Readings with their poses and covariates, ready to be fitted."""
 
     @property
     def title(self) -> str:
         readings = self.state.readings
-        assert readings is not None
         origin = "recorded" if readings.truth is None else "of a virtual machine"
         return f"{sum(len(series) for series in readings.series)} readings, {origin}"
 
@@ -149,8 +148,6 @@ class ReadingsView(View):
         from oed import dataset
 
         readings = self.state.readings
-        assert readings is not None
-        assert readings.y is not None
         covariates = readings.covariates
         if covariates is not None:
             covariates = covariates.drop(columns=["setup", "run", "order"])
@@ -160,7 +157,7 @@ class ReadingsView(View):
         return pd.read_csv(io.StringIO(dataset.to_csv(data)))
 
 
-class _ParametersView(View):
+class _ParametersView(View[Fitted]):
     """Parameters as arrays, SI, in the order of `names`."""
 
     @property
@@ -193,15 +190,12 @@ class EstimateView(_ParametersView):
 
     @property
     def _parameters_si(self) -> Estimate:
-        estimate = self.state.estimate
-        assert estimate is not None
-        return estimate
+        return self.state.estimate
 
     @property
     def section(self) -> result.EstimateSection:
         """The `estimate` section of the result."""
-        section: result.EstimateSection = self.state.sections["estimate"]
-        return section
+        return written(self.state.result.estimate, "estimate")
 
     @property
     def title(self) -> str:
@@ -210,8 +204,7 @@ class EstimateView(_ParametersView):
             f"{name} {value:.3g} {self.section.units[name]}"
             for name, value in rms.items()
         )
-        checked: result.GoodnessSection | None = self.state.sections.get("goodness")
-        aside = "" if checked is None else checked.fit_words
+        aside = self.state.goodness.fit_words
         return (
             f"Fit of {self.section.readings} readings{aside}: rms residual {residual}"
         )
@@ -235,15 +228,12 @@ class PosteriorView(_ParametersView):
 
     @property
     def _parameters_si(self) -> Posterior:
-        posterior = self.state.posterior
-        assert posterior is not None
-        return posterior
+        return written(self.state.posterior, "posterior")
 
     @property
     def section(self) -> result.PosteriorSection:
         """The `posterior` section of the result."""
-        section: result.PosteriorSection = self.state.sections["posterior"]
-        return section
+        return written(self.state.result.posterior, "posterior")
 
     @property
     def title(self) -> str:
@@ -273,8 +263,7 @@ class PosteriorView(_ParametersView):
 
     @property
     def _parameters(self) -> dict[str, result.ParameterEstimate]:
-        estimate: result.EstimateSection = self.state.sections["estimate"]
-        return estimate.parameters
+        return self.state.estimate_section.parameters
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """95 % intervals in tolerances, on a matplotlib axis."""
@@ -283,14 +272,13 @@ class PosteriorView(_ParametersView):
         return figures.posterior(self.section, self._parameters, axes)
 
 
-class AccuracyView(View):
+class AccuracyView(View[Scheduled]):
     """The residual accuracy over the workspace, before and after compensation."""
 
     @property
     def section(self) -> result.PredictionSection:
         """The `prediction` section of the result."""
-        section: result.PredictionSection = self.state.sections["prediction"]
-        return section
+        return written(self.state.result.prediction, "prediction")
 
     @property
     def title(self) -> str:
@@ -321,14 +309,13 @@ class AccuracyView(View):
         return figures.accuracy(self.section, axes)
 
 
-class DiagnosisView(View):
+class DiagnosisView(View[Fitted]):
     """What calibration leaves: causes with probabilities, places, closure."""
 
     @property
     def section(self) -> result.GapSection:
         """The `gap` section of the result."""
-        section: result.GapSection = self.state.sections["gap"]
-        return section
+        return written(self.state.result.gap, "gap")
 
     @property
     def title(self) -> str:

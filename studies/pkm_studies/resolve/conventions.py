@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from oed.base import units
+from oed.base.orientation import Orientation
 from oed.base.units import UnitError
 from oed.dataset.columns import parse_column
 from oed.measurement.measurement import Measurement
@@ -61,7 +62,7 @@ def machine_frames(machine: Machine) -> list[str]:
     if machine.orientation is not None:
         sentences.append(
             f"orientation of the platform's frame in the base frame:"
-            f" {machine.orientation.formula}{_explained(machine)}"
+            f" {machine.orientation.formula}{_explained(machine.orientation)}"
         )
     return sentences
 
@@ -136,10 +137,9 @@ def _with_drive(component: Component) -> str:
     return f"{component.about}; no drive corrects it"
 
 
-def _explained(machine: Machine) -> str:
-    """What T is, where the machine's orientation has one."""
-    assert machine.orientation is not None
-    if not any(kind == "tilt" for kind, _ in machine.orientation.factors):
+def _explained(orientation: Orientation) -> str:
+    """What T is, where the orientation has one."""
+    if not any(kind == "tilt" for kind, _ in orientation.factors):
         return ""
     return ", T(rx, ry) a rotation by the vector (rx, ry, 0)"
 

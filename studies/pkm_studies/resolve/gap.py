@@ -53,19 +53,20 @@ class GapRequest:
     conditions: ConditionsTable
 
 
-def gap_request(
-    study: Study, machine: Machine, *, always: bool = False
-) -> GapRequest | None:
-    """What [gap] requests; without the table None, or with `always` its defaults.
+def stated_request(study: Study, machine: Machine) -> GapRequest | None:
+    """What [gap] requests; None without the table. Raises InputError as `gap_request`."""
+    if study.gap is None:
+        check_sizes(study, ())
+        return None
+    return gap_request(study, machine)
+
+
+def gap_request(study: Study, machine: Machine) -> GapRequest:
+    """What [gap] requests, or its defaults without the table.
 
     Raises InputError for unknown effects and constants, and for gravity of length 0.
     """
-    table = study.gap
-    if table is None:
-        if not always:
-            check_sizes(study, ())
-            return None
-        table = GapTable()
+    table = GapTable() if study.gap is None else study.gap
     place = study.place.key("gap")
     if not np.linalg.norm(table.gravity) > 0.0:
         raise place.key("gravity").error(

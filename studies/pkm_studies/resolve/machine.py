@@ -29,6 +29,16 @@ REACH_REMEDY = (
 )
 
 
+def study_kinematics(study: Study) -> Kinematics:
+    """The kinematics of the model with the study's numbers. Raises InputError."""
+    place = study.place.key("machine")
+    machine, changed = _described(study.machine, study.origin, place, assembled=True)
+    kinematics = Kinematics(machine)
+    if changed:
+        _check_home(kinematics, place)
+    return kinematics
+
+
 def study_machine(study: Study, *, assembled: bool = True) -> Machine:
     """The model with the study's numbers. Raises InputError.
 
@@ -47,16 +57,25 @@ def described_machine(
     place      of the table, for errors
     assembled  whether it must assemble at home
     """
+    machine, changed = _described(table, origin, place, assembled=assembled)
+    if assembled and changed:
+        _check_home(Kinematics(machine), place)
+    return machine
+
+
+def _described(
+    table: MachineTable, origin: Origin, place: Place, *, assembled: bool
+) -> tuple[Machine, bool]:
+    """The machine of a table, and whether its geometry is another than the model's."""
     at = place.key("model")
     model: Machine = catalogue.machine(table.model, origin, at, assembled=assembled)
     machine = _of_family(table, model, place)
     machine = _with_nominal(table, machine, place)
     machine = _with_ranges(table, machine, place)
-    if assembled and machine is not model:
-        _check_home(machine, place)
+    changed = machine is not model
     if table.drive is not None:
         machine = dataclasses.replace(machine, drive=table.drive)
-    return machine
+    return machine, changed
 
 
 def has_own_numbers(table: MachineTable) -> bool:
@@ -201,10 +220,10 @@ def _ranges(
     )
 
 
-def _check_home(machine: Machine, place: Place) -> None:
+def _check_home(kinematics: Kinematics, place: Place) -> None:
     """Raises InputError where the home pose does not assemble in the model's mode."""
     try:
-        Kinematics(machine).inverse(machine.home_command)
+        kinematics.inverse(kinematics.machine.home_command)
     except AssemblyError as error:
         problem = f"the home pose fails: {error}"
         raise place.error(problem, REACH_REMEDY) from error

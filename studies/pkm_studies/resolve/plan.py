@@ -18,6 +18,7 @@ from oed.design.stages.option import Option, build_option
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve import grids, lookup, quantities
+from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
 from pkm_studies.study.tables import GridTable, MeasuredTable, PlanTable
 from pkm_studies.study.tables.gap_design import PLAN
@@ -29,6 +30,8 @@ MeasurementWith = Callable[[Iterable[str]], Measurement]
 class PlanRequest:
     """What [plan] requests.
 
+    table       the table itself
+    prediction  where accuracy counts
     options   the measurements, in the study's order
     targets   {pose component: accuracy}, SI
     budget    time for accuracy, s
@@ -36,6 +39,8 @@ class PlanRequest:
     reserved  time kept for [gap.design], s
     """
 
+    table: PlanTable
+    prediction: PredictionRequest
     options: tuple[Option, ...]
     targets: Mapping[str, float]
     budget: float
@@ -51,18 +56,39 @@ def plan_request(
     study: Study,
     measurement_with: MeasurementWith,
     setups: Iterable[str],
-    done: Iterable[str] = (),
+    prediction: PredictionRequest | None,
 ) -> PlanRequest | None:
     """What the study's [plan] requests; None where it lists no measurement.
 
-    setups  names of all set-ups of the study
-    done    set-ups whose readings are taken: their measurements are left out
+    Otherwise as `request_of`.
     """
     table = study.plan
     if table is None or not table.measurement:
         return None
+    return request_of(table, study, measurement_with, setups, prediction)
+
+
+def request_of(
+    table: PlanTable,
+    study: Study,
+    measurement_with: MeasurementWith,
+    setups: Iterable[str],
+    prediction: PredictionRequest | None,
+    done: Iterable[str] = (),
+) -> PlanRequest:
+    """What the table [plan] of a study requests. Raises InputError.
+
+    setups      names of all set-ups of the study
+    prediction  what [prediction] requests
+    done        set-ups whose readings are taken: their measurements are left out
+    """
     place = study.place.key("plan")
-    _check_budget_and_workspace(study, place)
+    available = _budget_min(table, place)
+    if prediction is None:
+        problem = "a plan aims at accuracy over a workspace, and the study has none"
+        raise place.key("measurement").error(
+            problem, "add a [prediction] table: reference and coordinates"
+        )
     _check_names(table, place, list(setups))
     _check_sequences(table, place)
     finished = set(done)
@@ -72,9 +98,11 @@ def plan_request(
         if not set(t.mounted) & finished
     }
     components = {c.name: c.unit for c in measurement_with(()).machine.components}
-    reserved = _reserved_seconds(study)
-    budget = units.factor("min") * (table.budget_min or 0.0)
+    reserved = _reserved_seconds(study, available)
+    budget = units.factor("min") * available
     return PlanRequest(
+        table=table,
+        prediction=prediction,
         options=tuple(_option(t, measurement_with, p) for t, p in open_tables.values()),
         targets=quantities.read_values(table.wanted, components, place.key("wanted")),
         budget=budget - reserved,
@@ -90,35 +118,27 @@ def _open_sequences(
     return tuple(tuple(s) for s in table.compare if set(s) <= set(names))
 
 
-def _reserved_seconds(study: Study) -> float:
-    """Time (s) that [gap.design] takes from the plan's budget."""
+def _reserved_seconds(study: Study, available: float) -> float:
+    """Time (s) that [gap.design] takes from the plan's `available` minutes."""
     design = None if study.gap is None else study.gap.design
     if design is None or design.keep != PLAN or design.budget_min is None:
         return 0.0
-    assert study.plan is not None
-    assert study.plan.budget_min is not None
-    if design.budget_min >= study.plan.budget_min:
+    if design.budget_min >= available:
         place = study.place.key("gap").key("design").key("budget_min")
         problem = (
-            f"the plan has {study.plan.budget_min:g} min in all, so no time remains for"
-            " accuracy"
+            f"the plan has {available:g} min in all, so no time remains for accuracy"
         )
         raise place.error(problem, "give less, or [plan] more", design.budget_min)
     return units.factor("min") * design.budget_min
 
 
-def _check_budget_and_workspace(study: Study, place: Place) -> None:
-    """Check the fields that every plan needs."""
-    assert study.plan is not None
-    if study.plan.budget_min is None:
+def _budget_min(table: PlanTable, place: Place) -> float:
+    """The time that the plan may take, min. Raises InputError where none is stated."""
+    if table.budget_min is None:
         raise place.key("budget_min").error(
             "missing", "state the time that is available: budget_min = 120.0"
         )
-    if study.prediction is None:
-        problem = "a plan aims at accuracy over a workspace, and the study has none"
-        raise place.key("measurement").error(
-            problem, "add a [prediction] table: reference and coordinates"
-        )
+    return table.budget_min
 
 
 def _check_names(table: PlanTable, place: Place, setups: Sequence[str]) -> None:

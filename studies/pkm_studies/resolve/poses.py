@@ -74,10 +74,9 @@ def given_poses(
     if table.coordinates:
         key = next(iter(table.coordinates))
         raise place.key(key).error(f"{kind} says all about the poses", "remove it")
-    if table.poses is not None:
-        return _listed(table.poses, machine, at)
-    assert table.file is not None
-    return _from_file(Path(place.file).parent / table.file, machine, at)
+    if table.file is not None:
+        return _from_file(Path(place.file).parent / table.file, machine, at)
+    return _listed(table.poses or {}, machine, at)
 
 
 # -- lists and files -------------------------------------------------------------------
@@ -131,9 +130,10 @@ def _points(table: GridTable, kind: str) -> tuple[Array, list[str]]:
         return circle_points(table.circle)
     if table.line is not None:
         points = line_points(table.line)
-    else:
-        assert table.cube is not None
+    elif table.cube is not None:
         points = cube_points(table.cube)
+    else:
+        raise LookupError(f"the table has no points by {kind}")
     return points, [kind] * len(points)
 
 

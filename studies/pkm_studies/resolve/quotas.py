@@ -49,9 +49,7 @@ def quota_set(
     """
     if not candidates or (not table.quota and table.equal is None):
         return None
-    _check_fields(table, place)
-    size = table.size
-    assert size is not None
+    size = _checked_size(table, place)
     groups = _groups(candidates, table.whole_runs)
     quotas, places = [], []
     for i, quota in enumerate(table.quota):
@@ -88,10 +86,13 @@ def _groups(candidates: Sequence[Series], whole_runs: bool) -> list[_Group]:
 # -- fields ----------------------------------------------------------------------------
 
 
-def _check_fields(table: DesignTable, place: Place) -> None:
-    """Raises InputError for fields of [design] that do not go with quotas."""
+def _checked_size(table: DesignTable, place: Place) -> int:
+    """The number of readings.
+
+    Raises InputError for fields of [design] that do not go with quotas.
+    """
     field = "quota" if table.quota else "equal"
-    if table.budget_min is not None:
+    if table.size is None or table.budget_min is not None:
         problem = f"{field} needs the number of readings, which a budget leaves open"
         remedy = "give readings instead of budget_min"
         raise place.key("budget_min").error(problem, remedy, table.budget_min)
@@ -113,6 +114,7 @@ def _check_fields(table: DesignTable, place: Place) -> None:
                     "leave polishing out, or select by setups and runs",
                 )
             )
+    return table.size
 
 
 def _numbers(quota: QuotaTable, size: int, place: Place) -> tuple[int, int | None]:

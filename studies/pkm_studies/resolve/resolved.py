@@ -11,19 +11,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
-from pkm_studies.resolve import candidates, grids, roles, setups, tolerances
+from pkm_studies.resolve import candidates, roles, setups, tolerances
 from pkm_studies.resolve.design import DesignRequest, design_request
-from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.resolve.gap import GapRequest, gap_request, stated_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
 from pkm_studies.resolve.grids import Circles, ReferencePlan
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.plan import PlanRequest, plan_request
-from pkm_studies.resolve.wanted import wanted_accuracy
+from pkm_studies.resolve.prediction import (
+    PredictionRequest,
+    prediction_request,
+    wanted_accuracy,
+)
 from pkm_studies.study import Study
 
 if TYPE_CHECKING:
@@ -51,7 +54,7 @@ class ResolvedStudy:
     fitted_setups           set-ups whose readings are fitted; None: all others
     held_out_setups         set-ups whose readings are predicted, not fitted
     identification_stages   patterns of the parameters freed in turn
-    prediction_commands     (n, n_dof) commands at which accuracy is predicted
+    prediction              what [prediction] requests: where accuracy is predicted
     wanted_accuracy         rms error to reach by component, SI
     warnings                sentences about candidates that were dropped
     """
@@ -72,11 +75,16 @@ class ResolvedStudy:
     fitted_setups: tuple[str, ...] | None
     held_out_setups: tuple[str, ...]
     identification_stages: tuple[tuple[str, ...], ...]
-    prediction_commands: Array | None
+    prediction: PredictionRequest | None
     wanted_accuracy: Mapping[str, float]
     gap: GapRequest | None
     gap_design: GapDesignRequest | None
     warnings: tuple[str, ...]
+
+    @property
+    def gap_or_default(self) -> GapRequest:
+        """What [gap] requests, or its defaults without the table. Raises InputError."""
+        return self.gap or gap_request(self.study, self.machine)
 
 
 def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> ResolvedStudy:
@@ -84,8 +92,11 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
 
     `readings` replaces the files of [readings]; with an empty list, none are read.
     """
-    machine, mounted = _machine_and_setups(study)
-    measurement_with = measurement_factory(machine, mounted)
+    nominal = study_kinematics(study)
+    mounted = setups.mounted_setups(study, nominal)
+    machine, mounted = tolerances.with_tolerances(study, nominal.machine, mounted)
+    kinematics = nominal.with_priors_of(machine)
+    measurement_with = measurement_factory(kinematics, mounted)
     everything = measurement_with(mounted)
     pool, refusals, warnings = candidates.candidates(study, everything)
     references = candidates.references(study, everything)
@@ -96,6 +107,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     ]
     fitted, held_out = roles.reading_roles(study, mounted)
     roles.check_stages(study, everything)
+    prediction = prediction_request(study, machine)
     used = roles.used_setups(study, pool, design, references, mounted)
     return ResolvedStudy(
         study=study,
@@ -106,7 +118,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         candidates=pool,
         refusals=refusals,
         design=design,
-        plan=plan_request(study, measurement_with, mounted),
+        plan=plan_request(study, measurement_with, mounted, prediction),
         reference_plans=references,
         kappa_circles=tuple(circles),
         true_parameters=roles.true_parameters(study, everything),
@@ -114,9 +126,9 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         fitted_setups=fitted,
         held_out_setups=held_out,
         identification_stages=tuple(tuple(s) for s in study.identify.stages),
-        prediction_commands=prediction_commands(study, machine),
+        prediction=prediction,
         wanted_accuracy=wanted_accuracy(study, machine),
-        gap=gap_request(study, machine),
+        gap=stated_request(study, machine),
         gap_design=gap_design_request(study, references, everything),
         warnings=warnings,
     )
@@ -130,11 +142,10 @@ def with_readings(resolved: ResolvedStudy) -> ResolvedStudy:
 
 
 def measurement_factory(
-    machine: Machine, mounted: Mapping[str, Setup]
+    kinematics: Kinematics, mounted: Mapping[str, Setup]
 ) -> Callable[[Iterable[str]], Measurement]:
     """A function that gives the measurement with the set-ups of some names, once each."""
     cache: dict[tuple[str, ...], Measurement] = {}
-    kinematics = Kinematics(machine)
 
     def measurement_with(names: Iterable[str]) -> Measurement:
         """The measurement with these set-ups, in the study's order."""
@@ -142,30 +153,7 @@ def measurement_factory(
         key = tuple(name for name in mounted if name in wanted)
         if key not in cache:
             chosen = [mounted[name] for name in key]
-            cache[key] = Measurement(machine, chosen, kinematics)
+            cache[key] = Measurement(kinematics.machine, chosen, kinematics)
         return cache[key]
 
     return measurement_with
-
-
-def _machine_and_setups(study: Study) -> tuple[Machine, dict[str, Setup]]:
-    machine = study_machine(study)
-    mounted = setups.mounted_setups(study, machine)
-    return tolerances.with_tolerances(study, machine, mounted)
-
-
-def prediction_commands(study: Study, machine: Machine) -> Array | None:
-    """Commands (n, n_dof) of [prediction], SI; None without it. Raises InputError."""
-    if study.prediction is None:
-        return None
-    place = study.place.key("prediction")
-    grid = grids.grid_commands(study.prediction.coordinates, machine, place)
-    command, hold, keys = grid
-    if hold is not None:
-        raise place.key(hold).error(
-            "accuracy is predicted without an instrument",
-            "give values with a unit",
-            "hold",
-        )
-    grids.check_workspace(machine, command, keys, place)
-    return command

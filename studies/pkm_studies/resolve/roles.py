@@ -96,12 +96,12 @@ def dataset(
 ) -> Dataset | None:
     """The readings: files given to the command, files of the study, or its source."""
     table = study.readings
-    if readings is None and (table is None or table.simulate):
-        return None
-    if readings is not None and not readings:
-        return None
-    from pkm_studies.study import sources
+    if readings is None and table is not None and not table.simulate:
+        from pkm_studies.study import sources
 
-    if readings is not None:
+        return sources.readings(table, study, measurement)
+    if readings:
+        from pkm_studies.study import sources
+
         return sources.from_files(readings, measurement)
-    return sources.readings(study, measurement)
+    return None

@@ -19,10 +19,9 @@ from pkm_studies.study import Study
 from pkm_studies.study.tables import SetupTable
 
 
-def mounted_setups(study: Study, machine: Machine) -> dict[str, Setup]:
+def mounted_setups(study: Study, kinematics: Kinematics) -> dict[str, Setup]:
     """Every [[setup]] by its name. Raises InputError."""
     place = study.place.key("setup")
-    kinematics = Kinematics(machine)
     return {
         table.name: _setup(study, table, kinematics, place.item(i))
         for i, table in enumerate(study.setup)

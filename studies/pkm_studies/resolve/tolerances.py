@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping
 
+import numpy as np
+from scipy import special
+
 from oed.model.instrument import Setup
-from oed.model.machine import Machine, Parameter
+from oed.model.machine import CommonTolerance, Machine, Parameter
+from oed.model.parameter_vector import ParameterVector
 from pkm_studies.base.errors import Place
-from pkm_studies.resolve import bounds, correlation, lookup, quantities
+from pkm_studies.resolve import lookup, quantities
 from pkm_studies.resolve.noise import LARGEST, with_noise
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
-from pkm_studies.study.tables import ToleranceTable
+from pkm_studies.study.tables import BoundsTable, ToleranceTable
+
+#: least eigenvalue of a correlation matrix: nearer to 0 one combination has no error left
+LEAST = 1e-6
+#: least share of the machines of the tolerances that keep to all bounds
+LEAST_SHARE = 0.02
 
 
 def with_tolerances(
@@ -34,8 +44,8 @@ def with_tolerances(
         frame = tuple(p.name for p in machine.parameters if p.name in fixed)
         machine = dataclasses.replace(machine, frame=frame)
         prior |= {name: 0.0 for name in fixed}
-    machine = bounds.with_bounds(study, machine)
-    machine = correlation.with_correlation(study, machine)
+    machine = with_bounds(study, machine)
+    machine = with_correlation(study, machine)
     setups = with_noise(study, setups)
     stated = {s.name: _stems(s.tolerance) for s in study.setup}
     changed = {}
@@ -105,3 +115,111 @@ def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None
         return None
     place = study.place.key("machine").key("fixed")
     return set(lookup.matching_names(study.machine.fixed, names, place))
+
+
+# -- bounds ----------------------------------------------------------------------------
+
+
+def with_bounds(study: Study, machine: Machine) -> Machine:
+    """The machine with the bounds of [[prior.bounds]].
+
+    Raises InputError for names and units that do not fit, for a nominal value that is out
+    of bounds, and where hardly any machine of the tolerances keeps to them.
+    """
+    if not study.prior.bounds:
+        return machine
+    place = study.place.key("prior").key("bounds")
+    for i, table in enumerate(study.prior.bounds):
+        machine = _bounded(machine, table, place.item(i))
+    shares = [_share(machine, k) for k in range(len(machine.parameters))]
+    if math.prod(shares) < LEAST_SHARE:
+        raise place.error(
+            f"{100.0 * math.prod(shares):.2g} % of the machines of the tolerances keep to"
+            " these bounds",
+            "narrow the tolerances, or widen the bounds",
+        )
+    return machine
+
+
+def _bounded(machine: Machine, table: BoundsTable, place: Place) -> Machine:
+    """The machine with the bounds of one table."""
+    units = {p.name: p.unit for p in machine.parameters}
+    matched, unit = lookup.names_of_one_unit(
+        table.parameters, units, place.key("parameters")
+    )
+    ends = quantities.read_values(table.ends, {"lower": unit, "upper": unit}, place)
+    if not ends:
+        key = quantities.column("lower", unit)
+        raise place.key(key).error("missing", "give lower, upper, or both")
+    low, high = ends.get("lower", -np.inf), ends.get("upper", np.inf)
+    parameters = []
+    for parameter in machine.parameters:
+        if parameter.name not in matched:
+            parameters.append(parameter)
+            continue
+        if not low <= parameter.nominal <= high or low == high:
+            nominal = quantities.format_as(
+                parameter.nominal, unit, next(iter(table.ends))
+            )
+            raise place.error(
+                f"the nominal value of {parameter.name}, {nominal}, is not within",
+                "bounds are of the value, not of its error; check their unit",
+                table.ends,
+            )
+        parameters.append(dataclasses.replace(parameter, bounds=(low, high)))
+    return machine.with_parameters(parameters)
+
+
+def _share(machine: Machine, number: int) -> float:
+    """Share of the values of a parameter's tolerance that are within its bounds."""
+    parameter = machine.parameters[number]
+    if parameter.tolerance == 0.0 or parameter.name in machine.frame:
+        return 1.0
+    ends = (np.array(parameter.bounds) - parameter.nominal) / parameter.tolerance
+    low, high = special.ndtr(ends)
+    return float(high - low)
+
+
+# -- errors of a common cause ----------------------------------------------------------
+
+
+def with_correlation(study: Study, machine: Machine) -> Machine:
+    """The machine with the correlations of [[prior.correlated]].
+
+    Raises InputError for names that do not fit, and for correlations that cannot be.
+    """
+    tables = study.prior.correlated
+    if not tables:
+        return machine
+    place = study.place.key("prior").key("correlated")
+    if study.plan is not None:
+        raise place.error(
+            "the planner of [plan] takes tolerances as independent",
+            "remove [plan], or [[prior.correlated]]",
+        )
+    free = {p.name for p in machine.parameters if p.tolerance > 0.0}
+    free -= set(machine.frame)
+    groups = []
+    for i, table in enumerate(tables):
+        at = place.item(i)
+        names = [p.name for p in machine.parameters]
+        matched = lookup.matching_names(table.parameters, names, at.key("parameters"))
+        members = tuple(name for name in matched if name in free)
+        if len(members) < 2:
+            raise at.key("parameters").error(
+                "fewer than two parameters that have a tolerance",
+                f"name two or more of {', '.join(sorted(free))}",
+                table.parameters,
+            )
+        groups.append(CommonTolerance(members, table.correlation))
+        changed = dataclasses.replace(machine, correlated=tuple(groups))
+        matrix = ParameterVector(changed, []).correlation
+        if matrix is not None and np.linalg.eigvalsh(matrix)[0] < LEAST:
+            raise at.key("correlation").error(
+                "no errors have such correlations"
+                + (" together with those above" if i else ""),
+                f"{len(members)} parameters have one above"
+                f" {-1.0 / (len(members) - 1):.3g} and below 1 between all of them",
+                table.correlation,
+            )
+    return dataclasses.replace(machine, correlated=tuple(groups))

@@ -9,7 +9,7 @@ from oed.compensate.command_grid import GridAxis, box_axes
 from oed.compensate.table import grid_nodes
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
-from pkm_studies.resolve.resolved import prediction_commands
+from pkm_studies.resolve.prediction import prediction_request
 from pkm_studies.study import Study
 
 #: places along a coordinate of the workspace where the study names none
@@ -21,11 +21,11 @@ def workspace_axes(study: Study, machine: Machine) -> tuple[GridAxis, ...]:
 
     Accuracy that is zeroed at home needs the corrections of home: the box reaches it.
     """
-    command = prediction_commands(study, machine)
-    if study.prediction is None or command is None:
+    prediction = prediction_request(study, machine)
+    if prediction is None:
         return box_axes(machine, _lattice(machine))
-    axes = box_axes(machine, command)
-    if study.prediction.reference != "home":
+    axes = box_axes(machine, prediction.command)
+    if prediction.table.reference != "home":
         return axes
     pairs = zip(axes, machine.home_command, strict=True)
     return tuple(axis.reaching(float(place)) for axis, place in pairs)
@@ -40,9 +40,9 @@ def _lattice(machine: Machine) -> Array:
 def workspace_commands(study: Study, kinematics: Kinematics) -> Array:
     """Commands (n, n_dof): those of [prediction], or a grid over the workspace."""
     machine = kinematics.machine
-    command = prediction_commands(study, machine)
-    if command is not None:
-        return command
+    prediction = prediction_request(study, machine)
+    if prediction is not None:
+        return prediction.command
     return _reachable(kinematics, _lattice(machine))
 
 

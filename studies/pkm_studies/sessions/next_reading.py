@@ -25,7 +25,7 @@ from pkm_studies.resolve.component_values import component_values
 from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, sentences
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.fit.estimate import estimate_section
-from pkm_studies.stages.run_state import RunState, start
+from pkm_studies.stages.run_state import Measured, RunState, start
 from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.fit import with_finding
@@ -57,15 +57,15 @@ class Adviser:
                 "the study has no candidates to choose the next reading from",
                 "add [[design.candidates]]",
             )
-        commands = self.base.resolved.prediction_commands
-        if study.prediction is None or commands is None:
+        where = self.base.resolved.prediction
+        if where is None:
             raise study.place.key("prediction").error(
                 "the study does not say where accuracy counts",
                 "add [prediction] with a workspace, see `oed schema study`",
             )
         resolved = self.base.resolved
         self.maps = prediction.error_maps(
-            resolved.measurement.kinematics, commands, study.prediction.reference
+            resolved.measurement.kinematics, where.command, where.table.reference
         )
         self.plan: Sequence[int] = ()
         if wanted == AS_PLANNED:
@@ -76,9 +76,9 @@ class Adviser:
     def advise(self, readings: Path) -> Advice:
         """The advice after the readings of a file. Raises InputError as they are read."""
         state = self._with_readings(readings)
+        if state is None:
+            return self.advise_after(self.base.measurement, (), np.zeros(0))
         taken = state.readings
-        if taken is None or taken.y is None:
-            return self.advise_after(state.measurement, (), np.zeros(0))
         try:
             estimate = _fit(self.base, state.measurement, taken.series, taken.y)
         except identification.IdentificationError as error:
@@ -126,8 +126,8 @@ class Adviser:
         """What the tolerances alone say, before any reading."""
         return self._belief(measurement, pool, None)
 
-    def _with_readings(self, path: Path) -> RunState:
-        """The state with the readings of a file; with none where it has only poses."""
+    def _with_readings(self, path: Path) -> Measured | None:
+        """The state with the readings of a file; None where it has only poses."""
         study, resolved = self.base.study, self.base.resolved
         everything = resolved.measurement_with(resolved.setups)
         try:
@@ -135,14 +135,16 @@ class Adviser:
         except InputError as error:
             if error.problem != NO_READING:
                 raise
-            return self.base
+            return None
+        if data is None:
+            return None
         state = self.base.replace(
             resolved=dataclasses.replace(resolved, dataset=data), readings_given=True
         )
-        state = check_readings(readings_steps.take_readings(state))
+        measured = check_readings(readings_steps.take_recorded(state, data))
         # Candidates may need set-ups that no reading has used yet.
-        used = {*state.measurement.setups, *self.base.measurement.setups}
-        return state.replace(measurement=resolved.measurement_with(used))
+        used = {*measured.measurement.setups, *self.base.measurement.setups}
+        return measured.replace(measurement=resolved.measurement_with(used))
 
     def _belief(
         self, measurement: Measurement, pool: Candidates, estimate: Estimate | None
@@ -279,12 +281,11 @@ def _fit(
 
 
 def _objections(
-    state: RunState, series: Sequence[Series], estimate: Estimate
+    state: Measured, series: Sequence[Series], estimate: Estimate
 ) -> tuple[str, ...]:
     """The verdict on the fit of the readings so far."""
     section = estimate_section(state.measurement, series, estimate, None)
-    goodness = state.sections.get("goodness")
-    return tuple(trust.section_objections(goodness, section))
+    return tuple(trust.section_objections(state.result.goodness, section))
 
 
 def _reading(pool: Candidates, index: int) -> tuple[Series, int]:

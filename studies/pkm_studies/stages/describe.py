@@ -8,15 +8,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+import oed
+from oed import result
 from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
-from oed.result import Drawing, MachineInfo, Polyline, SetupInfo
+from oed.result import Drawing, MachineInfo, Polyline, SetupInfo, StudyResult
 from pkm_studies.resolve import quantities
 from pkm_studies.resolve.quantities import column
 from pkm_studies.stages.drawing_labels import parameter_labels
+from pkm_studies.study import Study
 
 #: packages on which the numbers depend
 PACKAGES = (
@@ -51,6 +54,21 @@ def machine_info(machine: Machine) -> MachineInfo:
         )
     return MachineInfo(
         machine.name, machine.about, machine.source, table, list(machine.frame)
+    )
+
+
+def first_result(study: Study, machine: Machine, seed: int) -> StudyResult:
+    """The result of a study before its first step."""
+    return StudyResult(
+        schema=result.SCHEMA,
+        version=oed.__version__,
+        study=study.name,
+        title=study.title or study.name,
+        question=study.question,
+        seed=seed,
+        seconds=0.0,
+        machine=machine_info(machine),
+        study_text=study.text,
     )
 
 

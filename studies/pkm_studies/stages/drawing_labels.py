@@ -99,16 +99,11 @@ def _with_joined_points(
     scale = np.abs(by_p).max(axis=1, keepdims=True)
     in_row = np.abs(by_p) > LEAST_SLOPE * scale
     places = list(moved)
-    known = [k for k, place in enumerate(moved) if place is not None]
+    known = {k: place for k, place in enumerate(moved) if place is not None}
     for k in range(len(places)):
         rows = np.flatnonzero(in_row[:, k])
         sharing = [j for j in known if in_row[rows, j].any()]
-        points = {tuple(np.round(_at(moved[j]) / SAME_PLACE)) for j in sharing}
+        points = {tuple(np.round(known[j] / SAME_PLACE)) for j in sharing}
         if k not in known and 1 <= len(points) <= MOST_ENDS:
             places[k] = np.array(sorted(points)).mean(axis=0) * SAME_PLACE
     return places
-
-
-def _at(place: Array | None) -> Array:
-    assert place is not None
-    return place

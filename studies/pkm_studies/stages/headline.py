@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from oed.result import (
     ComponentAccuracy,
@@ -12,7 +11,6 @@ from oed.result import (
     DesignSection,
     EstimateSection,
     GapBeforeSection,
-    GapSection,
     GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
@@ -32,30 +30,30 @@ REFERENCES = {
 }
 
 
-def sentences(sections: Mapping[str, Any], recorded: bool = False) -> list[str]:
+def sentences(result: StudyResult, recorded: bool = False) -> list[str]:
     """Sentences about the sections that are there.
 
     Findings about the readings come first, then all those of a diagnosis. Where the
     readings are `recorded`, no plan chose them: nothing is said about a design.
     """
-    chosen = None if recorded else sections.get("design")
+    chosen = None if recorded else result.design
     ranked = [
-        *plan_sentences(sections.get("plan")),
-        *_separation(sections.get("gap_before")),
-        *_corrected(sections.get("corrected")),
-        *([] if "corrected" in sections else _accuracy(sections.get("prediction"))),
-        *_wanted(sections),
-        *_unmodelled(sections.get("prediction")),
-        *_held_out(sections.get("held_out") or []),
-        *_rank(sections.get("identifiability")),
+        *plan_sentences(result.plan),
+        *_separation(result.gap_before),
+        *_corrected(result.corrected),
+        *([] if result.corrected is not None else _accuracy(result.prediction)),
+        *_wanted(result),
+        *_unmodelled(result.prediction),
+        *_held_out(result.held_out),
+        *_rank(result.identifiability),
         *_gain(chosen),
         *_design(chosen),
-        *_fit(sections.get("estimate"), sections.get("goodness")),
-        *_posterior(sections.get("posterior")),
+        *_fit(result.estimate, result.goodness),
+        *_posterior(result.posterior),
     ]
-    diagnosis: GapSection | None = sections.get("gap")
+    diagnosis = result.gap
     findings = [] if diagnosis is None else diagnosis.words
-    checked: GoodnessSection | None = sections.get("goodness")
+    checked = result.goodness
     alarms = [] if checked is None else checked.findings
     noise = [] if checked is None else checked.noise_words
     return [*alarms, *findings, *noise, *ranked[:MAX_SENTENCES]]
@@ -136,12 +134,9 @@ def without_drive(section: PredictionSection) -> str:
     return f" No drive corrects {'; '.join(parts)}." if parts else ""
 
 
-def _wanted(sections: Mapping[str, Any]) -> list[str]:
+def _wanted(result: StudyResult) -> list[str]:
     """Each wanted accuracy against the predicted one, of the last prediction."""
-    section: PredictionSection | None = sections.get("prediction")
-    corrected: CorrectedSection | None = sections.get("corrected")
-    if corrected is not None:
-        section = corrected.prediction
+    section = result.final_prediction
     if section is None or not section.wanted:
         return []
     judged = {name: section.components[name] for name in section.wanted}

@@ -23,7 +23,7 @@ from pkm_studies.results.stored_result import load_result, read_result, write_re
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.plan import files as plan_files
 from pkm_studies.stages.plan.section import PlanOutcome
-from pkm_studies.stages.run_state import RunState
+from pkm_studies.stages.run_state import Fitted, RunState
 from pkm_studies.study import Study
 
 __all__ = ["checkpoint", "load_result", "prepare", "rewrite", "write", "write_report"]
@@ -66,7 +66,7 @@ def write(
         path = own_files.write_own(folder / name, text.encode(), known)
         written[path.name] = files.digest(text.encode())
         names[name] = path.name
-    if state.posterior is not None:
+    if isinstance(state, Fitted) and state.posterior is not None:
         names[POSTERIOR] = _save_posterior(folder, result, state.posterior).name
     warnings = [*result.warnings, *_renamed(names), *_set_aside(folder)]
     result = msgspec.structs.replace(result, written=written, warnings=warnings)

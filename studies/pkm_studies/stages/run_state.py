@@ -1,14 +1,19 @@
-"""The immutable state of a run: each step takes one and returns the next."""
+"""The immutable states of a run, one type a stage: each step takes one, returns the next.
+
+`RunState` is planned, `Scheduled` has readings, `Measured` their values, `Fitted` an
+estimate.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import enum
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
+import msgspec
 import numpy as np
 
 from oed.base.arrays import Array, Mask
@@ -19,9 +24,11 @@ from oed.measurement.measurement import Measurement, Series
 from oed.noise.prior import LEAST_FREEDOM
 from oed.posterior.checkpoint import Checkpoint
 from oed.posterior.posterior import Posterior
+from oed.result import EstimateSection, GoodnessSection, StudyResult
 from pkm_studies.base.progress import Progress
 from pkm_studies.resolve.noise import LEAST_OF_SCALE, noise_is_a_guess
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.stages import describe
 from pkm_studies.stages.design.select import ChosenDesign
 from pkm_studies.stages.plan.section import PlanOutcome
 from pkm_studies.study import Study
@@ -67,43 +74,45 @@ class HeldOut(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Readings:
-    """Readings that a run works on.
+    """Readings that a run works on; these are only planned.
 
-    series      planned or recorded readings
-    y           (N,) values, SI; None where the readings are only planned
-    truth       (n,) parameters of the virtual machine that gave them, SI
+    series      their poses
     covariates  one row a reading, if known
-    held_out    readings that are predicted, not fitted
     """
 
     series: tuple[Series, ...]
-    y: Array | None = None
-    truth: Array | None = None
     covariates: pd.DataFrame | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TakenReadings(Readings):
+    """Readings with their values.
+
+    y           (N,) values, SI
+    truth       (n,) parameters of the virtual machine that gave them, SI
+    held_out    readings that are predicted, not fitted
+    """
+
+    y: Array
+    truth: Array | None = None
     held_out: HeldOut | None = None
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunState:
-    """What a run knows after some of its steps.
+    """A run before its readings are known: what was asked for, and what is planned.
 
     study, seed, progress, started    what was asked for, and when
     resolved         the study's objects
     readings_given   whether readings came with the command
     measurement      machine with the set-ups that are used, as planned
+    result           the result so far: sections that the steps have written
     design           the chosen design
     plan             the plan of stages
     gap_poses        readings of the runs of [gap.design], as CSV
     planned          readings to write down as poses, in working order
-    readings         what is fitted, held out or only planned
-    checked          what a check of recorded readings says
-    identifiability  verdict on the readings
-    estimate         identified parameters
     with_effects     names of effects to estimate together with the parameters
-    corrected        parameters and effects, estimated together
     checkpoint       where an unfinished chain of draws is saved, if anywhere
-    posterior        draws about the estimate
-    sections         sections of the result so far
     warnings         sentences that a user must know
     """
 
@@ -114,20 +123,53 @@ class RunState:
     resolved: ResolvedStudy
     readings_given: bool
     measurement: Measurement
+    result: StudyResult
     design: ChosenDesign | None = None
     plan: PlanOutcome | None = None
     gap_poses: str | None = None
     planned: tuple[Series, ...] = ()
-    readings: Readings | None = None
-    checked: CheckedSession | None = None
-    identifiability: Assessment | None = None
-    estimate: Estimate | None = None
     with_effects: tuple[str, ...] = ()
-    corrected: CorrectedEstimate | None = None
     checkpoint: Checkpoint | None = None
-    posterior: Posterior | None = None
-    sections: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    def rng(self, stream: Stream) -> np.random.Generator:
+        """Random numbers of one stream."""
+        return np.random.default_rng([self.seed, int(stream)])
+
+    def replace(self, **changes: Any) -> Self:
+        """The state with other values of some fields."""
+        return dataclasses.replace(self, **changes)
+
+    def with_sections(self, **sections: Any) -> Self:
+        """The state with further sections of the result."""
+        return self.replace(result=msgspec.structs.replace(self.result, **sections))
+
+    def with_warnings(self, *warnings: str) -> Self:
+        """The state with further warnings."""
+        return self.replace(warnings=(*self.warnings, *warnings))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Scheduled(RunState):
+    """A run whose readings are known, planned or taken.
+
+    readings         what is fitted, held out or only planned
+    identifiability  verdict on them, where it was asked for
+    """
+
+    readings: Readings
+    identifiability: Assessment | None = None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Measured(Scheduled):
+    """A run whose readings have values.
+
+    checked  what a check of recorded readings says
+    """
+
+    readings: TakenReadings
+    checked: CheckedSession | None = None
 
     @property
     def fit_is_bad(self) -> bool:
@@ -137,8 +179,7 @@ class RunState:
     @property
     def noise_is_a_guess(self) -> bool:
         """Whether the stated noise is one that the readings correct."""
-        readings = self.readings
-        count = 0 if readings is None or readings.y is None else len(readings.y)
+        count = len(self.readings.y)
         return noise_is_a_guess(self.study, self.measurement, count)
 
     @property
@@ -157,8 +198,6 @@ class RunState:
         stated = self.study.noise.estimate
         if stated is not None or self.resolved.dataset is None:
             return bool(stated)
-        if self.readings is None or self.readings.y is None:
-            return False
         determined = int(self.measurement.free.sum())
         if self.identifiability is not None:
             determined = self.identifiability.identifiability.rank
@@ -166,21 +205,47 @@ class RunState:
         assumed = self.study.noise.assumed
         return freedom >= (LEAST_OF_SCALE if assumed else LEAST_FREEDOM)
 
-    def rng(self, stream: Stream) -> np.random.Generator:
-        """Random numbers of one stream."""
-        return np.random.default_rng([self.seed, int(stream)])
 
-    def replace(self, **changes: Any) -> RunState:
-        """The state with other values of some fields."""
-        return dataclasses.replace(self, **changes)
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Fitted(Measured):
+    """A run whose readings are fitted.
 
-    def with_sections(self, **sections: Any) -> RunState:
-        """The state with further sections of the result."""
-        return self.replace(sections={**self.sections, **sections})
+    estimate   identified parameters
+    posterior  draws about the estimate, where the study asks for them
+    corrected  parameters and effects, estimated together
+    """
 
-    def with_warnings(self, *warnings: str) -> RunState:
-        """The state with further warnings."""
-        return self.replace(warnings=(*self.warnings, *warnings))
+    estimate: Estimate
+    posterior: Posterior | None = None
+    corrected: CorrectedEstimate | None = None
+
+    @property
+    def goodness(self) -> GoodnessSection:
+        """How well the readings are fitted, in the result."""
+        return written(self.result.goodness, "goodness")
+
+    @property
+    def estimate_section(self) -> EstimateSection:
+        """The estimate in the result."""
+        return written(self.result.estimate, "estimate")
+
+
+T = TypeVar("T")
+StateT = TypeVar("StateT", bound=RunState)
+ScheduledT = TypeVar("ScheduledT", bound=Scheduled)
+
+
+def written(section: T | None, name: str) -> T:
+    """A section of the result. Raises LookupError where no step has written it."""
+    if section is None:
+        raise LookupError(f"the result has no section {name}: its step has not run")
+    return section
+
+
+def promote(stage: type[StateT], state: RunState, **values: Any) -> StateT:
+    """The state at a later stage: with the values that this stage adds or replaces."""
+    fields = {f.name: getattr(state, f.name) for f in dataclasses.fields(state)}
+    return stage(**{**fields, **values})
 
 
 def start(
@@ -196,13 +261,15 @@ def start(
     started = time.perf_counter()
     progress.stage("set-up")
     resolved = resolve(study, readings=readings)
+    seed = study.seed if seed is None else seed
     return RunState(
         study=study,
-        seed=study.seed if seed is None else seed,
+        seed=seed,
         progress=progress,
         started=started,
         resolved=resolved,
         readings_given=bool(readings),
         measurement=resolved.measurement,
+        result=describe.first_result(study, resolved.machine, seed),
         warnings=tuple(resolved.warnings),
     )

@@ -13,19 +13,18 @@ from pkm_studies.base.errors import InputError, SourceAbsentError, suggest
 from pkm_studies.study import Study
 from pkm_studies.study.data_sources import SOURCES
 from pkm_studies.study.data_sources.tables import Row
+from pkm_studies.study.tables import ReadingsTable
 
 
-def readings(study: Study, measurement: Measurement) -> Dataset:
+def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Dataset:
     """The readings that [readings] names.
 
     Raises InputError, and SourceAbsentError where a collection is not there.
     """
-    table = study.readings
-    assert table is not None
     if table.source is None:
         data = from_files([study.folder / name for name in table.files], measurement)
     else:
-        data = _from_source(table.source, study, measurement)
+        data = _from_source(table.source, table, study, measurement)
     for field, names in (("fit", table.fit or []), ("predict", table.predict)):
         place = study.place.key("readings").key(field)
         for i, name in enumerate(names):
@@ -83,10 +82,11 @@ def _input_error(error: ReadingsError) -> InputError:
     )
 
 
-def _from_source(source: str, study: Study, measurement: Measurement) -> Dataset:
+def _from_source(
+    source: str, table: ReadingsTable, study: Study, measurement: Measurement
+) -> Dataset:
     """Readings of a collection in the set-ups that the study knows."""
-    table, place = study.readings, study.place.key("readings")
-    assert table is not None
+    place = study.place.key("readings")
     if source not in SOURCES:
         remedy = suggest(source, SOURCES)
         raise place.key("source").error("no such source", remedy, source)

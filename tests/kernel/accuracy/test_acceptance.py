@@ -11,6 +11,7 @@ from oed.accuracy.acceptance import (
     plan_acceptance,
     positioning,
 )
+from oed.result.acceptance import PromiseRecord
 
 POSES, PARAMETERS = 80, 12
 
@@ -89,7 +90,12 @@ def test_chosen_poses_are_better_than_the_first_ones() -> None:
 
 def test_errors_above_the_limit_fail() -> None:
     errors = {"z": np.array([3e-6, -4e-6]), "theta": np.array([1e-5, 0.0])}
-    verdicts = judge(errors, {"z": 3.5e-6, "theta": 8e-6})
+    limits = {"z": (3.5e-6, "m"), "theta": (8e-6, "rad")}
+    demands = {
+        name: PromiseRecord(limit, limit, 0.9, 0.0, unit)
+        for name, (limit, unit) in limits.items()
+    }
+    verdicts = judge(errors, demands)
     assert not verdicts["z"].passed
     assert verdicts["theta"].passed
     assert verdicts["z"].rms == pytest.approx(np.sqrt(12.5) * 1e-6)
@@ -100,7 +106,7 @@ def test_positioning_by_hand() -> None:
     errors = np.array([0.0, 2.0, 2.0, 4.0, 3.0, 5.0, 3.0, 5.0])
     target = np.array([0, 0, 0, 0, 1, 1, 1, 1])
     direction = np.array([1.0, 1, -1, -1, 1, 1, -1, -1])
-    figures = positioning(errors, target, direction)
+    figures = positioning(errors, target, direction, "um")
     assert figures is not None
     sd = np.sqrt(2.0)
     assert figures.reversal == pytest.approx(2.0)
@@ -108,4 +114,4 @@ def test_positioning_by_hand() -> None:
     assert figures.systematic == pytest.approx(3.0)
     assert figures.repeatability == pytest.approx(4 * sd + 2.0)
     assert figures.accuracy == pytest.approx(3.0 + 4.0 * sd)
-    assert positioning(errors[:3], target[:3], direction[:3]) is None
+    assert positioning(errors[:3], target[:3], direction[:3], "um") is None

@@ -6,13 +6,16 @@ import dataclasses
 
 from kernel.gap_lines import BOW, DRIFT, SLIP
 from oed.gap.cause.advice import advise
-from oed.gap.data.diagnosis import UNKNOWN, Answer
+from oed.gap.data.diagnosis import UNKNOWN
+from oed.result.gap import AnswerRecord
 
 EFFECTS = (BOW, SLIP, DRIFT)
 
 
-def _answer(probability: float, *effects: str) -> Answer:
-    return Answer(effects, probability, tuple((e,) for e in effects if e != UNKNOWN))
+def _answer(probability: float, *effects: str) -> AnswerRecord:
+    return AnswerRecord(
+        effects, probability, tuple((e,) for e in effects if e != UNKNOWN)
+    )
 
 
 def test_a_sure_cause_is_answered_with_its_remedy() -> None:
@@ -32,7 +35,7 @@ def test_an_unsure_cause_is_answered_with_the_reading_that_tells_its_rival() -> 
 def test_a_class_of_many_is_not_listed_effect_by_effect() -> None:
     names = tuple(f"slip {k}" for k in range(6))
     effects = [dataclasses.replace(SLIP, name=name) for name in names]
-    answer = Answer(names[:1], 0.9, (names,))
+    answer = AnswerRecord(names[:1], 0.9, (names,))
     assert advise([answer], effects, {}) == (
         "These readings cannot tell 6 effects apart. What would: both ways.",
     )
@@ -58,7 +61,7 @@ def test_no_gap_asks_for_what_was_not_recorded() -> None:
 
 def test_what_is_too_small_to_be_seen_is_no_rival() -> None:
     """No effect of it is advised to be tested, and no gap is as sure with it."""
-    unseen = Answer(("slip",), 0.3, (("slip", "bow"),), unseen=0.3)
+    unseen = AnswerRecord(("slip",), 0.3, (("slip", "bow"),), unseen=0.3)
     sure = advise([_answer(0.6), unseen, _answer(0.1, "bow")], EFFECTS, {})
     assert not any("make sure" in sentence for sentence in sure)
     advice = advise([_answer(0.4), unseen, _answer(0.25, "slip")], EFFECTS, {})

@@ -11,7 +11,8 @@ from oed.gap.cause import answers as answering
 from oed.gap.cause.compare import probabilities
 from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
-from oed.gap.data.diagnosis import UNKNOWN, Answer
+from oed.gap.data.diagnosis import UNKNOWN
+from oed.result.gap import AnswerRecord
 
 
 def test_verdicts() -> None:
@@ -23,14 +24,14 @@ def test_verdicts() -> None:
         (("a", UNKNOWN), (("a",),), "mixture"),
         (("a", "b"), (("a",), ("b",)), "mixture"),
     ):
-        assert answering.verdict(Answer(effects, 1.0, classes)) == wanted
+        assert answering.verdict(AnswerRecord(effects, 1.0, classes)) == wanted
 
 
 MANY = tuple(f"m{k}" for k in range(answering.VAGUE))
 
 
-def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[Answer]:
-    answers: list[Answer] = []
+def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[AnswerRecord]:
+    answers: list[AnswerRecord] = []
     for members, unknown, probability in parts:
         answering._add(answers, _group(members, unknown, probability))
     return answers
@@ -38,17 +39,17 @@ def _said(*parts: tuple[list[tuple[str, ...]], bool, float]) -> list[Answer]:
 
 def test_a_name_drawn_from_many_beside_a_named_effect_is_told_as_unknown() -> None:
     assert _said(([("a", "b"), MANY], False, 0.4)) == [
-        Answer(("a", UNKNOWN), 0.4, (("a", "b"),))
+        AnswerRecord(("a", UNKNOWN), 0.4, (("a", "b"),))
     ]
     assert _said(([MANY, ("a",)], False, 0.4)) == [
-        Answer(("a", UNKNOWN), 0.4, (("a",),))
+        AnswerRecord(("a", UNKNOWN), 0.4, (("a",),))
     ]
     few = MANY[:-1]
     assert _said(([("a",), few], False, 0.4)) == [
-        Answer(("a", few[0]), 0.4, (("a",), few))
+        AnswerRecord(("a", few[0]), 0.4, (("a",), few))
     ]
     assert _said(([("a",), few], True, 0.4)) == [
-        Answer(("a", few[0], UNKNOWN), 0.4, (("a",), few))
+        AnswerRecord(("a", few[0], UNKNOWN), 0.4, (("a",), few))
     ]
 
 
@@ -56,10 +57,12 @@ def test_of_two_vague_classes_the_smaller_stays_and_a_lone_one_as_it_is() -> Non
     more = tuple(f"n{k}" for k in range(answering.VAGUE + 1))
     for members in ([more, MANY], [MANY, more]):
         assert _said((members, False, 0.4)) == [
-            Answer((MANY[0], UNKNOWN), 0.4, (MANY,))
+            AnswerRecord((MANY[0], UNKNOWN), 0.4, (MANY,))
         ]
-    assert _said(([more], False, 0.4)) == [Answer((more[0],), 0.4, (more,))]
-    assert _said(([more], True, 0.4)) == [Answer((more[0], UNKNOWN), 0.4, (more,))]
+    assert _said(([more], False, 0.4)) == [AnswerRecord((more[0],), 0.4, (more,))]
+    assert _said(([more], True, 0.4)) == [
+        AnswerRecord((more[0], UNKNOWN), 0.4, (more,))
+    ]
 
 
 def test_probabilities_of_answers_that_say_the_same_are_added() -> None:
@@ -138,7 +141,7 @@ def test_a_remainder_is_told_in_the_set_where_it_is_likelier_than_not() -> None:
     (answer,) = answering.credible_set(
         [_group([("a",)], False, 0.4), _group([("a",)], True, 0.6)]
     )
-    assert answer == Answer(("a", UNKNOWN), 1.0, (("a",),))
+    assert answer == AnswerRecord(("a", UNKNOWN), 1.0, (("a",),))
 
 
 def test_the_first_answer_is_told_by_a_hypothesis_of_its_own(

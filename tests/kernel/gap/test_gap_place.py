@@ -13,11 +13,11 @@ from numpy.testing import assert_allclose
 
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
-from oed.gap.data.diagnosis import Block
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.places.draws import LikelyForms, draw_energies
 from oed.gap.places.place import STANDS_OUT, locate
 from oed.noise.law import stated_law
+from oed.result.gap import PlaceRecord
 
 KINDS = ("leg", "run", "time", "phase", "direction")
 LEGS = ("leg 1", "leg 2", "leg 3")
@@ -33,7 +33,7 @@ class Machines:
 
     def located(
         self, change: np.ndarray, model: LikelyForms, seed: int
-    ) -> dict[str, Block]:
+    ) -> dict[str, PlaceRecord]:
         """Places, by name, of a change (N,) of the readings; most likely first."""
         rng = np.random.default_rng(seed)
         noise = self.root @ rng.standard_normal(len(self.problem))
@@ -52,7 +52,7 @@ def machines() -> Machines:
     return Machines(problem, covariance, np.linalg.cholesky(covariance))
 
 
-def _first(blocks: dict[str, Block], kind: str) -> str:
+def _first(blocks: dict[str, PlaceRecord], kind: str) -> str:
     return next(name for name in blocks if name.startswith(kind))
 
 

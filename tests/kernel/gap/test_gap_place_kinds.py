@@ -11,16 +11,17 @@ from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.reversal import ReversedForms
 from oed.gap.cause.search import Search
-from oed.gap.data.diagnosis import Block, Diagnosis
+from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.forms import discrepancy, library
 from oed.gap.places.place import STANDS_OUT
 from oed.noise.law import stated_law
+from oed.result.gap import PlaceRecord
 from pkm_models.effects import encoder_scale, leg_thermal, mount_drift, step
 
 EFFECTS = [module.effect for module in (encoder_scale, leg_thermal, mount_drift, step)]
 
 
-def _named(diagnosis: Diagnosis) -> dict[str, Block]:
+def _named(diagnosis: Diagnosis) -> dict[str, PlaceRecord]:
     """Places that stand out, by name, the first first."""
     return {b.block: b for b in diagnosis.where if b.p_value < STANDS_OUT}
 

@@ -308,7 +308,7 @@ def test_diagnosis_from_end_to_end() -> None:
     # on lines both legs turn back at once
     assert {"leg 1", "leg 2"} & {b.block for b in diagnosis.where}
     coefficient = {c.label: c for c in diagnosis.coefficients}["leg 1"]
-    assert coefficient.mean == pytest.approx(10e-6, abs=4.0 * coefficient.sd)
+    assert coefficient.value == pytest.approx(10e-6, abs=4.0 * coefficient.sd)
     assert np.sqrt(np.mean(diagnosis.after**2)) < 0.6 * np.sqrt(
         np.mean(diagnosis.before**2)
     )

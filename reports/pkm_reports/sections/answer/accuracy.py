@@ -8,6 +8,7 @@ from typing import Final
 
 from oed.result import (
     ComponentAccuracy,
+    PlanSection,
     PredictionSection,
     SpreadRecord,
     StudyResult,
@@ -77,7 +78,7 @@ def blocks(result: StudyResult) -> list[Block]:
     if prediction is not None and prediction.components:
         content += _predicted(result, prediction)
     elif result.plan is not None and result.plan.accuracy:
-        content.append(_planned(result))
+        content.append(_planned(result.plan))
     return content
 
 
@@ -250,10 +251,8 @@ def _largest(spread: SpreadRecord) -> str:
     return accuracy_ranges.figures(spread)[-1]
 
 
-def _planned(result: StudyResult) -> Table:
+def _planned(plan: PlanSection) -> Table:
     """Accuracy of a plan of stages, which has no prediction of its own."""
-    assert result.plan is not None
-    plan = result.plan
     columns = [
         TableColumn("Component"),
         *number_columns("Afterwards"),

@@ -23,6 +23,10 @@ MODULES = {6: "genhexkins", 3: "tripodkins"}
 STILL = 1e-9
 
 
+#: what the modules can take
+NEEDS = "genhexkins and tripodkins need 6 or 3 struts between fixed points"
+
+
 @dataclasses.dataclass(frozen=True)
 class Struts:
     """Struts (n) of a platform, mm.
@@ -37,8 +41,16 @@ class Struts:
     zero: Array
 
 
-def struts_of(kinematics: Kinematics, parameters: Array) -> Struts | None:
-    """Struts that lengthen between fixed points; None where a machine has others."""
+def struts_of(kinematics: Kinematics, parameters: Array) -> Struts:
+    """Struts that lengthen between fixed points. Raises LookupError for other ones."""
+    struts = _fixed_struts(kinematics, parameters)
+    if struts is None:
+        raise LookupError(NEEDS)
+    return struts
+
+
+def _fixed_struts(kinematics: Kinematics, parameters: Array) -> Struts | None:
+    """The struts; None where they are not between fixed points."""
     machine = kinematics.machine
     if machine.struts is None or len(machine.joints) not in MODULES:
         return None
@@ -59,8 +71,8 @@ def struts_of(kinematics: Kinematics, parameters: Array) -> Struts | None:
 
 def unfit(machine: Machine) -> str | None:
     """Only hexapods and tripods with struts between fixed points have a module."""
-    if struts_of(Kinematics(machine), machine.nominal) is None:
-        return "genhexkins and tripodkins need 6 or 3 struts between fixed points"
+    if _fixed_struts(Kinematics(machine), machine.nominal) is None:
+        return NEEDS
     return None
 
 
@@ -68,8 +80,6 @@ def write(compensation: Compensation) -> Texts:
     """HAL pins of the kinematics module; home offsets for the INI file."""
     struts = struts_of(compensation.kinematics, compensation.identified.values)
     nominal = struts_of(compensation.kinematics, compensation.machine.nominal)
-    assert struts is not None
-    assert nominal is not None
     head = [f"# {sentence}" for sentence in sentences_of(compensation)]
     pins = _hexapod(struts) if len(struts.zero) == 6 else _tripod(struts)
     homes = [
@@ -156,7 +166,6 @@ def _hexapod_lengths(pins: dict[str, str], compensation: Compensation) -> Array:
 
 def _tripod_lengths(pins: dict[str, str], compensation: Compensation) -> Array:
     struts = struts_of(compensation.kinematics, compensation.identified.values)
-    assert struts is not None
     origin, axes = tripod_frame(struts)
     bx, cx, cy = (float(pins[f"tripodkins.{n}"]) for n in ("Bx", "Cx", "Cy"))
     base = np.array([[0.0, 0.0, 0.0], [bx, 0.0, 0.0], [cx, cy, 0.0]])

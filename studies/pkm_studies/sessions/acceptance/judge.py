@@ -5,13 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 
 from oed.accuracy.acceptance import judge, positioning
-from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.result import (
     AcceptanceSection,
-    PositioningRecord,
     VerdictRecord,
     VerificationSection,
 )
@@ -38,26 +37,13 @@ def judge_file(section: AcceptanceSection, path: Path) -> VerificationSection:
         direction = table.numbers("direction", gaps=True)
     errors, figures = {}, {}
     for name, column in error_columns(section.components).items():
-        unit = section.components[name].unit
-        values = np.asarray(units.to_si(table.numbers(column), unit))
+        values = table.numbers(column)
         errors[name] = _by_pose(values, target, len(section.poses))
-        of_component = _positioning(values, target, direction, unit)
+        unit = section.components[name].unit
+        of_component = positioning(values, target, direction, unit)
         if of_component is not None:
             figures[name] = of_component
-    limits = {
-        n: float(units.to_si(d.limit, d.unit)) for n, d in section.components.items()
-    }
-    components = {}
-    for name, verdict in judge(errors, limits).items():
-        demand = section.components[name]
-        components[name] = VerdictRecord(
-            rms=units.number(verdict.rms, demand.unit),
-            max=units.number(verdict.largest, demand.unit),
-            limit=demand.limit,
-            promised=demand.promised,
-            unit=demand.unit,
-            passed=verdict.passed,
-        )
+    components = judge(errors, section.components)
     further = _further(section, table, target)
     return VerificationSection(
         passed=all(c.passed for c in (*components.values(), *further.values())),
@@ -89,16 +75,9 @@ def _further(
         known_of_rows = known[target]
         with_axes = np.where(taken_back, measured, measured - known_of_rows)
         remaining = _by_pose(with_axes, target, len(known))
-        verdict = judge({name: remaining}, {name: demand.limit})[name]
-        verdicts[name] = VerdictRecord(
-            rms=verdict.rms,
-            max=verdict.largest,
-            limit=demand.limit,
-            promised=demand.promised,
-            unit=demand.unit,
-            passed=verdict.passed,
-            without=float(np.sqrt(np.mean((remaining + known) ** 2))),
-        )
+        verdict = judge({name: remaining}, {name: demand})[name]
+        without = float(np.sqrt(np.mean((remaining + known) ** 2)))
+        verdicts[name] = replace(verdict, without=without)
     return verdicts
 
 
@@ -133,26 +112,3 @@ def _targets(section: AcceptanceSection, table: CsvTable) -> Index:
             file=table.file,
         )
     return np.asarray(target)
-
-
-def _positioning(
-    values: Array, target: Index, direction: Array, unit: str
-) -> PositioningRecord | None:
-    """Figures of repeated approaches, in `unit`; None where there are none."""
-    figures = positioning(values, target, direction)
-    if figures is None:
-        return None
-
-    def shown(value: float | None) -> float | None:
-        return None if value is None else units.number(value, unit)
-
-    return PositioningRecord(
-        targets=figures.targets,
-        approaches=figures.approaches,
-        accuracy=units.number(figures.accuracy, unit),
-        systematic=units.number(figures.systematic, unit),
-        repeatability=units.number(figures.repeatability, unit),
-        mean=shown(figures.mean),
-        reversal=shown(figures.reversal),
-        unit=unit,
-    )

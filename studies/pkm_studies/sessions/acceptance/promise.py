@@ -17,7 +17,7 @@ from oed.model.machine import Component, Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
 from pkm_studies.base.errors import InputError
 from pkm_studies.compensation import identified
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.study import Study
 
@@ -84,7 +84,7 @@ def promised_accuracy(
             "make it with `oed identify STUDY --readings CSV --out DIR`",
             file=file,
         )
-    kinematics = Kinematics(study_machine(study))
+    kinematics = study_kinematics(study)
     machine = kinematics.machine
     command = regular_commands(study, kinematics)
     table = study.prediction

@@ -53,12 +53,19 @@ class StudyCriteria:
     @functools.cached_property
     def error_maps(self) -> prediction.ErrorMaps | None:
         """Pose error over the workspace of [prediction]; None without one."""
-        table = self.resolved.study.prediction
-        command = self.resolved.prediction_commands
-        if table is None or command is None:
+        request = self.resolved.prediction
+        if request is None:
             return None
         kinematics = self.resolved.measurement.kinematics
-        return prediction.error_maps(kinematics, command, table.reference)
+        reference = request.table.reference
+        return prediction.error_maps(kinematics, request.command, reference)
+
+    @property
+    def needed_maps(self) -> prediction.ErrorMaps:
+        """The same. Raises LookupError without [prediction]."""
+        if self.error_maps is None:
+            raise LookupError("accuracy over the workspace needs [prediction]")
+        return self.error_maps
 
     # -- criteria ----------------------------------------------------------------------
 
@@ -118,8 +125,7 @@ class StudyCriteria:
 
     def _accuracy_slopes(self, measurement: Measurement) -> Array:
         """Slopes (poses, components, n) of wanted components over wanted accuracy."""
-        maps, accuracy = self.error_maps, self.request.accuracy
-        assert maps is not None, "I and G need [prediction]"
+        maps, accuracy = self.needed_maps, self.request.accuracy
         columns = [k for k, name in enumerate(maps.names) if name in accuracy]
         wanted = np.array([accuracy[maps.names[k]] for k in columns])
         poses, _, machine_parameters = maps.raw.shape

@@ -144,8 +144,7 @@ def _factors(
 
     Only components in the scale; with an empty one, all that move, in SI.
     """
-    maps, c = study_criteria.error_maps, problem.candidates
-    assert maps is not None, "[design.how_many] needs [prediction]"
+    maps, c = study_criteria.needed_maps, problem.candidates
     measurement = c.measurement
     poses, _, machine_parameters = maps.raw.shape
     moving = [n for k, n in enumerate(maps.names) if maps.raw[:, k].any()]

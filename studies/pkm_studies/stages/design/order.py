@@ -19,7 +19,6 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import WorkingOrder
 from pkm_studies.base.errors import Place
-from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.thermal_reference import (
     RouteTiming,
     with_reference_readings,
@@ -57,7 +56,8 @@ class _SetupOrder:
 
 
 def order_plan(
-    resolved: ResolvedStudy,
+    table: DesignTable,
+    place: Place,
     measurement: Measurement,
     retained: Sequence[Series],
     series: Sequence[Series],
@@ -65,11 +65,12 @@ def order_plan(
 ) -> OrderedPlan:
     """Readings of a plan in working order; retained ones come first in their set-up.
 
+    table   the order that it asks for
+    place   of the table, for errors
+
     Raises InputError where the thermal reference cannot be read in time.
     """
-    table = resolved.study.design
-    assert table is not None
-    place = resolved.study.place.key("design").key("order")
+    place = place.key("order")
     mounted = list(dict.fromkeys(s.setup for s in retained))
     names = list(dict.fromkeys(s.setup for s in series))
     names, mounting = _order_setups(measurement, names, table.order, rng)
@@ -163,10 +164,11 @@ def _order_setup(
     before = float(distance[np.arange(len(whole) - 1), np.arange(1, len(whole))].sum())
     before += 0.0 if start is None else float(start[0])
     scheduled, seconds = ordered, route.length + reading * len(whole)
-    if table.order.reference_every_min is not None:
+    every_min = table.order.reference_every_min
+    if every_min is not None:
         timing = RouteTiming(route, speeds, reading)
         scheduled, seconds = with_reference_readings(
-            measurement, whole, timing, table.order, place
+            measurement, whole, timing, table.order, every_min, place
         )
     return _SetupOrder(ordered, scheduled, before, route.length, seconds, route.exact)
 

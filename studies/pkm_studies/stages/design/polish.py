@@ -16,6 +16,7 @@ from pkm_studies.resolve.design import Ranges
 from pkm_studies.resolve.quantities import column
 from pkm_studies.stages.describe import displayed
 from pkm_studies.stages.design.criteria import StudyCriteria
+from pkm_studies.study.tables import PolishTable
 
 #: power mean that stands for E and O3
 POWER = 8
@@ -32,6 +33,7 @@ class PolishedPlan:
 
 def polish_plan(
     study_criteria: StudyCriteria,
+    asked: PolishTable,
     measurement: Measurement,
     series: Sequence[Series],
     retained: Sequence[Series],
@@ -42,7 +44,6 @@ def polish_plan(
     """
     table, name = study_criteria.table, study_criteria.table.judged_by
     place = study_criteria.resolved.study.place.key("design").key("polish")
-    assert table.polish is not None
     ranges = _free_ranges(study_criteria, series, retained, place)
     try:
         polished = polish.polish_readings(
@@ -53,8 +54,8 @@ def polish_plan(
             free=ranges,
             prior=_prior_information(study_criteria, measurement, retained),
             travel=_travel(study_criteria),
-            clearance=table.polish.clearance,
-            iterations=table.polish.iterations,
+            clearance=asked.clearance,
+            iterations=asked.iterations,
         )
     except ValueError as error:
         raise place.error(str(error), "mend it, or leave polishing out") from error

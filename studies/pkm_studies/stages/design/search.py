@@ -37,8 +37,8 @@ class DesignProblem:
     @property
     def new_setups(self) -> Index:
         """Set-ups that a plan would have to mount."""
-        assert self.rules.setup is not None
-        return np.setdiff1d(self.rules.setup, self.mounted)
+        used = () if self.rules.setup is None else self.rules.setup
+        return np.setdiff1d(used, self.mounted)
 
     @property
     def selects_setups(self) -> bool:

@@ -98,10 +98,12 @@ def select_design(
     measurement = _mounted(resolved, [*retained, *series])
     polish_summary = None
     if table.polish is not None and table.polish.enabled:
-        polished = polish.polish_plan(study_criteria, measurement, series, retained)
+        polished = polish.polish_plan(
+            study_criteria, table.polish, measurement, series, retained
+        )
         measurement, series = polished.measurement, polished.series
         polish_summary = polished.summary
-    ordered = order.order_plan(resolved, measurement, retained, series, rng)
+    ordered = order.order_plan(table, place, measurement, retained, series, rng)
     return ChosenDesign(
         measurement=measurement,
         series=ordered.series,

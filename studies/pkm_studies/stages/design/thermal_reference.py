@@ -32,20 +32,20 @@ def with_reference_readings(
     series: Series,
     timing: RouteTiming,
     table: OrderTable,
+    every_min: float,
     place: Place,
 ) -> tuple[Series, float]:
     """The readings in time with reference readings in between; when the last ends, s.
 
     Raises InputError where the set-up has a reference of its own, or time is too short.
     """
-    assert table.reference_every_min is not None
     every = place.key("reference_every_min")
     setup = measurement.setups[series.setup]
     if setup.instrument.reference == "run":
         raise every.error(
             f"the first pose of each run is the reference of {series.setup}",
             "remove it",
-            table.reference_every_min,
+            every_min,
         )
     at = place.key("reference")
     command = _reference_command(measurement, series, timing.route, table.reference, at)
@@ -59,7 +59,7 @@ def with_reference_readings(
         timed = schedule.interleave(
             timing.route,
             timing.reading,
-            60.0 * table.reference_every_min,
+            60.0 * every_min,
             travel,
             travel,
             timing.reading,

@@ -5,18 +5,25 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from oed import checks
 from oed.base import text
 from oed.checks import CheckedSession
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading
+from oed.checks.goodness import Goodness
 from oed.checks.sentences import misfits
 from oed.dataset import Dataset
+from oed.estimation.run_prediction import RunPrediction
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 from pkm_studies.resolve.noise import noise_is_a_guess
 from pkm_studies.resolve.resolved import ResolvedStudy
+
+#: runs that a sentence names, at most
+NAMED = 3
 
 
 def check_dataset(
@@ -53,17 +60,23 @@ def goodness_section(checked: CheckedSession) -> GoodnessSection:
         MistakeRecord(what=one.what, evidence=_evidence(one))
         for one in checked.explanations
     ]
-    return GoodnessSection(
-        chi2=None if fitted is None else fitted.chi2,
-        dof=None if fitted is None else fitted.dof,
-        p_low=None if fitted is None else fitted.p_low,
-        p_high=None if fitted is None else fitted.p_high,
+    return replace(
+        fit_figures(fitted),
         bad_fit=checked.bad_fit,
         outliers=_records(checked, () if outliers is None else outliers.gross),
         doubtful=_records(checked, () if outliers is None else outliers.doubtful),
         unlocated=_unlocated_rows(checked),
         mistakes=mistakes,
         findings=[finding.sentence for finding in checked.findings],
+    )
+
+
+def fit_figures(fitted: Goodness | None) -> GoodnessSection:
+    """The section with the figures of a fit alone; without a fit, none are known."""
+    if fitted is None:
+        return GoodnessSection(None, None, None, None)
+    return GoodnessSection(
+        chi2=fitted.chi2, dof=fitted.dof, p_low=fitted.p_low, p_high=fitted.p_high
     )
 
 
@@ -96,3 +109,34 @@ def _records(checked: CheckedSession, far: Sequence[FarReading]) -> list[Outlier
             )
         )
     return records
+
+
+# -- each run against all others -------------------------------------------------------
+
+
+def with_left_out(
+    section: GoodnessSection, prediction: RunPrediction | None
+) -> GoodnessSection:
+    """The section with the runs; as it is where there is one run alone."""
+    if prediction is None:
+        return section
+    return msgspec.structs.replace(
+        section,
+        left_out=list(prediction.runs),
+        left_out_score=prediction.log_score,
+        left_out_sd=prediction.log_score_sd,
+    )
+
+
+def surprises(prediction: RunPrediction | None) -> list[str]:
+    """Runs that all others contradict, as one sentence; none where there are none."""
+    far = () if prediction is None else prediction.surprising
+    if not far:
+        return []
+    phrases = [
+        f"run {one.run} of {one.setup} by {one.ratio:.2g} times what is predicted (p"
+        f" {one.p_high:.1g})"
+        for one in far[:NAMED]
+    ]
+    more = f", and {len(far) - NAMED} more runs" if len(far) > NAMED else ""
+    return [f"all other runs contradict {', '.join(phrases)}{more}"]

@@ -7,19 +7,11 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from oed.base import units
-from oed.checks.goodness import Goodness
 from oed.estimation.estimate import Estimate
-from oed.estimation.noise_summary import NoiseNumber, noise_numbers
+from oed.estimation.noise_summary import noise_numbers
 from oed.model.instrument import Setup
 from oed.noise.law import reach_words
 from oed.result import GoodnessSection, NoiseRecord, trust
-
-
-def unchecked_section(fitted: Goodness) -> GoodnessSection:
-    """The section of readings that no check looked at: those of a virtual machine."""
-    return GoodnessSection(
-        chi2=fitted.chi2, dof=fitted.dof, p_low=fitted.p_low, p_high=fitted.p_high
-    )
 
 
 def with_noise(
@@ -30,7 +22,7 @@ def with_noise(
     if posterior is None:
         return section
     numbers = noise_numbers(posterior, setups)
-    records = {f"{n.kind} {n.of}".rstrip(): _record(n) for n in numbers}
+    records = {f"{n.kind} {n.of}".rstrip(): n for n in numbers}
     assumed = posterior.prior.statement.is_assumed
     stated_as = "assumed" if assumed else "stated"
     words = _words(numbers, stated_as, posterior.structure.longest)
@@ -70,20 +62,6 @@ def with_assumption(
     return msgspec.structs.replace(section, findings=[*section.findings, sentence])
 
 
-def _record(number: NoiseNumber) -> NoiseRecord:
-    unit = units.FINE.get(number.unit, number.unit) if number.kind in _ERRORS else ""
-    factor = units.factor(unit) if unit else 1.0
-    return NoiseRecord(
-        kind=number.kind,
-        of=number.of,
-        value=number.value / factor,
-        sd=number.sd / factor,
-        unit=unit or number.unit,
-        stated=None if number.stated is None else number.stated / factor,
-        departs=number.departs,
-    )
-
-
 #: kinds that are standard deviations, and what they are
 _ERRORS = {
     "reading": "single readings of {} scatter by",
@@ -92,7 +70,7 @@ _ERRORS = {
 }
 
 
-def _words(numbers: Sequence[NoiseNumber], stated_as: str, longest: int) -> list[str]:
+def _words(numbers: Sequence[NoiseRecord], stated_as: str, longest: int) -> list[str]:
     """Departures from the stated noise, as one sentence; none where there is none.
 
     stated_as  stated, or assumed
@@ -103,8 +81,7 @@ def _words(numbers: Sequence[NoiseNumber], stated_as: str, longest: int) -> list
     for number in numbers:
         if not number.departs:
             continue
-        record = _record(number)
-        size = f"{record.value:.2g} ± {record.sd:.1g}"
+        size = f"{number.value:.2g} ± {number.sd:.1g}"
         if number.kind == "carried":
             phrases.append(
                 f"a share of {size} of the variance of single readings is carried along"
@@ -112,12 +89,12 @@ def _words(numbers: Sequence[NoiseNumber], stated_as: str, longest: int) -> list
             )
             continue
         stated = (
-            f" ({stated_as}: {record.stated:.3g} {record.unit})"
-            if record.stated
+            f" ({stated_as}: {number.stated:.3g} {number.unit})"
+            if number.stated
             else ""
         )
         start = _ERRORS[number.kind].format(number.of)
-        phrases.append(f"{start} {size} {record.unit}{stated}")
+        phrases.append(f"{start} {size} {number.unit}{stated}")
     if not phrases:
         return []
     return [f"The noise departs from the {stated_as} one: {'; '.join(phrases)}."]

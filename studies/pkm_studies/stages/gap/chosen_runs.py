@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from oed import dataset
 from oed.base.arrays import Array, Index
+from oed.design.rules import Rules
 from oed.gap.before import choose, detect, runs
 from oed.gap.before.pool import pool_runs
 from oed.gap.before.separation import Separation
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 def choose_runs(
     measurement: Measurement,
     design: GapDesignRequest,
+    rules: Rules,
     planned: GapProblem,
     request: GapRequest,
     rng: np.random.Generator,
@@ -40,13 +42,12 @@ def choose_runs(
     Retained runs are among them. The second result is a readings file to fill in.
     Raises InputError where no run shows the effects or the rules allow no plan.
     """
-    assert design.rules is not None, "the plan to follow is made before"
     gravity = request.gravity
     candidates, rows = runs.prepare(measurement, design.runs, gravity=gravity)
     try:
         choice = choose.choose(
             _pool(candidates, rows, design),
-            design.rules,
+            rules,
             rng,
             share=design.table.share,
             fixed=np.array(design.retained, dtype=np.intp),
@@ -59,7 +60,7 @@ def choose_runs(
     series, covariates = runs.lay_out(measurement, selected)
     timed = covariates
     if "time" not in covariates:
-        timed = covariates.assign(time=_times(covariates, design))
+        timed = covariates.assign(time=_times(covariates, design, rules))
     taken = problem.assemble(measurement, series, timed, gravity=gravity)
     separations = _with_earlier(choice.pairs, planned, design)
     chosen = ChosenRuns(
@@ -114,12 +115,11 @@ def _least_before(separations: Sequence[SeparationRecord]) -> float | None:
     return min(known) if len(known) == len(separations) else None
 
 
-def _times(covariates: pd.DataFrame, design: GapDesignRequest) -> Array:
+def _times(covariates: pd.DataFrame, design: GapDesignRequest, rules: Rules) -> Array:
     """Time of each reading (n,), s, where the runs follow one another."""
-    assert design.rules is not None
-    assert design.rules.setup_cost is not None, "only stated times have none"
-    setups = dict.fromkeys(run.setup for run in design.runs)
-    mounting = dict(zip(setups, design.rules.setup_cost.tolist(), strict=True))
+    mounting = dict.fromkeys((run.setup for run in design.runs), 0.0)
+    if rules.setup_cost is not None:
+        mounting = dict(zip(mounting, rules.setup_cost.tolist(), strict=True))
     seconds = {(run.setup, run.name): run.seconds for run in design.runs}
     clock, mounted, times = 0.0, "", []
     for (setup, name), rows in covariates.groupby(["setup", "run"], sort=False):

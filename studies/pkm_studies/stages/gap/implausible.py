@@ -19,19 +19,20 @@ def sentences(
 
     checks  {effect: what to check then; "" for nothing in particular}
     """
-    worst: dict[str, tuple[float, CoefficientRecord]] = {}
+    worst: dict[str, tuple[CoefficientRecord, float]] = {}
     for c in coefficients:
-        ratio = 0.0 if not c.prior_sd else abs(c.value) / c.prior_sd
-        known = worst.get(c.effect)
-        if not c.shape and ratio > (known[0] if known else IMPLAUSIBLE):
-            worst[c.effect] = ratio, c
-    return [
-        _sentence(ratio, c, checks.get(c.effect, "")) for ratio, c in worst.values()
-    ]
+        if c.shape or not c.prior_sd:
+            continue
+        size = abs(c.value)
+        largest, scale = worst.get(c.effect, (None, c.prior_sd))
+        most = IMPLAUSIBLE if largest is None else abs(largest.value) / scale
+        if size / c.prior_sd > most:
+            worst[c.effect] = c, c.prior_sd
+    return [_sentence(c, sd, checks.get(c.effect, "")) for c, sd in worst.values()]
 
 
-def _sentence(ratio: float, c: CoefficientRecord, check: str) -> str:
-    assert c.prior_sd is not None
+def _sentence(c: CoefficientRecord, expected: float, check: str) -> str:
+    ratio = abs(c.value) / expected
     effect = c.effect.replace("_", " ")
     advice = f"check {check}"
     if not check:
@@ -42,7 +43,7 @@ def _sentence(ratio: float, c: CoefficientRecord, check: str) -> str:
     return (
         f"{effect[:1].upper()}{effect[1:]}: {c.name} is {_quantity(c.value, c.unit)} (sd"
         f" {_quantity(c.sd, c.unit)}), {_rounded(ratio)} times the"
-        f" {_quantity(c.prior_sd, c.unit)} expected. That is implausible: {advice}."
+        f" {_quantity(expected, c.unit)} expected. That is implausible: {advice}."
     )
 
 

@@ -7,20 +7,19 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from oed.base import units
 from oed.base.arrays import Array
 from oed.gap.data import problem
-from oed.gap.data.diagnosis import UNKNOWN, Answer, Closure, Diagnosis, Size
+from oed.gap.data.diagnosis import UNKNOWN, Closure, Diagnosis, Size
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Column, Effect
 from oed.result.gap import (
-    AnswerRecord,
     ClosureRecord,
     CoefficientRecord,
     EffectNote,
     GapSection,
-    PlaceRecord,
     SizeRecord,
 )
 from pkm_studies.resolve.gap import GapRequest
@@ -54,15 +53,11 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
     factor = np.array([units.factor(channel_units[name]) for name in channels])
     spots, spots_unit = traces.spots(diagnosis)
     likeliest_first = sorted(diagnosis.marginal.items(), key=lambda item: -item[1])
-    places = [
-        PlaceRecord(b.block, float(b.p_value), finite_or_none(b.strength), b.same_as)
-        for b in diagnosis.where
-    ]
     section = GapSection(
         verdict=diagnosis.verdict,
-        answers=[_answer(a) for a in diagnosis.answers],
-        set95=[_answer(a) for a in diagnosis.set95],
-        where=places,
+        answers=list(diagnosis.answers),
+        set95=list(diagnosis.set95),
+        where=list(diagnosis.where),
         closure=[_closure(c) for c in diagnosis.closure],
         not_testable=list(diagnosis.not_testable),
         confusable=[list(group) for group in diagnosis.confusable],
@@ -90,13 +85,6 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
 def finite_or_none(value: float) -> float | None:
     """A number, or None where it is not finite."""
     return float(value) if math.isfinite(value) else None
-
-
-def _answer(answer: Answer) -> AnswerRecord:
-    classes = [list(c) for c in answer.classes]
-    return AnswerRecord(
-        list(answer.effects), float(answer.probability), classes, float(answer.unseen)
-    )
 
 
 def _selected(diagnosis: Diagnosis) -> list[str]:
@@ -177,17 +165,11 @@ def _coefficients(
     for c in diagnosis.coefficients:
         column = known.get((c.effect, c.name))
         effect = by_name.get(c.effect)
-        record = CoefficientRecord(
-            effect=c.effect,
-            name=c.name,
-            label=c.label,
-            value=float(c.mean),
-            sd=float(c.sd),
-            unit="SI" if effect is None else effect.unit(c.name),
-            prior_sd=None if column is None else column.scale,
-            shape=False if column is None else column.shape,
-        )
-        records.append(record)
+        if effect is not None:
+            c = replace(c, unit=effect.unit(c.name))
+        if column is not None:
+            c = replace(c, prior_sd=column.scale, shape=column.shape)
+        records.append(c)
     return records
 
 

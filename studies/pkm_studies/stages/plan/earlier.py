@@ -14,10 +14,11 @@ from oed.base.arrays import Array
 from oed.design.candidates import reading_time
 from oed.design.stages.option import Option
 from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, ParameterEstimate, StudyResult
 from pkm_studies.base.errors import Place
-from pkm_studies.resolve.plan import plan_request
+from pkm_studies.resolve.plan import PlanRequest, request_of
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
 
 #: identified parameters by name
@@ -30,19 +31,21 @@ class EarlierSession:
     """What an earlier session tells a plan.
 
     resolved    the study about the machine as identified, without measurements done
+    plan        what [plan] then requests
     covariance  (n, n) of the machine's free parameters, in units of their tolerances
     seconds     time that the session took
     words       the same as a sentence
     """
 
     resolved: ResolvedStudy
+    plan: PlanRequest
     covariance: Array
     seconds: float
     words: str
 
 
 def read_earlier_session(
-    resolved: ResolvedStudy, folder: Path, stored: StudyResult
+    resolved: ResolvedStudy, request: PlanRequest, folder: Path, stored: StudyResult
 ) -> EarlierSession:
     """What the result `stored` in `folder` tells about the study's machine.
 
@@ -66,15 +69,18 @@ def read_earlier_session(
         for p in machine.parameters
     ]
     done = Counter(stored.drawing.reading_of if stored.drawing else [])
-    seconds = _session_seconds(resolved, done)
+    seconds = _session_seconds(resolved, request.options, done)
     tolerance = measurement.tolerance[measurement.free]
     words = (
         f"Planned after {', '.join(done) or 'no readings'} ({sum(done.values())}"
         f" readings, {units.number(seconds, 'min'):.0f} min), with the machine as"
         f" identified from them ({source})."
     )
+    others = machine.with_parameters(parameters)
+    resolved, plan = _without_done(resolved, request, others, done)
     return EarlierSession(
-        resolved=_without_done(resolved, machine.with_parameters(parameters), done),
+        resolved=resolved,
+        plan=plan,
         covariance=covariance / np.outer(tolerance, tolerance),
         seconds=seconds,
         words=words,
@@ -106,17 +112,29 @@ def _estimate(
 
 
 def _without_done(
-    resolved: ResolvedStudy, machine: Machine, done: Mapping[str, int]
-) -> ResolvedStudy:
+    resolved: ResolvedStudy,
+    request: PlanRequest,
+    machine: Machine,
+    done: Mapping[str, int],
+) -> tuple[ResolvedStudy, PlanRequest]:
     """The study about another machine, without the measurements that are done."""
-    measurement_with = measurement_factory(machine, resolved.setups)
-    return dataclasses.replace(
+    measurement_with = measurement_factory(Kinematics(machine), resolved.setups)
+    plan = request_of(
+        request.table,
+        resolved.study,
+        measurement_with,
+        resolved.setups,
+        request.prediction,
+        done,
+    )
+    changed = dataclasses.replace(
         resolved,
         machine=machine,
         measurement_with=measurement_with,
         measurement=measurement_with(resolved.measurement.setups),
-        plan=plan_request(resolved.study, measurement_with, resolved.setups, done),
+        plan=plan,
     )
+    return changed, plan
 
 
 def _corrected(
@@ -167,13 +185,14 @@ def _read_draws(path: Path, free: list[str]) -> Array | None:
     return theta.reshape(-1, len(names))[:, columns]
 
 
-def _session_seconds(resolved: ResolvedStudy, done: Mapping[str, int]) -> float:
+def _session_seconds(
+    resolved: ResolvedStudy, options: Sequence[Option], done: Mapping[str, int]
+) -> float:
     """Time (s) that the readings {set-up: number} took.
 
     It follows the measurement that mounts the set-up, else the set-up's instrument.
     """
     total = 0.0
-    options = resolved.plan.options if resolved.plan is not None else ()
     for option in options:
         total += _option_seconds(option, done)
     planned = {name for option in options for name in option.candidates.setups}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 
 from oed import result
@@ -18,7 +17,6 @@ from oed.design.stages.stage.prediction import PlanStage
 from oed.identifiability import explain
 from oed.identifiability.assessment import Assessment, assess
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.task import PlanTask
 from pkm_studies.study.tables import DesignTable
@@ -77,19 +75,18 @@ def build_outcome(
 
 def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.OrderedPlan:
     """A stage's readings in working order."""
-    resolved = _with_order(task, stage.option.name)
-    rng = task.stage_generator(number)
-    return order.order_plan(resolved, stage.option.measurement, (), stage.series, rng)
+    table = _with_order(task, stage.option.name)
+    place, rng = task.resolved.study.place.key("design"), task.stage_generator(number)
+    measurement = stage.option.measurement
+    return order.order_plan(table, place, measurement, (), stage.series, rng)
 
 
-def _with_order(task: PlanTask, name: str) -> ResolvedStudy:
-    """The study with [design.order] and the whole runs of a measurement alone."""
-    study = task.resolved.study
+def _with_order(task: PlanTask, name: str) -> DesignTable:
+    """[design.order] and the whole runs of a measurement alone."""
+    design = task.resolved.study.design
     table = next(t for t in task.table.measurement if t.name == name)
-    usual = study.design.order if study.design else DesignTable().order
-    design = DesignTable(order=usual, whole_runs=table.whole_runs)
-    ordered = msgspec.structs.replace(study, design=design)
-    return dataclasses.replace(task.resolved, study=ordered)
+    usual = design.order if design else DesignTable().order
+    return DesignTable(order=usual, whole_runs=table.whole_runs)
 
 
 def _stage_records(

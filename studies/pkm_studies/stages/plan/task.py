@@ -32,7 +32,7 @@ ANY_LOSS = 1e6
 class PlanTask:
     """What to plan.
 
-    table           the study's [plan];  request: its objects
+    request         what the study's [plan] requests
     goal            what plans are judged by
     all_components  goal over all pose components, to report their accuracy
     start           (n, n) covariance of the machine's free parameters before, in units
@@ -43,7 +43,6 @@ class PlanTask:
     """
 
     resolved: ResolvedStudy
-    table: PlanTable
     request: PlanRequest
     goal: Goal
     all_components: Goal
@@ -51,6 +50,11 @@ class PlanTask:
     budget: float
     seed: Sequence[int]
     memory: StageMemory = dataclasses.field(default_factory=StageMemory)
+
+    @property
+    def table(self) -> PlanTable:
+        """The study's [plan]."""
+        return self.request.table
 
     @property
     def place(self) -> Place:
@@ -125,13 +129,9 @@ def build_task(
     earlier: EarlierSession | None,
 ) -> PlanTask:
     """The task of a study, after an earlier session where there is one."""
-    study, command = resolved.study, resolved.prediction_commands
-    assert study.plan is not None
-    assert study.prediction is not None
-    assert command is not None
-    measurement = resolved.measurement_with(())
+    measurement, where = resolved.measurement_with(()), request.prediction
     maps = prediction.error_maps(
-        measurement.kinematics, command, study.prediction.reference
+        measurement.kinematics, where.command, where.table.reference
     )
     all_components = workspace_goal(measurement, maps, {})
     goal = all_components
@@ -144,7 +144,6 @@ def build_task(
         budget -= earlier.seconds
     return PlanTask(
         resolved=resolved,
-        table=study.plan,
         request=request,
         goal=goal,
         all_components=all_components,

@@ -8,13 +8,13 @@ import numpy as np
 
 from oed import checks
 from pkm_studies.stages.fit.goodness import check_dataset, goodness_section
-from pkm_studies.stages.run_state import Readings, RunState, Stream
+from pkm_studies.stages.run_state import Measured, Stream, TakenReadings
 
 
-def check_readings(state: RunState) -> RunState:
+def check_readings(state: Measured) -> Measured:
     """Check the recorded readings that are fitted, and set single outliers aside."""
     readings, data = state.readings, state.resolved.dataset
-    if data is None or readings is None or readings.y is None:
+    if data is None:
         return state
     state.progress.stage("check of the readings")
     fitted = data.take(dict.fromkeys(s.setup for s in readings.series))
@@ -27,7 +27,7 @@ def check_readings(state: RunState) -> RunState:
     return state.replace(readings=_without(readings, checked))
 
 
-def _without(readings: Readings, checked: checks.CheckedSession) -> Readings:
+def _without(readings: TakenReadings, checked: checks.CheckedSession) -> TakenReadings:
     """The readings that are not set aside, with their covariates."""
     rest = checked.session.without(checked.set_aside)
     covariates = readings.covariates

@@ -24,29 +24,22 @@ from oed.model.effect import Effect
 from oed.posterior import laplace, posterior
 from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve.effect_sizes import sized
-from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.workspace import regular_commands, workspace_axes
 from pkm_studies.stages.corrected import alarm, coefficients
 from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.noise import with_noise
 from pkm_studies.stages.fit.posterior import sampling_warnings
 from pkm_studies.stages.gap.virtual_readings import empty_readings
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.run_state import Fitted, Stream
 
 if TYPE_CHECKING:
     from oed.result import CorrectedSection, GapSection
 
 
-def correct_for_effects(state: RunState) -> RunState:
+def correct_for_effects(state: Fitted) -> Fitted:
     """Estimate the parameters together with the effects that are named or diagnosed."""
-    readings, estimate = state.readings, state.estimate
-    if readings is None or readings.y is None or estimate is None:
-        return state
-    request = state.resolved.gap
-    if request is None:
-        request = gap_request(state.study, state.resolved.machine, always=True)
-    assert request is not None
-    gap: GapSection | None = state.sections.get("gap")
+    request, gap = state.resolved.gap_or_default, state.result.gap
     effects = _effects(state, request, gap)
     if not effects:
         return state
@@ -57,7 +50,7 @@ def correct_for_effects(state: RunState) -> RunState:
     corrected = estimate_with_effects(
         given,
         effects,
-        estimate.theta,
+        state.estimate.theta,
         stages=state.resolved.identification_stages,
         estimate_noise=state.estimates_noise,
         max_iterations=state.study.identify.max_iterations,
@@ -65,17 +58,15 @@ def correct_for_effects(state: RunState) -> RunState:
     if corrected is None:
         return state.with_warnings("no effect that was named changes these readings")
     state = state.replace(corrected=corrected)
-    checked = state.sections.get("goodness")
-    if checked is not None:
-        # the noise without what the effects explain
-        setups = state.measurement.setups
-        noisy = with_noise(checked, corrected.estimate, setups)
-        state = state.with_sections(goodness=noisy)
+    # the noise without what the effects explain
+    setups = state.measurement.setups
+    noisy = with_noise(state.goodness, corrected.estimate, setups)
+    state = state.with_sections(goodness=noisy)
     return _with_section(state, corrected, gap)
 
 
 def _effects(
-    state: RunState, request: GapRequest, gap: GapSection | None
+    state: Fitted, request: GapRequest, gap: GapSection | None
 ) -> list[Effect]:
     """The effects of the command, or those that the diagnosis selected."""
     if state.with_effects:
@@ -102,10 +93,8 @@ def _as_diagnosed(effect: Effect, gap: GapSection) -> Effect:
     return dataclasses.replace(effect, constants=selected)
 
 
-def _readings_with_covariates(state: RunState, request: GapRequest) -> EffectReadings:
+def _readings_with_covariates(state: Fitted, request: GapRequest) -> EffectReadings:
     readings = state.readings
-    assert readings is not None
-    assert readings.y is not None
     covariates = readings.covariates
     if covariates is None:
         planned = empty_readings(state.measurement, readings.series, request)
@@ -117,10 +106,9 @@ def _readings_with_covariates(state: RunState, request: GapRequest) -> EffectRea
 
 
 def _refuse_untestable(
-    state: RunState, given: EffectReadings, effects: Sequence[Effect]
+    state: Fitted, given: EffectReadings, effects: Sequence[Effect]
 ) -> None:
     """Raises InputError for an effect that these readings cannot show."""
-    assert state.estimate is not None
     states = given.problem(state.estimate.theta).states
     for effect in effects:
         reason = untestable(effect, states)
@@ -133,10 +121,9 @@ def _refuse_untestable(
 
 
 def _with_section(
-    state: RunState, corrected: CorrectedEstimate, gap: GapSection | None
-) -> RunState:
+    state: Fitted, corrected: CorrectedEstimate, gap: GapSection | None
+) -> Fitted:
     """The state with the section `corrected`: estimates, conditions, prediction."""
-    assert state.readings is not None
     truth = state.readings.truth
     study, rng = state.study, state.rng(Stream.CORRECTED)
     draws = None
@@ -182,28 +169,27 @@ def _with_section(
 
 
 def _with_turned_runs(
-    state: RunState, section: CorrectedSection, turned: TurnedRuns
-) -> RunState:
+    state: Fitted, section: CorrectedSection, turned: TurnedRuns
+) -> Fitted:
     """The state that names runs which were driven the other way than written."""
     sentence = alarm.turned_sentence(section, turned)
-    goodness = alarm.with_turned_runs(state.sections["goodness"], section, turned)
+    goodness = alarm.with_turned_runs(state.goodness, section, turned)
     warnings = [*section.warnings, sentence]
     section = msgspec.structs.replace(section, warnings=warnings)
     state = state.with_sections(corrected=section, goodness=goodness)
     return state.replace(warnings=(sentence, *state.warnings))
 
 
-def _with_true_alarms(state: RunState, section: CorrectedSection) -> RunState:
+def _with_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
     """The state whose alarms hold for the corrected values, where these fit."""
     checked = state.checked
     if checked is None or not checked.bad_fit:
         return state
     if not alarm.resolves(section, checked.findings):
         return state
-    goodness = state.sections["goodness"]
-    goodness = alarm.resolved_section(goodness, section, checked.findings)
+    goodness = alarm.resolved_section(state.goodness, section, checked.findings)
     true = alarm.resolved_sentences(section, checked.findings)
-    for warning in state.sections["estimate"].warnings:
+    for warning in state.estimate_section.warnings:
         true[warning] = f"without effects in the model, {warning}"
     state = state.with_sections(goodness=goodness)
     return state.replace(warnings=tuple(true.get(w, w) for w in state.warnings))
@@ -221,7 +207,7 @@ def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Arra
 
 
 def _sample(
-    state: RunState, corrected: CorrectedEstimate, rng: np.random.Generator
+    state: Fitted, corrected: CorrectedEstimate, rng: np.random.Generator
 ) -> posterior.Posterior:
     table = state.study.posterior
     state.progress.stage("posterior with the effects")

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from oed.identifiability.assessment import assess
+from oed.identifiability.assessment import Assessment, assess
 from oed.identifiability.information import Scaling
 from oed.result import PolishSummary
+from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.stages import describe, headline
 from pkm_studies.stages.design import cost, section, select
 from pkm_studies.stages.fit import identifiability
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.plan import compute_plan
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.plan.section import PlanOutcome
+from pkm_studies.stages.run_state import RunState, ScheduledT, Stream
 
 #: of a study with both tables: which file and which number belong to which
 PLAN_AND_DESIGN = (
@@ -43,34 +45,44 @@ def _moved_setups(polish: PolishSummary | None) -> list[str]:
     return warnings
 
 
-def plan_stages(state: RunState, earlier: EarlierSession | None = None) -> RunState:
-    """Plan the measurements of [plan], if any; without a design, its readings count.
+def plan_stages(state: RunState) -> RunState:
+    """Plan the measurements of [plan], if any; without a design, its readings count."""
+    if state.resolved.plan is None:
+        return state
+    return plan_measurements(state, state.resolved.plan, None)[0]
+
+
+def plan_measurements(
+    state: RunState, request: PlanRequest, earlier: EarlierSession | None
+) -> tuple[RunState, PlanOutcome]:
+    """The state with the plan that is requested, and the plan.
 
     `earlier` is what an earlier session identified.
     """
-    if state.resolved.plan is None:
-        return state
     state.progress.stage("plan")
     outcome = compute_plan(
         state.resolved,
+        request,
         [state.seed, int(Stream.PLAN)],
         state.rng(Stream.CAMPAIGN),
         state.progress,
         earlier,
     )
-    assert outcome is not None
     state = state.replace(plan=outcome).with_sections(plan=outcome.section)
     planned = tuple(series for stage in outcome.scheduled for series in stage)
+    state = state.replace(planned=planned)
     if state.design is not None:
-        return state.replace(planned=planned).with_warnings(PLAN_AND_DESIGN)
+        return state.with_warnings(PLAN_AND_DESIGN), outcome
     if state.resolved.dataset is not None:
-        return state.replace(planned=planned)
-    return state.replace(planned=planned, measurement=outcome.measurement)
+        return state, outcome
+    return state.replace(measurement=outcome.measurement), outcome
 
 
-def analyse_identifiability(state: RunState) -> RunState:
-    """Find which parameters the readings identify, alone and against other plans."""
-    assert state.readings is not None
+def analyse_identifiability(state: ScheduledT) -> tuple[ScheduledT, Assessment]:
+    """Find which parameters the readings identify, alone and against other plans.
+
+    The verdict is the second result.
+    """
     state.progress.stage("identifiability")
     resolved, series = state.resolved, state.readings.series
     scaling: Scaling = state.study.design.scaling if state.study.design else "length"
@@ -85,7 +97,7 @@ def analyse_identifiability(state: RunState) -> RunState:
         if not set(plan.setups) <= used
     }
     verdict = assess(state.measurement, series, scaling)
-    return state.replace(identifiability=verdict).with_sections(
+    analysed = state.replace(identifiability=verdict).with_sections(
         identifiability=identifiability.identifiability_section(
             verdict, scaling, others
         ),
@@ -94,32 +106,27 @@ def analyse_identifiability(state: RunState) -> RunState:
         ),
         kappa_maps=[select.kappa_map(c, scaling) for c in resolved.kappa_circles],
     )
+    return analysed, verdict
 
 
-def report_design(state: RunState) -> RunState:
-    """Score the chosen design beside the reference plans."""
+def report_design(state: ScheduledT, verdict: Assessment) -> ScheduledT:
+    """Score the chosen design beside the reference plans; `verdict` is on it."""
     if state.design is None:
         return state
-    assert state.identifiability is not None
-    return state.with_sections(
-        design=section.design_section(
-            state.resolved, state.design, state.identifiability
-        )
-    )
+    scored = section.design_section(state.resolved, state.design, verdict)
+    return state.with_sections(design=scored)
 
 
-def report_single_stage(state: RunState) -> RunState:
+def report_single_stage(state: ScheduledT, verdict: Assessment) -> ScheduledT:
     """Report the readings as one stage, where the study has no [plan]."""
     if state.plan is not None:
         return state
-    assert state.identifiability is not None
-    predicted = headline.predicted_accuracy(state.sections.get("prediction"))
-    stage = cost.single_stage_plan(state.resolved, state.identifiability, predicted)
+    predicted = headline.predicted_accuracy(state.result.prediction)
+    stage = cost.single_stage_plan(state.resolved, verdict, predicted)
     return state.with_sections(plan=stage)
 
 
-def draw_machine(state: RunState) -> RunState:
+def draw_machine(state: ScheduledT) -> ScheduledT:
     """Lay out the machine at home and the tool points of the readings."""
-    assert state.readings is not None
     drawing = describe.drawing(state.measurement, state.readings.series)
     return state.with_sections(drawing=drawing)

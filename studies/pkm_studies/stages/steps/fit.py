@@ -13,11 +13,9 @@ from oed.measurement.assembly_mode import mode_jumps
 from oed.measurement.measurement import Series
 from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
-from pkm_studies.stages.fit.combinations import combination_estimates
-from pkm_studies.stages.fit.estimate import estimate_section
-from pkm_studies.stages.fit.left_out import surprises, with_left_out
+from pkm_studies.stages.fit.estimate import combination_estimates, estimate_section
+from pkm_studies.stages.fit.goodness import fit_figures, surprises, with_left_out
 from pkm_studies.stages.fit.noise import (
-    unchecked_section,
     with_assumption,
     with_noise,
 )
@@ -27,35 +25,29 @@ from pkm_studies.stages.fit.posterior import (
     sampling_warnings,
     with_checks,
 )
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.run_state import Fitted, Measured, Stream, promote
 
 
-def fit_parameters(state: RunState, start: Array | None = None) -> RunState:
+def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     """Identify the parameters by least squares with tolerance priors.
 
     `start` (n,), SI, is where the fit begins; nominal by default.
     """
-    assert state.readings is not None
-    series, y = state.readings.series, state.readings.y
-    if y is None:
-        return state
+    readings, measurement = state.readings, state.measurement
     state.progress.stage("identification")
-    estimate = _identify(state, series, y, start)
+    estimate = _identify(state, readings.series, readings.y, start)
     _refuse_mode_jump(state, estimate.theta)
-    section = estimate_section(
-        state.measurement, series, estimate, state.readings.truth
-    )
-    state = state.replace(estimate=estimate).with_sections(estimate=section)
+    section = estimate_section(measurement, readings.series, estimate, readings.truth)
     if state.identifiability is not None:
         verdict = state.identifiability.identifiability
-        combinations = combination_estimates(state.measurement, estimate, verdict)
+        combinations = combination_estimates(measurement, estimate, verdict)
         section = msgspec.structs.replace(section, combinations=combinations)
-        state = state.with_sections(estimate=section)
-    runs = run_prediction.predict_runs(state.measurement, series, estimate)
+    runs = run_prediction.predict_runs(measurement, readings.series, estimate)
     goodness = with_left_out(_goodness(state, estimate), runs)
     section = _without_resolved_warning(section, goodness, estimate)
-    state = state.with_sections(estimate=section, goodness=goodness)
-    return state.with_warnings(*section.warnings, *surprises(runs))
+    fitted = promote(Fitted, state, estimate=estimate)
+    fitted = fitted.with_sections(estimate=section, goodness=goodness)
+    return fitted.with_warnings(*section.warnings, *surprises(runs))
 
 
 def _without_resolved_warning(
@@ -72,7 +64,7 @@ def _without_resolved_warning(
 
 
 def _identify(
-    state: RunState, series: Sequence[Series], y: Array, start: Array | None
+    state: Measured, series: Sequence[Series], y: Array, start: Array | None
 ) -> identification.Estimate:
     """The fit; where it fails, the error opens with what the check of readings found."""
     try:
@@ -90,7 +82,7 @@ def _identify(
 
 
 def with_finding(
-    state: RunState, error: identification.IdentificationError
+    state: Measured, error: identification.IdentificationError
 ) -> identification.IdentificationError:
     """The error, opened by what the check of the readings found."""
     checked = state.checked
@@ -99,15 +91,14 @@ def with_finding(
     return identification.IdentificationError(f"{checked.findings[0].sentence} {error}")
 
 
-def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSection:
+def _goodness(state: Measured, estimate: identification.Estimate) -> GoodnessSection:
     """The check's section with the estimated noise; of the fit where there was none."""
-    assert state.readings is not None
-    section: GoodnessSection | None = state.sections.get("goodness")
+    section = state.result.goodness
     if section is None:
         fitted = goodness_of_estimate(
             state.measurement, state.readings.series, estimate
         )
-        section = unchecked_section(fitted)
+        section = fit_figures(fitted)
     section = with_noise(section, estimate, state.measurement.setups)
     if not state.study.noise.assumed:
         return section
@@ -117,9 +108,8 @@ def _goodness(state: RunState, estimate: identification.Estimate) -> GoodnessSec
     return with_assumption(section, estimate, setups, count)
 
 
-def _refuse_mode_jump(state: RunState, theta: Array) -> None:
+def _refuse_mode_jump(state: Measured, theta: Array) -> None:
     """Raises IdentificationError where the fit mirrors the machine."""
-    assert state.readings is not None
     jumps, count = mode_jumps(state.measurement, state.readings.series, theta)
     if jumps:
         raise identification.IdentificationError(
@@ -129,13 +119,11 @@ def _refuse_mode_jump(state: RunState, theta: Array) -> None:
         )
 
 
-def sample_posterior(state: RunState) -> RunState:
+def sample_posterior(state: Fitted) -> Fitted:
     """Sample the posterior about the estimate."""
     table = state.study.posterior
-    if state.estimate is None or not table.enabled:
+    if not table.enabled:
         return state
-    assert state.readings is not None
-    assert state.readings.y is not None
     posterior.import_samplers()
     state.progress.stage("posterior")
     draws = posterior.sample(

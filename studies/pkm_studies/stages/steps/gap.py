@@ -5,12 +5,13 @@ from __future__ import annotations
 import msgspec
 
 from oed.base import units
+from oed.design.rules import Rules
 from oed.measurement.measurement import Measurement
-from pkm_studies.resolve.gap import GapRequest, gap_request
+from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
 from pkm_studies.stages.gap import detectability, section
 from pkm_studies.stages.gap.virtual_readings import empty_readings
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT, Stream
 
 #: the only advice after a fit that failed its check, where no effect explains it
 AFTER_BAD_FIT = (
@@ -19,12 +20,11 @@ AFTER_BAD_FIT = (
 )
 
 
-def preview_gap(state: RunState) -> RunState:
+def preview_gap(state: ScheduledT) -> ScheduledT:
     """Predict what the readings could find, and choose the runs of [gap.design]."""
     request = state.resolved.gap
     if request is None:
         return state
-    assert state.readings is not None
     state.progress.stage("what the readings could find")
     series, covariates = state.readings.series, state.readings.covariates
     if covariates is None:
@@ -42,18 +42,20 @@ def preview_gap(state: RunState) -> RunState:
     return state.with_sections(gap_before=preview.section)
 
 
-def _gap_design(state: RunState) -> tuple[Measurement, GapDesignRequest] | None:
-    """[gap.design] with a measurement of its set-ups.
+def _gap_design(
+    state: RunState,
+) -> tuple[Measurement, GapDesignRequest, Rules] | None:
+    """[gap.design] with a measurement of its set-ups, and the rules of the choice.
 
     None without the table, and where it waits for a plan that was not made.
     """
     request = state.resolved.gap_design
     if request is not None and request.follows_plan:
         request = _with_plan(state, request)
-    if request is None:
+    if request is None or request.rules is None:
         return None
     setups = {run.setup for run in request.runs}
-    return state.resolved.measurement_with(setups), request
+    return state.resolved.measurement_with(setups), request, request.rules
 
 
 def _with_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest | None:
@@ -67,26 +69,20 @@ def _with_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest |
     return with_planned_readings(request, plan.series, remaining, measurement)
 
 
-def diagnose_gap(state: RunState) -> RunState:
+def diagnose_gap(state: Fitted) -> Fitted:
     """Find which effects cause what calibration leaves, where [gap] asks for it."""
     if state.resolved.gap is None:
         return state
     return _diagnose(state, state.resolved.gap)
 
 
-def diagnose_always(state: RunState) -> RunState:
+def diagnose_always(state: Fitted) -> Fitted:
     """Diagnose by [gap], or by its defaults where the study has none."""
-    request = state.resolved.gap
-    if request is None:
-        request = gap_request(state.study, state.resolved.machine, always=True)
-        assert request is not None
-    return _diagnose(state, request)
+    return _diagnose(state, state.resolved.gap_or_default)
 
 
-def _diagnose(state: RunState, request: GapRequest) -> RunState:
+def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     readings = state.readings
-    if readings is None or readings.y is None or state.estimate is None:
-        return state
     if state.checked is not None and state.checked.mistaken:
         return state.with_warnings(
             "There is no diagnosis: a mistake in the readings explains their misfit"

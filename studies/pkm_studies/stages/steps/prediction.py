@@ -2,45 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import get_args
 
 import msgspec
 import numpy as np
 
-from oed.accuracy.budget import budget_of
-from oed.accuracy.maps import Reference
+from oed.accuracy.budget import budget_model, budget_of
+from oed.accuracy.maps import ErrorMaps, Reference
 from oed.accuracy.prediction import Spread
 from oed.base.arrays import Array
 from oed.base.units import MM
-from oed.compensate.effects import ExpectedEffect
+from oed.compensate.effects import ExpectedEffect, expected_effects
+from oed.compensate.effects.effect_maps import SessionStates
+from oed.gap.data import problem as problems
+from oed.measurement.measurement import Measurement, Series
 from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
-from pkm_studies.resolve.gap import gap_request
+from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
 from pkm_studies.stages.predict.held_out import held_out_sections
 from pkm_studies.stages.predict.knowledge import Accuracy, ParameterKnowledge
-from pkm_studies.stages.predict.unmodelled import expected_unmodelled
 from pkm_studies.stages.predict.virtual_machines import realised_accuracy
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.run_state import (
+    Fitted,
+    Measured,
+    Scheduled,
+    ScheduledT,
+    Stream,
+)
+from pkm_studies.study.tables import PredictionTable
 
 
-def predict_accuracy(state: RunState) -> RunState:
+def predict_accuracy(state: ScheduledT) -> ScheduledT:
     """Predict the residual accuracy over the workspace, and check it on machines.
 
     With readings of a virtual machine, which only exercise the plan, the prediction
     rests on the tolerances alone.
     """
-    table, command = state.study.prediction, state.resolved.prediction_commands
-    if table is None or command is None:
+    request = state.resolved.prediction
+    if request is None:
         return state
-    assert state.readings is not None
+    table, command = request.table, request.command
     if _is_untrusted(state):
         return state.with_warnings(_withheld(state))
     state.progress.stage("prediction")
-    realised = _realised(state, command)
+    realised = _realised(state, table, command)
     known = _knowledge(state)
     rng = state.rng(Stream.PREDICT)
     by_reference = knowledge.accuracy(known, command, [table.reference], rng)
@@ -49,17 +59,16 @@ def predict_accuracy(state: RunState) -> RunState:
     section = msgspec.structs.replace(
         section,
         references=_references(state, known, main),
-        tools=_tools(state, known, command),
+        tools=_tools(state, table, known, command),
     )
     section = accuracy.with_wanted(section, state.resolved.wanted_accuracy)
     return state.with_sections(prediction=accuracy.with_realised(section, realised))
 
 
-def _realised(state: RunState, command: Array) -> Mapping[str, Spread] | None:
+def _realised(
+    state: Scheduled, table: PredictionTable, command: Array
+) -> Mapping[str, Spread] | None:
     """Accuracy of virtual machines; None where the study asks for none."""
-    table = state.study.prediction
-    assert table is not None
-    assert state.readings is not None
     return realised_accuracy(
         state.measurement,
         state.readings.series,
@@ -72,18 +81,17 @@ def _realised(state: RunState, command: Array) -> Mapping[str, Spread] | None:
     )
 
 
-def _knowledge(state: RunState) -> ParameterKnowledge:
+def _knowledge(state: Scheduled) -> ParameterKnowledge:
     """What the prediction rests on: real readings, or the plan."""
-    assert state.readings is not None
     series = state.readings.series
-    if state.estimate is None or state.readings.truth is not None:
+    if not isinstance(state, Fitted) or state.readings.truth is not None:
         return knowledge.planned(state.measurement, series)
     return knowledge.identified(
         state.measurement, series, state.estimate, _draws(state)
     )
 
 
-def _draws(state: RunState) -> ApproximateDraws:
+def _draws(state: Fitted) -> ApproximateDraws:
     """Draws of parameters and noise law: of the posterior, or of its approximation.
 
     Both follow directions that no reading determines; a covariance does not.
@@ -93,21 +101,17 @@ def _draws(state: RunState) -> ApproximateDraws:
         theta, laws = sampled.pooled, sampled.noise_law
         laws = laws.reshape(len(theta), laws.shape[2])
         return ApproximateDraws(theta, laws, float(np.nanmin(sampled.ess)))
-    readings, estimate = state.readings, state.estimate
-    assert readings is not None
-    assert readings.y is not None
-    assert estimate is not None
     return laplace.draw_approximation(
         state.measurement,
-        readings.series,
-        readings.y,
-        estimate,
+        state.readings.series,
+        state.readings.y,
+        state.estimate,
         state.rng(Stream.LAPLACE),
     )
 
 
 def _section(
-    state: RunState, known: ParameterKnowledge, main: Accuracy
+    state: Scheduled, known: ParameterKnowledge, main: Accuracy
 ) -> PredictionSection:
     """The section with its budget."""
     machine, planned = state.measurement.machine, known.mean is None
@@ -123,25 +127,20 @@ def _section(
     return msgspec.structs.replace(section, budget=lines)
 
 
-def _expected_effects(state: RunState, main: Accuracy) -> list[ExpectedEffect]:
+def _expected_effects(state: Scheduled, main: Accuracy) -> list[ExpectedEffect]:
     """Effects that usually go unmodelled, at the sizes that are expected of them."""
-    assert state.readings is not None
-    request = state.resolved.gap
-    if request is None:
-        request = gap_request(state.study, state.resolved.machine, always=True)
-    assert request is not None
     return expected_unmodelled(
         state.measurement,
         state.readings.series,
         main.maps,
-        request,
+        state.resolved.gap_or_default,
         main.prediction.reference,
         state.rng(Stream.UNMODELLED),
     )
 
 
 def _references(
-    state: RunState, known: ParameterKnowledge, main: Accuracy
+    state: Scheduled, known: ParameterKnowledge, main: Accuracy
 ) -> dict[str, dict[str, SpreadRecord]]:
     """Accuracy after compensation against each reference."""
     machine, predicted = state.measurement.machine, main.prediction
@@ -156,11 +155,13 @@ def _references(
 
 
 def _tools(
-    state: RunState, known: ParameterKnowledge, command: Array
+    state: Scheduled,
+    table: PredictionTable,
+    known: ParameterKnowledge,
+    command: Array,
 ) -> list[ToolAccuracy]:
     """Accuracy after compensation at tools of the lengths that the study names."""
-    table, machine = state.study.prediction, state.measurement.machine
-    assert table is not None
+    machine = state.measurement.machine
     rng = state.rng(Stream.TOOLS)
     records = []
     for length in table.tools:
@@ -172,31 +173,29 @@ def _tools(
     return records
 
 
-def _is_untrusted(state: RunState) -> bool:
+def _is_untrusted(state: Scheduled) -> bool:
     """Whether a prediction would rest on a fit that is not to be trusted.
 
     With readings of a virtual machine it rests on none.
     """
-    if state.readings is None or state.readings.truth is not None:
+    if not isinstance(state, Measured) or state.readings.truth is not None:
         return False
-    sections = state.sections
-    fitted = trust.section_objections(
-        sections.get("goodness"), sections.get("estimate")
-    )
+    result = state.result
+    fitted = trust.section_objections(result.goodness, result.estimate)
     return state.fit_is_bad or bool(fitted)
 
 
-def _withheld(state: RunState) -> str:
+def _withheld(state: Scheduled) -> str:
     """Why no accuracy is predicted from the fit without effects."""
-    if state.corrected is None:
+    if not isinstance(state, Fitted) or state.corrected is None:
         return "The predicted accuracy is withheld: it would rest on a bad fit"
     return "The fit without effects is bad: no accuracy is predicted from it"
 
 
-def predict_held_out(state: RunState) -> RunState:
+def predict_held_out(state: Fitted) -> Fitted:
     """Compare held-out readings with what posterior or approximation predicts."""
-    held_out = state.readings.held_out if state.readings is not None else None
-    if held_out is None or state.estimate is None:
+    held_out = state.readings.held_out
+    if held_out is None:
         return state
     state.progress.stage("held-out readings")
     sections = held_out_sections(
@@ -208,3 +207,28 @@ def predict_held_out(state: RunState) -> RunState:
         state.rng(Stream.HELD_OUT),
     )
     return state.with_sections(held_out=sections)
+
+
+# -- effects that no plan models -------------------------------------------------------
+
+
+def expected_unmodelled(
+    measurement: Measurement,
+    series: Sequence[Series],
+    maps: ErrorMaps,
+    request: GapRequest,
+    reference: Reference,
+    rng: np.random.Generator,
+) -> list[ExpectedEffect]:
+    """Errors by each effect of a request in planned readings and over the workspace."""
+    planned = empty_readings(measurement, series, request)
+    problem = problems.assemble(
+        measurement, planned.series, planned.covariates, gravity=request.gravity
+    )
+    model = budget_model(measurement, problem.series, measurement.nominal)
+    session = SessionStates(
+        measurement, planned.covariates, problem.states, request.gravity
+    )
+    return expected_effects(
+        problem, session, model, maps, request.effects, reference, rng
+    )

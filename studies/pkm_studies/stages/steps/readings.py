@@ -14,32 +14,50 @@ from oed.measurement import simulation
 from oed.measurement.measurement import Series
 from oed.model.machine import Machine
 from pkm_studies.stages.gap import virtual_readings
-from pkm_studies.stages.run_state import HeldOut, Readings, RunState, Stream
+from pkm_studies.stages.run_state import (
+    HeldOut,
+    Measured,
+    Readings,
+    RunState,
+    Scheduled,
+    Stream,
+    TakenReadings,
+    promote,
+)
 
 
 class SimulatedReadings(NamedTuple):
-    """Readings of a virtual machine, and its acting effects for the truth file."""
+    """Readings of a virtual machine, its parameters (n,), SI, and its acting effects."""
 
-    readings: Readings
+    readings: TakenReadings
+    truth: Array
     effects: list[dict[str, Any]]
 
 
-def take_readings(state: RunState) -> RunState:
+def take_readings(state: RunState) -> Scheduled:
     """Take recorded readings, simulate those of a virtual machine, or only plan them."""
     data = state.resolved.dataset
     if data is not None:
-        state = _with_setups_of(state, data)
-        state = state.replace(readings=_recorded(state, data))
-        state = state.with_warnings(*_stretch_warnings(state.measurement.machine, data))
-        if data.dropped:
-            return state.with_warnings(
-                f"{data.dropped} rows without a reading were left out"
-            )
-        return state
-    series = planned_series(state)
-    if state.study.readings is None:
-        return state.replace(readings=Readings(series=series))
-    return state.replace(readings=simulate_readings(state, series).readings)
+        return take_recorded(state, data)
+    if state.study.readings is not None:
+        return take_simulated(state)
+    return promote(Scheduled, state, readings=Readings(series=planned_series(state)))
+
+
+def take_simulated(state: RunState) -> Measured:
+    """Take readings of the virtual machine at the planned poses."""
+    readings = simulate_readings(state, planned_series(state)).readings
+    return promote(Measured, state, readings=readings)
+
+
+def take_recorded(state: RunState, data: Dataset) -> Measured:
+    """Take recorded readings, with warnings about them."""
+    state = _with_setups_of(state, data)
+    measured = promote(Measured, state, readings=_recorded(state, data))
+    warnings = _stretch_warnings(state.measurement.machine, data)
+    if data.dropped:
+        warnings.append(f"{data.dropped} rows without a reading were left out")
+    return measured.with_warnings(*warnings)
 
 
 def _with_setups_of(state: RunState, data: Dataset) -> RunState:
@@ -70,13 +88,13 @@ def _stretch_warnings(machine: Machine, data: Dataset) -> list[str]:
     return [f"the stretch of cables is not corrected: there is no column {names}"]
 
 
-def _recorded(state: RunState, data: Dataset) -> Readings:
+def _recorded(state: RunState, data: Dataset) -> TakenReadings:
     held_out = state.resolved.held_out_setups
     fitted = state.resolved.fitted_setups
     if not fitted:
         fitted = tuple(name for name in data.setups if name not in held_out)
     fit, predict = data.take(fitted), data.take(held_out)
-    return Readings(
+    return TakenReadings(
         series=fit.series,
         y=fit.y,
         covariates=fit.covariates,
@@ -110,7 +128,8 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedRea
         y = simulation.draw_readings(
             measurement, series, truth, state.rng(Stream.NOISE)
         )
-        return SimulatedReadings(Readings(series=tuple(series), y=y, truth=truth), [])
+        taken = TakenReadings(series=tuple(series), y=y, truth=truth)
+        return SimulatedReadings(taken, truth, [])
     planned = virtual_readings.empty_readings(measurement, series, request)
     exact, effects = virtual_readings.exact_readings(
         measurement, planned, truth, request, state.rng(Stream.EFFECTS)
@@ -118,13 +137,13 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedRea
     errors = simulation.draw_errors(
         measurement, planned.series, state.rng(Stream.NOISE), exact.shape
     )
-    readings = Readings(
+    readings = TakenReadings(
         series=planned.series,
         y=exact + errors,
         truth=truth,
         covariates=planned.covariates,
     )
-    return SimulatedReadings(readings, effects)
+    return SimulatedReadings(readings, truth, effects)
 
 
 def _true_parameters(state: RunState) -> Array:
