@@ -30,6 +30,25 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(20160801)
 
 
+@pytest.fixture
+def oed(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """The command: exit code, stdout, stderr."""
+    cli = importlib.import_module("pkm_studies.commands.cli")
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        code = cli.main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return call
+
+
+@pytest.fixture
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The test runs in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Real measurements, kept beside the project and not in it."""

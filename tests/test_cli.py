@@ -17,9 +17,9 @@ import sample
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue import catalogue
-from pkm_studies.commands import cli
 
 Run = Callable[..., tuple[int, str, str]]
+pytestmark = pytest.mark.usefixtures("own_folder")
 #: nothing to choose and nothing to fit: a plan is looked at
 PLAN = sample.changed(
     sample.STUDY,
@@ -27,21 +27,6 @@ PLAN = sample.changed(
     ("count = 4 }", "count = 2 }"),
     ("count = 12", "count = 15"),
 )
-
-
-@pytest.fixture
-def oed(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Run:
-    """The command, in a folder of its own: exit code, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        code = cli.main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
 
 
 def write(path: Path, text: str) -> Path:

@@ -18,7 +18,6 @@ from oed.compensate import compensated_joints
 from oed.mechanism.kinematics import Kinematics
 from oed.result import GoodnessSection, NoiseRecord, StudyResult
 from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
-from pkm_studies.commands import cli
 from pkm_studies.stages import describe
 
 Run = Callable[..., tuple[int, str, str]]
@@ -26,16 +25,6 @@ Run = Callable[..., tuple[int, str, str]]
 DELTA = linear_delta.machine.nominal + np.array(
     [3e-4, -5e-4, -6e-4, 4e-4, 1e-3, -2e-3, 0.0, 2e-4, 1.2e-3, -1e-4]
 )
-
-
-@pytest.fixture
-def oed(capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> tuple[int, str, str]:
-        code = cli.main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
 
 
 @pytest.fixture

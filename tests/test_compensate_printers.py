@@ -17,7 +17,6 @@ from oed.compensate import compensated_joints
 from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import delta as delta_family
 from pkm_models.machines import linear_delta
-from pkm_studies.commands import cli
 
 Run = Callable[..., tuple[int, str, str]]
 #: an identified delta: radius, arms, angles, endstops
@@ -25,16 +24,6 @@ DELTA = linear_delta.machine.nominal + np.array(
     [3e-4, -5e-4, -6e-4, 4e-4, 1e-3, -2e-3, 0.0, 2e-4, 1.2e-3, -1e-4]
 )
 SUFFIXES = {"klipper": ".cfg", "marlin": ".gcode", "rrf": ".g"}
-
-
-@pytest.fixture
-def oed(capsys: pytest.CaptureFixture[str]) -> Run:
-    def call(*arguments: object) -> tuple[int, str, str]:
-        code = cli.main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
 
 
 @pytest.fixture

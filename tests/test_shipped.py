@@ -11,27 +11,12 @@ import pytest
 
 from pkm_studies import pipeline
 from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
 from pkm_studies.study import SUFFIX, Study, load, shipped
 
 Run = Callable[..., tuple[int, str, str]]
+pytestmark = pytest.mark.usefixtures("own_folder")
 STUDIES = Path(__file__).resolve().parents[1] / "studies"
 NAMES = sorted(path.name.removesuffix(SUFFIX) for path in STUDIES.glob(f"*{SUFFIX}"))
-
-
-@pytest.fixture
-def oed(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Run:
-    """The command, in a folder of its own: exit code, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        code = cli.main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
 
 
 @pytest.fixture

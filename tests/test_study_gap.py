@@ -14,7 +14,6 @@ import sample
 
 from oed import result
 from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.study import load, parse, schemas
 
@@ -22,23 +21,12 @@ Run = Callable[..., tuple[int, str, str]]
 FOLDER = Path(__file__).resolve().parent
 
 
-@pytest.fixture
-def oed(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Run:
-    """The command, with the diagnosis made by hand."""
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(autouse=True)
+def diagnosis_by_hand(own_folder: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "oed.gap.procedure.diagnose",
         lambda problem, effects, rng: gap_fixture.diagnosis(problem),
     )
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        code = cli.main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
 
 
 # -- the table ----------------------------------------------------------------------

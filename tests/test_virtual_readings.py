@@ -15,7 +15,6 @@ import sample
 
 from oed.measurement.measurement import Series
 from pkm_studies.base.progress import Silent
-from pkm_studies.commands import cli
 from pkm_studies.resolve.conditions import planned_covariates
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.stages.gap.virtual_readings import empty_readings
@@ -24,21 +23,7 @@ from pkm_studies.stages.steps.readings import planned_series
 from pkm_studies.study import load
 
 Run = Callable[..., tuple[int, str, str]]
-
-
-@pytest.fixture
-def oed(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> Run:
-    """The command, in a folder of its own: exit code, stdout, stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        code = cli.main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return call
+pytestmark = pytest.mark.usefixtures("own_folder")
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

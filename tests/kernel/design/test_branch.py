@@ -23,7 +23,9 @@ def best_subset(
 
 
 @pytest.mark.parametrize("criterion", ["D", "A", "O5"])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "seed", [*range(2), *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 6))]
+)
 def test_the_best_of_all_subsets_is_proven(seed: int, criterion: str) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.standard_normal((13, 3))

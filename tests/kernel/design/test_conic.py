@@ -48,7 +48,10 @@ def criteria(n: int, rng: np.random.Generator) -> list[Criterion]:
     ]
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize(
+    "seed",
+    [*range(15), *(pytest.param(k, marks=pytest.mark.slow) for k in range(15, 40))],
+)
 def test_no_plan_exceeds_the_bound(seed: int) -> None:
     """Random sizes, ranks, blocks and priors, with limits in every third: all plans lie
     below a bound that is tight.

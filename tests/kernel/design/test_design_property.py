@@ -1,5 +1,5 @@
 """No design is ever below the greedy one, nor above its bound: 500 random problems,
-three quarters of them by `make slow`.
+nineteen twentieths of them by `make slow`.
 
 Sizes, ranks, blocks, priors, costs, set-ups and criteria vary. The greedy plan is
 written again here, and the values are computed from the chosen blocks with NumPy alone.
@@ -93,7 +93,7 @@ def greedy(p: Problem) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "batch",
-    [*range(3), *(pytest.param(b, marks=pytest.mark.slow) for b in range(3, 20))],
+    [0, *(pytest.param(b, marks=pytest.mark.slow) for b in range(1, 20))],
 )
 def test_greedy_is_never_better_and_the_bound_never_crossed(batch: int) -> None:
     for seed in range(25 * batch, 25 * batch + 25):

@@ -16,25 +16,25 @@ def test_equal_readings_follow_the_square_root_law() -> None:
     """Many copies of orthogonal unit rows: N readings leave 1 / sqrt(1 + N / 2) of each
     of two unit directions.
     """
-    rows = np.tile(np.eye(2), (40, 1))[:, None, :]
-    goal = AccuracyGoal(("a", "b"), np.eye(2)[:, None, :] / 0.35)
+    rows = np.tile(np.eye(2), (20, 1))[:, None, :]
+    goal = AccuracyGoal(("a", "b"), np.eye(2)[:, None, :] / 0.43)
     problem = SizeCurve(rows, np.eye(2), goal, (0,))
-    for point in problem.curve([2, 8, 20]):
-        exact = 1.0 / np.sqrt(1.0 + point.size / 2) / 0.35
+    for point in problem.curve([2, 6, 12]):
+        exact = 1.0 / np.sqrt(1.0 + point.size / 2) / 0.43
         assert point.accuracy == pytest.approx([exact, exact], rel=1e-9)
         # alone, a direction gets all readings
         assert point.bound == pytest.approx(
-            np.full(2, 1.0 / np.sqrt(1.0 + point.size) / 0.35), rel=1e-3
+            np.full(2, 1.0 / np.sqrt(1.0 + point.size) / 0.43), rel=1e-3
         )
-    fewest = problem.fewest(most=40)
+    fewest = problem.fewest(most=20)
     assert (
-        fewest.size == 2 * int(np.ceil(1.0 / 0.35**2 - 1.0)) == 16
-    )  # 1 + N / 2 >= 1 / 0.35^2
-    assert fewest.at_least == 15  # half a reading of each more would do
+        fewest.size == 2 * int(np.ceil(1.0 / 0.43**2 - 1.0)) == 10
+    )  # 1 + N / 2 >= 1 / 0.43^2
+    assert fewest.at_least == 9  # half a reading of each more would do
 
 
 @pytest.mark.parametrize(
-    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in (1, 2)), 3, 4]
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))]
 )
 def test_no_subset_beats_the_bounds_nor_the_fewest(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -65,7 +65,7 @@ def test_feasibility_is_that_of_all_subsets(seed: int) -> None:
 
 @pytest.mark.parametrize("criterion", ["D", "A", "E", "kappa", "O4", "O5"])
 @pytest.mark.parametrize(
-    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in range(3, 8))]
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 8))]
 )
 def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(
     seed: int, criterion: str

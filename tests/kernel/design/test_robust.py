@@ -35,7 +35,7 @@ def risk_of(v: np.ndarray, risk: str) -> float:
 
 @pytest.mark.parametrize("risk", ["mean", "cvar", "worst"])
 @pytest.mark.parametrize(
-    "seed", [*range(3), *(pytest.param(k, marks=pytest.mark.slow) for k in (3, 4))]
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))]
 )
 def test_no_subset_exceeds_the_bound(seed: int, risk: robust.Risk) -> None:
     """All subsets of 5 of 12 in five scenarios: value below bound, design among the

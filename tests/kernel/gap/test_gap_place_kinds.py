@@ -7,8 +7,6 @@ import pytest
 
 from kernel import gap_lines, planar_session
 from oed.gap import procedure as diagnosing
-from oed.gap.cause.compare import compare
-from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.reversal import ReversedForms
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import Diagnosis
@@ -32,7 +30,7 @@ def test_a_bent_ruler_is_in_its_set_up_and_in_no_time(interleaved: bool) -> None
     problem = planar_session.ruler_session(
         ("rm5", "rm2"), 30e-6, 1, interleaved=interleaved
     )
-    diagnosis = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(1))
+    diagnosis = _under_stated_noise(problem, EFFECTS)
     assert diagnosis.verdict == "unknown"
     named = _named(diagnosis)
     first = next(iter(named))
@@ -48,11 +46,16 @@ def test_a_bent_ruler_is_in_its_set_up_and_in_no_time(interleaved: bool) -> None
     assert named[first].same_as == same
 
 
-def _search(problem, effects) -> tuple[Search, Hypothesis]:
+def _under_stated_noise(problem, effects) -> Diagnosis:
+    """The noise that the readings are drawn with is known: no search over noise laws."""
+    rng = np.random.default_rng(1)
+    return diagnosing.diagnose(problem, effects, rng, law=stated_law(problem))
+
+
+def _search(problem, effects) -> Search:
     forms = library.build(problem, effects)
     processes = discrepancy.build(problem)
-    search = Search(problem, forms, processes, stated_law(problem), 0.0)
-    return search, compare([search])[0]
+    return Search(problem, forms, processes, stated_law(problem), 0.0)
 
 
 def test_an_effect_alike_both_ways_is_in_no_direction() -> None:
@@ -63,9 +66,7 @@ def test_an_effect_alike_both_ways_is_in_no_direction() -> None:
         {"leg 1": 4.0},
         turns=3.0,
     )
-    diagnosis = diagnosing.diagnose(
-        problem, gap_lines.EFFECTS, np.random.default_rng(1)
-    )
+    diagnosis = _under_stated_noise(problem, gap_lines.EFFECTS)
     assert "bow" in diagnosis.answers[0].effects
     for block in diagnosis.where:
         if block.block.startswith("direction"):
@@ -77,7 +78,7 @@ def test_an_effect_alike_both_ways_is_in_no_direction() -> None:
 def test_columns_driven_the_other_way_change_their_sign_where_the_effect_does() -> None:
     """A bow of the joints stays as it is, slip of the drives turns about."""
     problem = gap_lines.readings(1)
-    search, _ = _search(problem, gap_lines.EFFECTS)
+    search = _search(problem, gap_lines.EFFECTS)
     other_way = ReversedForms(
         problem, search.library, search.processes, gap_lines.EFFECTS
     )
@@ -94,10 +95,12 @@ def test_columns_driven_the_other_way_change_their_sign_where_the_effect_does() 
 
 def test_a_discrepancy_of_one_direction_is_not_there_the_other_way() -> None:
     problem = gap_lines.readings(1)
-    search, _ = _search(problem, ())
+    search = _search(problem, ())
     other_way = ReversedForms(problem, search.library, search.processes, ())
     empty = search.fit((), (), ())
     for number, atom in enumerate(search.processes.atoms):
+        if number % 3:  # a third of them: each kind has many
+            continue
         h = empty.with_form(0, number, 1.0)
         columns, turned = (
             h.columns(search.library, search.processes),

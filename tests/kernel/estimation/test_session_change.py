@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import shutil
-from pathlib import Path
-
 import numpy as np
 import pytest
-import sample
 from scipy import stats
 
 from oed.estimation import session_change, session_drift
 from oed.estimation.session_change import Session
-from pkm_studies.commands import cli
-from pkm_studies.results import comparison
 
 N, SETUP = 5, 2
 NAMES = [f"p{k}" for k in range(N)]
@@ -124,14 +117,6 @@ def test_a_drift_of_two_sessions_is_their_change(angle: float) -> None:
     assert rates == pytest.approx(changes, rel=1e-6)
 
 
-def test_a_combination_in_words_has_one_unit() -> None:
-    coefficients = {"z2": 1.0, "z1": -1.00001, "D": 0.5, "beta1": -2.0}
-    change = session_change.CombinationChange(coefficients, 0.1, 0.1, 0.3)
-    unit = {"z1": "mm", "z2": "mm", "D": "mm", "beta1": "mrad"}
-    words = "z2 less z1 plus 0.5 times D less 2 mm per mrad of beta1"
-    assert comparison.combination_words(change, unit) == (words, "mm")
-
-
 def test_no_change_gives_uniform_p_values() -> None:
     rng = np.random.default_rng(5)
     p_values = []
@@ -142,46 +127,3 @@ def test_no_change_gives_uniform_p_values() -> None:
         change = session_change.compare(NAMES, NOMINAL, TOLERANCE, sessions)
         p_values.append(change.p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01
-
-
-def test_two_sessions_by_the_command(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plan = sample.changed(
-        sample.STUDY,
-        ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
-        ("[expect]", "[posterior]\nenabled = false\n[expect]"),
-    )
-    for name, seed, dq1 in (("a", 1, 0.1), ("b", 2, 0.1), ("c", 3, 0.3)):
-        study = tmp_path / f"{name}.study.toml"
-        simulated = f"[readings]\nsimulate = true\ntruth = {{ dq1_mm = {dq1} }}\n"
-        study.write_text(f"{plan}{simulated}", encoding="utf-8")
-        call = ["run", study, "--out", tmp_path / name, "--seed", seed, "--quiet"]
-        assert cli.main([str(a) for a in call]) == 0
-    capsys.readouterr()
-    assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 0
-    assert capsys.readouterr().out.startswith("No change: chi2")
-    assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path / "c")]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("The machine changed: chi2")
-    cause = out.partition("alone explains")[2].partition("dq1: ")[2].split()
-    assert (cause[1], cause[4]) == ("mm,", "mm;")
-    assert float(cause[0]) == pytest.approx(0.2, abs=4 * float(cause[3]))
-    assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path)]) == 2
-    assert "no such result" in capsys.readouterr().err
-    shutil.copytree(tmp_path / "a", tmp_path / "copy")
-    for again in ("a", "copy"):
-        assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path / again)]) == 2
-        assert "the readings are equal" in capsys.readouterr().err
-    make_bad(tmp_path / "b")
-    assert cli.main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 1
-    assert "b is not to be trusted: the residuals are" in capsys.readouterr().out
-
-
-def make_bad(folder: Path) -> None:
-    """Make the stored fit one whose residuals are 10 times the stated noise."""
-    path = folder / "result.json"
-    result = json.loads(path.read_text("utf-8"))
-    goodness = result["goodness"]
-    goodness |= {"chi2": 100.0 * goodness["dof"], "p_high": 0.0, "bad_fit": True}
-    path.write_text(json.dumps(result), encoding="utf-8")

@@ -1,17 +1,12 @@
-"""Drift over sessions against one least-squares fit of all, and the command."""
+"""Drift over sessions against one least-squares fit of all."""
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
-import sample
 
 from oed.estimation import session_drift
 from oed.estimation.session_change import Session
-from pkm_studies.commands import cli
 
 N = 4
 NAMES = [f"p{k}" for k in range(N)]
@@ -98,66 +93,6 @@ def test_the_next_calibration_is_when_the_error_reaches_its_limit() -> None:
     assert due.low < 200.0 < due.high
     late = session_drift.next_calibration(maps, d, after=0.6, limit=0.5, rng=rng)
     assert late.time == 0.0
-
-
-def run_sessions(tmp_path: Path, dates: dict[str, float]) -> list[str]:
-    """Folders of a machine's sessions, by their dates, with an offset dq1 (mm) in each."""
-    plan = sample.changed(
-        sample.STUDY,
-        ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
-        ("[expect]", "[posterior]\nenabled = false\n[expect]"),
-    )
-    folders = [str(tmp_path / "machine" / date) for date in dates]
-    for seed, (date, dq1) in enumerate(dates.items()):
-        study = tmp_path / f"{date}.study.toml"
-        simulated = f"[readings]\nsimulate = true\ntruth = {{ dq1_mm = {dq1} }}\n"
-        study.write_text(f"{plan}{simulated}", encoding="utf-8")
-        call = ["run", study, "--out", folders[seed], "--seed", seed, "--quiet"]
-        assert cli.main([str(a) for a in call]) == 0
-    return folders
-
-
-def test_the_command_tells_the_drift_and_the_next_date(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    dates = {"2026-01-01": 0.10, "2026-01-31": 0.16, "2026-03-02": 0.22}
-    run_sessions(tmp_path, dates)
-    capsys.readouterr()
-    assert cli.main(["history", str(tmp_path / "machine"), "--limit", "z_um=100"]) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("3 sessions over 60 days.\nThe machine drifts")
-    assert "100 um are reached after" in out
-    assert "Calibrate again by 2026-" in out
-    assert cli.main(["history", str(tmp_path / "machine"), "--limit", "z_um=-5"]) == 2
-    assert "not a positive number" in capsys.readouterr().err
-    assert cli.main(["history", str(tmp_path / "machine" / "2026-01-01")]) == 2
-    assert "two sessions" in capsys.readouterr().err
-    twice = [str(tmp_path / "machine" / "2026-01-01")] * 2
-    assert cli.main(["history", *twice]) == 2
-    assert "the readings are equal" in capsys.readouterr().err
-
-
-def test_two_sessions_have_one_test_and_no_date_where_nothing_drifts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Of two seeds of one machine `compare` and `history` say the same."""
-    folders = run_sessions(tmp_path, {"2026-01-01": 0.1, "2026-01-11": 0.1})
-    capsys.readouterr()
-    assert cli.main(["compare", *folders]) == 0
-    compared = capsys.readouterr().out
-    assert cli.main(["history", *folders]) == 0
-    followed = capsys.readouterr().out
-    test = re.compile(r"chi2 ([\d.]+) for (\d+) combinations.*p = ([\d.]+)")
-    numbers = [test.search(out) for out in (compared, followed)]
-    assert numbers[0] is not None
-    assert numbers[1] is not None
-    assert numbers[0].groups() == numbers[1].groups()
-    assert "No drift is proven" in followed
-    assert "Calibrate again" not in followed
-    assert "one every 10 days, prove with probability 0.9" in followed
-    sizes = re.findall(r"([\d.]+) um \((\d+) sessions\)", followed)
-    assert [count for _, count in sizes[:3]] == ["3", "4", "8"]
-    assert float(sizes[0][0]) > float(sizes[1][0]) > float(sizes[2][0]) > 0.0
 
 
 def test_a_drift_of_the_provable_size_is_proven_as_often_as_said() -> None:

@@ -1,0 +1,178 @@
+"""Each mistake, made in readings of an independent machine, undone again.
+
+Without the mistake, readings and poses are those of the file before it was made.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from types import ModuleType
+
+import blunder_machines as machines
+import numpy as np
+import pandas as pd
+import pytest
+from blunder_table import BLUNDERS
+from blunders import Blunder
+
+from oed.base.arrays import Array
+from oed.checks.mistakes import (
+    Given,
+    amounts,
+    change,
+    columns,
+    contradiction,
+    copied,
+    deviation,
+    joints,
+    order,
+    pose,
+    program,
+    reference,
+    scale,
+    setups,
+    sign,
+    sorting,
+    unit,
+    zero,
+)
+from oed.checks.mistakes.trial import MistakeTrial
+
+BY_NAME = {blunder.name: blunder for blunder in BLUNDERS}
+#: mistakes without amounts, or with those, SI, that were made
+MADE: list[tuple[ModuleType, str, tuple[float, ...]]] = [
+    (unit, "one run in inches", ()),
+    (unit, "angles in rad", ()),
+    (unit, "one display of two in inches", ()),
+    (deviation, "one run in um of deviation", ()),
+    (deviation, "length added to lengths", ()),
+    (sign, "reversed deviations in one run", ()),
+    (sign, "one gauge in two lines' channels, reversed", ()),
+    (scale, "half of the deviations of one run", ()),
+    (scale, "one gauge in two lines' channels, halved", ()),
+    (columns, "tracker turned by 90 deg", ()),
+    (order, "readings one row late", ()),
+    (order, "runs read backward", ()),
+    (order, "run labels exchanged", ()),
+    (sorting, "poses of one run sorted", ()),
+    (setups, "set-ups exchanged", ()),
+    (pose, "tilts exchanged", ()),
+    (pose, "one circle starts 17 deg late", (np.deg2rad(17.0),)),
+    (joints, "two legs exchanged", ()),
+    (zero, "zeroed again in one run", (0.2e-3,)),
+    (amounts, "the bar zeroed again at row 32", (0.2e-3,)),
+    (amounts, "scale of the bar", (0.01,)),
+    (amounts, "one gauge in two lines' channels, 25 % large", (0.25,)),
+]
+
+
+def session(blunder: Blunder) -> Given:
+    rows = blunder.make(machines.readings(blunder.machine, 0))
+    return Given(machines.session(blunder.machine, rows))
+
+
+@functools.cache
+def without_mistake(machine: str) -> pd.Series:
+    return misfit(Given(machines.session(machine, machines.readings(machine, 0))))
+
+
+def misfit(given: Given) -> pd.Series:
+    """Readings less those of the nominal machine, SI, by row of the file and channel."""
+    rows = pd.MultiIndex.from_frame(given.session.values[["row", "channel"]])
+    return pd.Series(given.session.y - given.predicted, index=rows)
+
+
+def trials(
+    module: ModuleType, blunder: Blunder, given: Given, values: Array
+) -> Iterator[MistakeTrial]:
+    """Trials with the words that a check must say."""
+    for trial in module.trials(given):
+        known = len(trial.amounts) == len(values)
+        if known and blunder.is_named([trial.words(values, 0.01 * np.abs(values))]):
+            yield trial
+
+
+@pytest.mark.parametrize(("module", "name", "values"), MADE)
+def test_a_mistake_undone_leaves_the_readings_without_it(
+    module: ModuleType, name: str, values: tuple[float, ...]
+) -> None:
+    """Of readings one row late the last is lost."""
+    blunder, amount = BY_NAME[name], np.array(values)
+    given, right = session(blunder), without_mistake(blunder.machine)
+    assert (misfit(given) - right).abs().max() > 1e-5
+
+    def is_right(trial: MistakeTrial) -> bool:
+        rest = misfit(Given(*trial.undo(amount)))
+        errors = (rest - right).abs().dropna()
+        return len(errors) >= len(right) - 1 and errors.max() < 2e-6
+
+    assert any(is_right(t) for t in trials(module, blunder, given, amount))
+
+
+def test_readings_against_the_last_pose_refer_to_it() -> None:
+    blunder = BY_NAME["told against the last pose"]
+    given = session(blunder)
+    trial = next(trials(reference, blunder, given, np.zeros(0)))
+    (undone,) = trial.undo(trial.amounts)
+    for series in undone.series:
+        for run in np.unique(series.run):
+            rows = series.run == run
+            assert (series.index[rows, 1] == series.index[rows, 0].max()).all()
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "rows"),
+    [
+        (copied, "one set-up's readings in both", "long_tool"),
+        (contradiction, "nonsense in one run", "cup 2"),
+    ],
+)
+def test_readings_of_no_use_are_left_out(
+    module: ModuleType, name: str, rows: str
+) -> None:
+    blunder = BY_NAME[name]
+    given = session(blunder)
+    trial = next(trials(module, blunder, given, np.zeros(0)))
+    (rest,) = trial.undo(trial.amounts)
+    of_scope = (given.session.values[["setup", "run"]] == rows).any(axis=1)
+    assert trial.missing is not None
+    assert (trial.missing == of_scope).all()
+    assert (rest.y == given.session.y[~of_scope]).all()
+
+
+def test_two_machines_are_divided_at_the_row_of_the_change() -> None:
+    blunder = BY_NAME["half from another machine"]
+    given = session(blunder)
+    trial = next(trials(change, blunder, given, np.zeros(0)))
+    first, second = trial.undo(trial.amounts)
+    assert (first.y == given.session.y[:20]).all()
+    assert (second.y == given.session.y[20:]).all()
+
+
+def test_another_program_reads_the_same_on_the_nominal_machine() -> None:
+    """A circle 10 mm higher whose tilts keep the bar's length."""
+    blunder = BY_NAME["the circle of another height"]
+    given = session(blunder)
+    height = np.array([-10e-3])
+    trial = next(trials(program, blunder, given, height))
+    (driven,) = trial.undo(height)
+    of_run = driven.values["run"].to_numpy() == "cup 2"
+    read = Given(driven).predicted
+    assert read[of_run] == pytest.approx(np.full(12, 0.3), abs=1e-7)
+    heights = np.concatenate([s.reading_commands()[:, 0] for s in driven.series])
+    assert heights[of_run] == pytest.approx(np.full(12, 1.276), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("bar longer by 0.5 mm", "the bar length or the zero of the instrument"),
+        ("the bar zeroed again at row 32", "the set-up moved or was zeroed again"),
+    ],
+)
+def test_an_offset_has_the_cause_of_its_scope(name: str, words: str) -> None:
+    blunder, amount = BY_NAME[name], np.array([0.5e-3])
+    named = list(trials(amounts, blunder, session(blunder), amount))
+    assert named
+    assert all(words in t.words(amount, 0.01 * amount) for t in named)

@@ -1,0 +1,188 @@
+"""Columns, dialects and rows of a readings file, part by part."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from oed.base.units import UnitError
+from oed.dataset import checks, columns, csv_input, csv_output, data, dialect, table
+from oed.dataset.readings_file import ReadingsError, ReadingsFile
+from oed.dataset.stretch import with_stretch
+from oed.dataset.table_checks import check_rows
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
+from pkm_models.instruments import ball_bar, pose_tracker, relative
+from pkm_models.machines import a3_head, cables_planar, planar_2dof
+
+HEADER = ["setup", "run", "order", "z_mm", "direction", "length_mm"]
+
+
+def read(*rows: list[str], separator: str = ",") -> ReadingsFile:
+    numbered = [(k, cells) for k, cells in enumerate([HEADER, *rows], start=1)]
+    return table.from_rows(numbered, "x.csv", separator=separator)
+
+
+@pytest.mark.parametrize(
+    ("name", "stem", "unit", "factor"),
+    [
+        ("z_mm", "z", "m", 1e-3),
+        ("read_alpha_mrad", "read_alpha", "rad", 1e-3),
+        ("feed_mm_min", "feed", "m/s", 1e-3 / 60.0),
+        ("direction", "direction", "1", 1.0),
+    ],
+)
+def test_a_column_states_its_unit(
+    name: str, stem: str, unit: str, factor: float
+) -> None:
+    column = columns.parse_column(name)
+    assert (column.stem, column.unit) == (stem, unit)
+    assert column.factor == pytest.approx(factor)
+
+
+def test_a_column_without_a_known_unit_is_refused() -> None:
+    with pytest.raises(UnitError):
+        columns.parse_column("z_furlong")
+
+
+def test_columns_are_written_as_they_are_read() -> None:
+    for stem, unit, value in (("z", "m", 0.0123), ("psi", "rad", 0.5), ("q", "K", 2.0)):
+        column = columns.parse_column(columns.column_name(stem, unit))
+        assert float(columns.cell(value, unit)) * column.factor == pytest.approx(value)
+        assert column.name in columns.column_names(stem, unit)
+    assert columns.cell(np.nan, "m") == ""
+
+
+def test_covariates_are_known_by_their_stems() -> None:
+    assert columns.is_covariate("temp_bar")
+    assert columns.is_temperature("temp_bar")
+    assert not columns.is_temperature("temp_")
+    assert not columns.is_covariate("length")
+    assert columns.covariate_unit("tension_2") == "N"
+    assert columns.covariate_unit("temp_bar") == "K"
+    assert columns.tension_columns(a3_head.machine) == []
+    count = len(cables_planar.machine.joints)
+    assert len(columns.tension_columns(cables_planar.machine)) == count
+
+
+def test_a_dialect_is_recognised_by_the_header() -> None:
+    split = dialect.split("# a remark\nsetup;run;order;z_mm\na;1;1;2,5\n")
+    assert split.separator == ";"
+    assert split.text.startswith("setup;")
+    assert dialect.with_decimal_points(["2,5", "1.234,5"], ";") == ["2.5", "1.234,5"]
+    assert dialect.with_decimal_points(["2,5"], ",") == ["2,5"]
+    assert dialect.decode("\ufeffz".encode()) == "z"
+    assert dialect.decode("z".encode("utf-16")) == "z"
+    assert dialect.commented(["a", "b"]) == "# a\n# b\n"
+    assert dialect.is_unread("")
+    assert not dialect.is_unread("z_mm")
+
+
+def test_rows_become_numbers_and_labels() -> None:
+    rows = read(["a", "1", "2", "5,5", "-1", ""], separator=";")
+    assert rows.frame["z"].tolist() == [0.0055]
+    assert rows.frame["length"].isna().all()
+    check_rows(rows)
+
+
+@pytest.mark.parametrize(
+    ("row", "column"),
+    [
+        (["", "1", "1", "5", "1", "2"], "setup"),
+        (["a", "1", "1.5", "5", "1", "2"], "order"),
+        (["a", "1", "1", "5", "2", "2"], "direction"),
+    ],
+)
+def test_a_row_that_contradicts_itself_is_refused(row: list[str], column: str) -> None:
+    with pytest.raises(ReadingsError) as error:
+        check_rows(read(row))
+    assert error.value.column == column
+
+
+def test_a_remedy_names_what_belongs_together() -> None:
+    poses = [["z", "psi"], ["q1", "q2"]]
+    assert table.cell_remedy("q2", poses).endswith("all of q1, q2")
+    assert "leave the cell empty" in table.cell_remedy("length", poses)
+    assert "keep one row in 3 " in str(
+        table.too_many(2 * table.MOST_READINGS + 1, "rows", "x.csv")
+    )
+
+
+@pytest.fixture(scope="module")
+def planar() -> Measurement:
+    return Measurement(planar_2dof.machine, [mount(relative.rm5, "ruler")])
+
+
+def test_known_columns_are_those_of_machine_and_instruments(
+    planar: Measurement,
+) -> None:
+    expected = checks.expected_columns(planar)
+    assert expected["y"] == expected["dz"] == "m"
+    assert checks.pose_groups(planar)[0] == ["y", "z"]
+    m = Measurement(
+        a3_head.machine, [mount(ball_bar.instrument, "a", teach=(1.2, 0, 0))]
+    )
+    rows = read(["a", "1", "1", "1200", "1", "300"])
+    checks.check_columns(rows, m)
+    checks.check_setups(rows, m)
+    with pytest.raises(ReadingsError, match="unknown column"):
+        checks.check_columns(rows, planar)
+    with pytest.raises(ReadingsError, match="no such set-up"):
+        checks.check_setups(rows, planar)
+
+
+def test_a_pose_is_filled_whole_or_not_at_all() -> None:
+    rows = read(["a", "1", "1", "5", "1", "2"], ["a", "1", "2", "", "", ""])
+    first, second = (np.array([k]) for k in (0, 1))
+    filled = checks.filled_columns(rows, ["z", "length"], first)
+    assert filled is not None
+    np.testing.assert_allclose(filled, [[5e-3, 2e-3]])
+    assert checks.filled_columns(rows, ["z", "length"], second) is None
+    with pytest.raises(ReadingsError):
+        checks.filled_columns(rows, ["z", "length", "q"], first)
+
+
+def test_references_of_runs_are_rows_without_readings(
+    planar: Measurement,
+) -> None:
+    command = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
+    series = planar.series("ruler", command, run=["a"] * 3)
+    readings = data.from_series([series], np.array([1e-6, 2e-6, np.nan, 4e-6]), planar)
+    header, *rows = csv_output.to_csv(readings).splitlines()
+    assert header.startswith("setup,run,order,y_mm,z_mm")
+    assert len(rows) == 3
+    assert rows[0].endswith(",,")  # the reference
+    assert rows[1].split(",")[-2:] == ["0.001", "0.002"]
+    layout = data.column_layout(planar.machine, planar.setups["ruler"])
+    assert layout.reference
+    assert data.consecutive([2, 0, 3]) == (slice(0, 2), slice(2, 2), slice(2, 5))
+
+
+def test_rows_become_readings_with_their_poses() -> None:
+    m = Measurement(planar_2dof.machine, [mount(pose_tracker.position, "tracker")])
+    names = ["setup", "run", "order", "y_mm", "z_mm", *(f"read_{n}_mm" for n in "xyz")]
+    cells = ["tracker", "a", "1", "100", "200", "1", "2", "3"]
+    rows = table.from_rows([(1, names), (2, cells)], "x.csv")
+    readings = csv_input.from_tables([rows], m)
+    np.testing.assert_allclose(readings.y, [1e-3, 2e-3, 3e-3])
+    np.testing.assert_allclose(readings.series[0].command, [[0.1, 0.2]])
+
+
+def test_cables_that_stretch_are_longer_than_paid_out() -> None:
+    machine = dataclasses.replace(
+        cables_planar.machine,
+        cable_stiffness=(1e4,) * len(cables_planar.machine.joints),
+    )
+    m = Measurement(machine, [mount(pose_tracker.position, "tracker")])
+    series = m.series("tracker", machine.home_command[None], run=["a"])
+    tension = np.full((1, len(machine.joints)), 10.0)
+    stretched = with_stretch(m, series, tension)
+    nominal = m.machine.nominal
+    base, platform, per_length = m.kinematics.struts(series.start, series.q, nominal)
+    long = np.linalg.norm(platform - base, axis=-1)
+    # all stretch alike at the middle, where the platform stays
+    wanted = per_length * (long - long / (1.0 + 10.0 / 1e4))
+    np.testing.assert_allclose(stretched.q - series.q, wanted, rtol=1e-9)
+    np.testing.assert_array_equal(with_stretch(m, series, 0.0 * tension).q, series.q)

@@ -1,0 +1,140 @@
+"""Pose errors of a wrong machine: exact, linear, and pulled back to its parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from oracles import a3_geometry as a3
+from scipy.spatial.transform import Rotation
+
+from oed.mechanism import pose_errors
+from oed.mechanism.adjoints import PoseAdjoints
+from oed.mechanism.closest_closure import closest_closure
+from oed.mechanism.error_model import error_model
+from oed.mechanism.forward import ForwardKinematics
+from oed.mechanism.inverse import AssemblyError, InverseKinematics
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_cache import PoseCache
+from oed.model.expressions import machine_expressions
+from pkm_models.machines import a3_head, linear_delta
+
+A3 = Kinematics(a3_head.machine)
+NOMINAL = a3_head.machine.nominal
+COMMAND = np.array([[1.1, 0.3, 0.2], [1.2, -2.0, 0.5], [1.25, 1.1, 0.05]])
+TOOL = np.array([0.02, -0.03, 0.1])
+SMALL = 1e-7
+
+
+@pytest.fixture
+def direction(rng: np.random.Generator) -> np.ndarray:
+    tolerance = np.array([p.tolerance for p in a3_head.machine.parameters])
+    return tolerance * rng.standard_normal(len(NOMINAL))
+
+
+def test_an_error_model_is_the_slope_of_exact_errors(direction: np.ndarray) -> None:
+    """By differences, with a tool that is beside the axis; what is held stays in place."""
+    model = error_model(A3, COMMAND, TOOL)
+    _, q = A3.inverse(COMMAND, tool=TOOL)
+    corrected = SMALL * model.joints @ direction
+
+    def slope(by: np.ndarray) -> np.ndarray:
+        moved = [
+            pose_errors.pose_error(A3, COMMAND, q + s * by, NOMINAL + s * step, TOOL)
+            for s, step in ((1.0, SMALL * direction), (-1.0, SMALL * direction))
+        ]
+        return (moved[0] - moved[1]) / (2.0 * SMALL)
+
+    size = np.abs(model.raw @ direction).max()
+    assert np.abs(slope(0.0 * q) - model.raw @ direction).max() < 1e-6 * size
+    remaining = model.remaining @ direction
+    assert np.abs(slope(corrected) - remaining).max() < 1e-6 * size
+    x, _ = A3.inverse(COMMAND, tool=TOOL)
+    rotation, point, twist = A3.frames(x, TOOL)
+    np.testing.assert_array_equal(model.rotation, rotation)
+    np.testing.assert_array_equal(model.point, point)
+    held = A3.commanded_jacobian(x, TOOL) @ np.linalg.pinv(twist) @ remaining[..., None]
+    assert np.abs(held).max() < 1e-9 * size
+
+
+def test_a_displacement_is_a_shift_and_a_rotation_vector() -> None:
+    turn = np.array([[0.0, 0.3, 0.0], [0.1, -0.2, 0.05]])
+    rotations = Rotation.from_rotvec(turn).as_matrix()
+    start = np.tile(Rotation.from_euler("z", 0.7).as_matrix(), (2, 1, 1))
+    points = np.arange(6.0).reshape(2, 3)
+    twist = pose_errors.twist_between(start, points, rotations @ start, points + 1.0)
+    assert twist == pytest.approx(np.hstack([np.ones((2, 3)), turn]))
+
+
+def test_component_errors_are_those_of_the_twist(direction: np.ndarray) -> None:
+    truth = NOMINAL + direction
+    _, q = A3.inverse(COMMAND, tool=TOOL)
+    twist = pose_errors.pose_error(A3, COMMAND, q, truth, TOOL)
+    components = pose_errors.component_errors(A3, COMMAND, q, truth, TOOL)
+    assert components == pytest.approx(A3.error_components(COMMAND, twist))
+
+
+@pytest.mark.parametrize("index", [[0, 1, 2], [1] * 6, [0, 2] * 6])
+def test_slopes_pulled_back_are_those_of_the_sensitivity(
+    index: list[int], rng: np.random.Generator
+) -> None:
+    """Whether readings see poses of their own, one pose, or few."""
+    x, q = A3.inverse(COMMAND)
+    adjoints = PoseAdjoints(A3, x[None], q[None], NOMINAL[None])
+    poses = np.array(index, dtype=np.intp)
+    slopes = rng.standard_normal((1, len(poses), 2, x.shape[1]))
+    wanted = slopes[0] @ A3.parameter_sensitivity(x, q, NOMINAL)[poses]
+    assert adjoints.pull_back(slopes, poses)[0] == pytest.approx(wanted, abs=1e-12)
+
+
+def test_forward_undoes_inverse_and_slopes_are_differences() -> None:
+    expressions = machine_expressions(a3_head.machine)
+    inverse = InverseKinematics(a3_head.machine, expressions)
+    x, q = inverse.solve(COMMAND, NOMINAL, np.zeros(3))
+    np.testing.assert_allclose(q, a3.inverse_nominal(*COMMAND.T, 0.0), atol=1e-12)
+    forward = ForwardKinematics(a3_head.machine, expressions)
+    assert np.abs(forward.misfit(x, q, NOMINAL)[0]).max() < 1e-12
+    by_pose, by_parameter = forward.by_pose_and_parameter(x, q, NOMINAL)
+    over_pose, over_parameter, over_joint = forward.slopes(x, q, NOMINAL)
+    np.testing.assert_allclose(over_pose, by_pose, atol=1e-14)
+    np.testing.assert_allclose(over_parameter, by_parameter, atol=1e-14)
+    step = np.array([1e-6, 0.0, 0.0])
+    ahead, back = (forward.misfit(x, q + s * step, NOMINAL)[0] for s in (1.0, -1.0))
+    slope = ((ahead - back) / 2e-6).reshape(over_joint[..., 0].shape)
+    np.testing.assert_allclose(over_joint[..., 0], slope, atol=1e-8)
+
+
+def test_what_is_out_of_reach_is_listed_with_its_command() -> None:
+    command = np.array([[0.0, 0.0, 0.05], [9.0, 0.0, 0.05]])
+    with pytest.raises(AssemblyError, match="out of reach") as error:
+        Kinematics(linear_delta.machine).inverse(command)
+    assert error.value.indices.tolist() == [1]
+    assert error.value.first == pytest.approx(command[1])
+
+
+def test_a_machine_that_assembles_has_no_open_equation() -> None:
+    machine = linear_delta.machine
+    closest = closest_closure(machine, np.array([0.01, 0.02, 0.05]))
+    assert closest.still_open == ()
+    assert closest.nearest.tool == pytest.approx([0.01, 0.02, 0.05], abs=1e-9)
+    short = [
+        dataclasses.replace(p, nominal=0.1) if p.name.startswith("arm") else p
+        for p in machine.parameters
+    ]
+    broken = closest_closure(machine.with_parameters(short), np.array([0.0, 0.0, 0.05]))
+    assert broken.still_open == (0, 1, 2)
+
+
+def test_poses_are_recalled_for_equal_arguments_alone() -> None:
+    cache, q = PoseCache(), np.array([1.0, 2.0])
+    assert cache.recall("cup", q) is None
+    cache.store("cup", np.array([3.0]), q)
+    q[0] = 5.0  # the cache has a copy
+    assert cache.recall("cup", q) is None
+    recalled = cache.recall("cup", np.array([1.0, 2.0]))
+    assert recalled is not None
+    assert recalled.tolist() == [3.0]
+    assert cache.recall("long", np.array([1.0, 2.0])) is None
+    with pytest.raises(ValueError, match="read-only"):
+        recalled[0] = 0.0

@@ -1,0 +1,176 @@
+"""A result that contradicts itself is refused with its field."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import ModuleType
+
+import msgspec
+import pytest
+import report_fixture
+from result_sample import Change, drop, put, rename, twice, whole
+
+from oed.result import StudyResult, relations
+from oed.result.relations import accuracy, base, causes, plans, readings
+from oed.result.relations.base import Breach
+
+#: keys that are missing or unknown, and other types
+OTHER_TYPES: list[tuple[Change, str]] = [
+    (drop("machine"), "machine"),
+    (drop("machine/name"), "name"),
+    (drop("estimate/residuals"), "residuals"),
+    (drop("prediction/components/z/after"), "after"),
+    (put("estimate/colour", "blue"), "colour"),
+    (put("seed", "three"), "seed"),
+    (put("headline", "a sentence"), "headline"),
+    (put("estimate/residuals/3", None), "residuals"),
+    (put("estimate/parameters", []), "parameters"),
+    (put("prediction/poses", 1.5), "poses"),
+    (put("prediction/components/z/after/rms", "nan"), "rms"),
+]
+CONTRADICTIONS: list[tuple[Change, str]] = [
+    (drop("machine/parameters/0/name"), "machine.parameters[1].name"),
+    (put("machine/parameters/0/tolerance", "much"), "machine.parameters[1].tolerance"),
+    # lengths
+    (drop("estimate/residuals/3"), "estimate.residuals"),
+    (twice("estimate/residuals_before"), "estimate.residuals_before"),
+    (drop("estimate/channels/0"), "estimate.residuals"),
+    (put("estimate/covariance", [[1.0]]), "estimate.covariance"),
+    (drop("posterior/directions/0"), "posterior.corner[1]"),
+    (drop("posterior/corner/2/1"), "posterior.corner[3]"),
+    (twice("identifiability/parameters"), "identifiability.parameters"),
+    (put("identifiability/singular_values", []), "identifiability.singular_values"),
+    (drop("kappa_maps/0/kappa/1"), "kappa_maps[1].kappa"),
+    (drop("kappa_maps/1/kappa/1/4"), "kappa_maps[2].kappa[2]"),
+    (twice("kappa_maps/0/points"), "kappa_maps[1].kappa[1]"),
+    (drop("held_out/0/half_widths/5"), "held_out[1].half_widths"),
+    (put("held_out/1/n", 3), "held_out[2].residuals"),
+    (drop("drawing/reading_of/0"), "drawing.reading_of"),
+    (drop("drawing/commands/2"), "drawing.commands"),
+    (put("drawing/tool_points/0", [1.0]), "drawing.tool_points[1]"),
+    (put("drawing/lines/0/points/0", [1.0, 2.0]), "drawing.lines[1].points[1]"),
+    (put("prediction/map/0/at", [1.0, 2.0]), "prediction.map[1].at"),
+    (put("prediction/map/2/at", []), "prediction.map[3].at"),
+    (twice("gap/traces/0/after"), "gap.traces[1].after"),
+    (put("gap/answers/0/classes", [["a"], ["b"]]), "gap.answers[1].classes"),
+    (put("gap/spots/0/at", []), "gap.spots[1]"),
+    (drop("gap_before/table/apart/0"), "gap_before.table.apart"),
+    (drop("gap_before/table/angles_deg/1/1"), "gap_before.table.angles_deg[2]"),
+    (put("gap_before/table/absorbed/0", ["backlash"]), "gap_before.table.absorbed[1]"),
+    (drop("corrected/tables/0/values/0"), "corrected.tables[1].table"),
+    (drop("corrected/tables/0/joints/0"), "corrected.tables[1].table[1][1]"),
+    (put("corrected/covariance", [[]]), "corrected.covariance"),
+    (put("acceptance/poses", []), "acceptance.poses"),
+    # names
+    (put("estimate/channels/0", "angle"), "estimate.channels"),
+    (rename("estimate/rms_after/length"), "estimate.rms_after"),
+    (rename("estimate/units/length"), "estimate.channels"),
+    (rename("identifiability/lost/0/da1y"), "identifiability.lost[1]"),
+    (rename("prediction/unit/z"), "prediction.unit"),
+    (rename("prediction/components/z"), "prediction.unit"),
+    (rename("prediction/map/0/after/z"), "prediction.map[1].after"),
+    (rename("prediction/map/1/command/z_mm"), "prediction.map[2]"),
+    (put("prediction/wanted", {"nonsense": 1.0}), "prediction.wanted"),
+    (put("design/poses/0/setup", "nonsense"), "design.poses[1].setup"),
+    (put("drawing/reading_of/0", "nonsense"), "drawing.reading_of"),
+    (put("gap/selected", ["nonsense"]), "gap.selected"),
+    (put("gap/coefficients/0/effect", "gravity"), "gap.coefficients[1].effect"),
+    (rename("gap/sizes/0/rms/length"), "gap.sizes[1].rms"),
+    (rename("gap/rms_after/length"), "gap.rms_after"),
+    (put("gap_before/table/names/0", "nonsense"), "gap_before.table.names"),
+    (
+        rename("corrected/constants/backlash"),
+        "corrected.effects.backlash: leg 1.effect",
+    ),
+    (rename("acceptance/poses/1/z_mm"), "acceptance.poses[2]"),
+    # values and units
+    (put("prediction/reference", "nonsense"), "prediction.reference"),
+    (put("gap/verdict", "maybe"), "gap.verdict"),
+    (put("gap/traces/0/kind", "spiral"), "gap.traces[1].kind"),
+    (put("gap/closure/0/split", "half"), "gap.closure[1].split"),
+    (put("estimate/units/length", "furlong"), "estimate.units.length"),
+    (put("prediction/components/z/after/unit", "mm"), "prediction.components.z.after"),
+    (put("identifiability/rank", 99), "identifiability.rank"),
+    (put("identifiability/rank", -1), "identifiability.rank"),
+    (
+        put("prediction/components/z/after/rms", -2.0),
+        "prediction.components.z.after.rms",
+    ),
+    (put("estimate/chi2", 1e300), "estimate.chi2"),
+    (put("estimate/dof", -1e300), "estimate.dof"),
+]
+
+
+def test_the_whole_result_agrees() -> None:
+    """And so do the other samples; otherwise the refusals below would say nothing."""
+    for build in (whole, report_fixture.sample, report_fixture.bare):
+        assert not list(relations.breaches(report_fixture.result_of(build())))
+
+
+@pytest.mark.parametrize(("change", "field"), CONTRADICTIONS)
+def test_a_contradiction_is_named_by_its_field(change: Change, field: str) -> None:
+    plain = whole()
+    change(plain)
+    result = msgspec.json.decode(msgspec.json.encode(plain), type=StudyResult)
+    assert any(field in breach.field for breach in relations.breaches(result))
+
+
+@pytest.mark.parametrize(("change", "field"), OTHER_TYPES)
+def test_another_type_is_refused_by_its_field(change: Change, field: str) -> None:
+    plain = whole()
+    change(plain)
+    with pytest.raises(msgspec.ValidationError, match=field):
+        msgspec.json.decode(msgspec.json.encode(plain), type=StudyResult)
+
+
+# -- comparisons -----------------------------------------------------------------------
+
+
+def fields(*breaches: Iterator[Breach]) -> list[str]:
+    return [one.field for some in breaches for one in some]
+
+
+def test_numbers_that_no_result_has_are_found_anywhere() -> None:
+    tree = {"a": [1.0, {"b": float("inf")}], "c": (2.0, -1e101), "d": "text"}
+    assert fields(base.number_breaches("", tree)) == ["a[2].b", "c[2]"]
+
+
+def test_tables_and_points_have_their_sizes() -> None:
+    assert not fields(base.table("t", [[1, 2], [3, 4]], "n", 2, 2))
+    assert fields(base.table("t", [[1, 2], [3]], "n", 3, 2)) == ["t", "t[2]"]
+    assert fields(base.equal_widths("t", [[1], [2, 3], [4]])) == ["t[2]"]
+    assert fields(base.points("p", [[0, 0, 0], [0, 0]])) == ["p[2]"]
+
+
+def test_names_are_those_of_others() -> None:
+    assert not fields(base.same_names("n", ["a"], ["a"], "others"))
+    assert fields(base.same_names("n", ["a", "x"], ["a", "b"], "others")) == ["n", "n"]
+    assert fields(base.same_keys("r", [{"a": 1}, {"a": 2}, {"b": 3}])) == ["r[3]"] * 2
+
+
+def test_ranges_and_orders_include_their_ends() -> None:
+    assert not fields(base.within("w", 1.0, 0.0, 1.0), base.ascending("a", [1, 2]))
+    assert fields(base.within("w", 1.1, 0.0, 1.0)) == ["w"]
+    assert fields(base.ascending("a", [1, 2, 2])) == ["a[3]"]
+    assert fields(base.ascending("a", [0])) == ["a[1]"]
+    assert not fields(base.unit("u", "um"), base.unit("u", "sigma"))
+    assert fields(base.unit("u", "furlong")) == ["u"]
+
+
+@pytest.mark.parametrize(
+    ("part", "change", "field"),
+    [
+        (plans, put("machine/parameters/0/unit", "furlong"), "machine.parameters"),
+        (readings, put("estimate/covariance", [[1.0]]), "estimate.covariance"),
+        (accuracy, put("acceptance/poses", []), "acceptance.poses"),
+        (causes, put("gap/verdict", "maybe"), "gap.verdict"),
+    ],
+)
+def test_each_part_looks_at_its_sections(
+    part: ModuleType, change: Change, field: str
+) -> None:
+    plain = whole()
+    assert not list(part.breaches(report_fixture.result_of(plain)))
+    change(plain)
+    found = fields(part.breaches(report_fixture.result_of(plain)))
+    assert any(one.startswith(field) for one in found)

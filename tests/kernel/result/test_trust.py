@@ -1,0 +1,162 @@
+"""One verdict on a fit, and what records say of themselves."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from result_sample import whole
+from scipy import stats
+
+from oed.result import (
+    StudyResult,
+    acceptance,
+    budget,
+    corrected,
+    design,
+    fit,
+    gap,
+    gap_before,
+    goodness,
+    identifiability,
+    plan,
+    prediction,
+    study,
+    trust,
+)
+from oed.result.record import Record
+
+
+def result_of(**sections: object) -> StudyResult:
+    """The whole result with the fields of sections changed, or a section replaced."""
+    plain = whole()
+    for name, value in sections.items():
+        is_table = isinstance(value, dict) and isinstance(plain.get(name), dict)
+        plain[name] = {**plain[name], **value} if is_table else value
+    return msgspec.json.decode(msgspec.json.encode(plain), type=StudyResult)
+
+
+def good(*, checked: dict[str, object] | None = None, **changes: object) -> StudyResult:
+    """A fit with residuals of the size of the noise, and changes."""
+    figures = {"chi2": 20.0, "dof": 20.0, "p_low": 0.5, "p_high": 0.5}
+    calm = {"goodness": {**figures, **(checked or {})}, "gap": None, "corrected": None}
+    return result_of(**{**calm, **changes})
+
+
+def at_nominal(**value: float) -> dict[str, object]:
+    """The estimate's parameters, of no known truth, where the first has a value."""
+    parameters = whole()["estimate"]["parameters"]
+    for one in parameters.values():
+        one |= {"truth": None, "value": one["nominal"], "prior_sd": 1.0}
+    first = next(iter(parameters))
+    parameters[first] |= value
+    return {"parameters": parameters}
+
+
+def test_a_fit_like_its_noise_has_no_objection() -> None:
+    assert trust.objections(good()) == []
+    assert trust.objections(good(estimate=None)) == []
+
+
+def test_a_fit_that_fails_its_check_is_objected_to() -> None:
+    mistakes = [{"what": "in um, not in mm", "evidence": "1000 times"}]
+    (mistaken,) = trust.objections(
+        good(checked={"bad_fit": True, "mistakes": mistakes})
+    )
+    assert "in um, not in mm" in mistaken
+    large = {"bad_fit": True, "chi2": 2000.0, "p_high": 0.0}
+    (sentence,) = trust.objections(good(checked=large))
+    assert "10.0 times the stated noise" in sentence
+
+
+def test_parameters_far_from_nominal_are_named() -> None:
+    near = good(estimate=at_nominal(value=3.9))
+    far = good(estimate=at_nominal(value=-4.1))
+    assert trust.objections(near) == []
+    (sentence,) = trust.objections(far)
+    assert next(iter(far.estimate.parameters)) in sentence  # type: ignore[union-attr]
+    known = good(estimate=at_nominal(value=-4.1, truth=0.0))
+    assert trust.objections(known) == []
+
+
+def test_a_gap_bends_a_fit_without_it() -> None:
+    (sentence,) = trust.objections(good(gap=whole()["gap"]))
+    assert "reports a gap (effect)" in sentence
+
+
+def test_chi2_is_large_by_its_law() -> None:
+    limit = stats.chi2.isf(trust.ALARM, 30)
+    assert not trust.chi2_is_large(0.999 * limit, 30)
+    assert trust.chi2_is_large(1.001 * limit, 30)
+    assert not trust.chi2_is_large(1e6, 0.5)
+    assert trust.noise_ratio(80.0, 20.0) == pytest.approx(2.0)
+    assert trust.noise_ratio(80.0, 0.9) is None
+    assert trust.noise_ratio(None, 20.0) is None
+
+
+def test_rows_left_out_are_counted_in_words() -> None:
+    row = {"setup": "s", "run": "1", "order": 1, "row": 2, "pull": 9.0}
+    section = good(checked={"outliers": [row], "doubtful": [row, row]}).goodness
+    assert isinstance(section, goodness.GoodnessSection)
+    assert section.fit_words == " without the 1 row set aside"
+    assert section.chi2_words == f"{section.fit_words} and without the 2 rows in doubt"
+    assert goodness.without_rows(0, "set aside") == ""
+
+
+def test_the_corrected_model_is_final_where_there_is_one() -> None:
+    both, plain = result_of(), result_of(corrected=None)
+    assert both.final_estimate is both.corrected
+    assert isinstance(both.corrected, corrected.CorrectedSection)
+    assert plain.final_estimate is plain.estimate
+    assert isinstance(plain.estimate, fit.EstimateSection)
+    assert plain.final_prediction is plain.prediction
+
+
+def test_what_no_drive_corrects_is_judged_by_its_unknown_part() -> None:
+    sizes = [prediction.SpreadRecord(k, k, k, "um") for k in (1.0, 2.0, 3.0)]
+    held = prediction.ComponentAccuracy(True, *sizes, {})
+    free = prediction.ComponentAccuracy(False, *sizes, {})
+    assert (held.judged.rms, free.judged.rms) == (2.0, 3.0)
+
+
+def test_what_readings_cannot_show_is_no_visible_probability() -> None:
+    answer = gap.AnswerRecord(["play"], 0.7, unseen=0.2)
+    assert answer.visible == pytest.approx(0.5)
+
+
+RECORDS = (
+    acceptance,
+    budget,
+    corrected,
+    design,
+    fit,
+    gap,
+    gap_before,
+    goodness,
+    identifiability,
+    plan,
+    prediction,
+    study,
+)
+
+
+@pytest.mark.parametrize("module", RECORDS, ids=lambda m: m.__name__)
+def test_every_record_is_frozen_and_refuses_unknown_fields(module: object) -> None:
+    """An edited file is never read in part."""
+    records = [
+        r
+        for r in vars(module).values()
+        if isinstance(r, type) and issubclass(r, Record)
+    ]
+    assert len(records) > 1
+    for record in records:
+        if record is Record:
+            continue
+        assert record.__struct_config__.frozen
+        assert record.__struct_config__.forbid_unknown_fields
+
+
+def test_missing_numbers_are_null_in_the_file() -> None:
+    section = goodness.GoodnessSection(None, 3.0, None, np.nan)
+    plain = msgspec.json.decode(msgspec.json.encode(section))
+    assert (plain["chi2"], plain["dof"], plain["p_high"]) == (None, 3.0, None)

@@ -1,0 +1,140 @@
+"""`oed compare` and `oed history` on the sessions of one virtual machine."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import sample
+
+from oed.estimation import session_change
+from pkm_studies.commands import cli
+from pkm_studies.results import comparison
+
+Run = Callable[..., tuple[int, str, str]]
+#: offset dq1 (mm) of the machine by date
+STILL = {"2026-01-01": 0.10, "2026-01-11": 0.10}
+DRIFTING = {"2026-01-01": 0.10, "2026-01-31": 0.16, "2026-03-02": 0.22}
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the machine's sessions, by their dates."""
+    folder = tmp_path_factory.mktemp("sessions")
+    plan = sample.changed(
+        sample.STUDY,
+        ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
+        ("[expect]", "[posterior]\nenabled = false\n[expect]"),
+    )
+    for seed, (date, dq1) in enumerate((STILL | DRIFTING).items()):
+        study = folder / f"{date}.study.toml"
+        simulated = f"[readings]\nsimulate = true\ntruth = {{ dq1_mm = {dq1} }}\n"
+        study.write_text(f"{plan}{simulated}", encoding="utf-8")
+        out = folder / "machine" / date
+        call = ["run", study, "--out", out, "--seed", seed, "--quiet"]
+        assert cli.main([str(a) for a in call]) == 0
+    return folder / "machine"
+
+
+@pytest.fixture
+def drifting(machine: Path, tmp_path: Path) -> Path:
+    for date in DRIFTING:
+        shutil.copytree(machine / date, tmp_path / "drifting" / date)
+    return tmp_path / "drifting"
+
+
+def test_a_combination_in_words_has_one_unit() -> None:
+    coefficients = {"z2": 1.0, "z1": -1.00001, "D": 0.5, "beta1": -2.0}
+    change = session_change.CombinationChange(coefficients, 0.1, 0.1, 0.3)
+    unit = {"z1": "mm", "z2": "mm", "D": "mm", "beta1": "mrad"}
+    words = "z2 less z1 plus 0.5 times D less 2 mm per mrad of beta1"
+    assert comparison.combination_words(change, unit) == (words, "mm")
+
+
+def test_a_change_is_reported_with_its_cause(machine: Path, oed: Run) -> None:
+    before, same, after = (machine / d for d in (*STILL, "2026-03-02"))
+    code, out, _ = oed("compare", before, same)
+    assert code == 0
+    assert out.startswith("No change: chi2")
+    code, out, _ = oed("compare", before, after)
+    assert code == 0
+    assert out.startswith("The machine changed: chi2")
+    cause = out.partition("alone explains")[2].partition("dq1: ")[2].split()
+    assert (cause[1], cause[4]) == ("mm,", "mm;")
+    assert float(cause[0]) == pytest.approx(0.12, abs=4 * float(cause[3]))
+
+
+def test_no_session_is_compared_with_itself(
+    machine: Path, tmp_path: Path, oed: Run
+) -> None:
+    first = machine / "2026-01-01"
+    code, _, error = oed("compare", first, tmp_path)
+    assert code == 2
+    assert "no such result" in error
+    shutil.copytree(first, tmp_path / "copy")
+    for again in (first, tmp_path / "copy"):
+        for command in ("compare", "history"):
+            code, _, error = oed(command, first, again)
+            assert code == 2
+            assert "the readings are equal" in error
+
+
+def test_a_fit_that_is_bad_is_not_compared_without_a_word(
+    machine: Path, tmp_path: Path, oed: Run
+) -> None:
+    first, second = (machine / date for date in STILL)
+    shutil.copytree(second, tmp_path / "bad")
+    make_bad(tmp_path / "bad")
+    code, out, _ = oed("compare", first, tmp_path / "bad")
+    assert code == 1
+    assert "bad is not to be trusted: the residuals are" in out
+
+
+def make_bad(folder: Path) -> None:
+    """Make the stored fit one whose residuals are 10 times the stated noise."""
+    path = folder / "result.json"
+    result = json.loads(path.read_text("utf-8"))
+    goodness = result["goodness"]
+    goodness |= {"chi2": 100.0 * goodness["dof"], "p_high": 0.0, "bad_fit": True}
+    path.write_text(json.dumps(result), encoding="utf-8")
+
+
+def test_the_command_tells_the_drift_and_the_next_date(
+    drifting: Path, oed: Run
+) -> None:
+    code, out, _ = oed("history", drifting, "--limit", "z_um=100")
+    assert code == 0
+    assert out.startswith("3 sessions over 60 days.\nThe machine drifts")
+    assert "100 um are reached after" in out
+    assert "Calibrate again by 2026-" in out
+    code, _, error = oed("history", drifting, "--limit", "z_um=-5")
+    assert code == 2
+    assert "not a positive number" in error
+    code, _, error = oed("history", drifting / "2026-01-01")
+    assert code == 2
+    assert "two sessions" in error
+
+
+def test_two_sessions_have_one_test_and_no_date_where_nothing_drifts(
+    machine: Path, oed: Run
+) -> None:
+    """Of two seeds of one machine `compare` and `history` say the same."""
+    folders = [machine / date for date in STILL]
+    _, compared, _ = oed("compare", *folders)
+    code, followed, _ = oed("history", *folders)
+    assert code == 0
+    test = re.compile(r"chi2 ([\d.]+) for (\d+) combinations.*p = ([\d.]+)")
+    numbers = [test.search(out) for out in (compared, followed)]
+    assert numbers[0] is not None
+    assert numbers[1] is not None
+    assert numbers[0].groups() == numbers[1].groups()
+    assert "No drift is proven" in followed
+    assert "Calibrate again" not in followed
+    assert "one every 10 days, prove with probability 0.9" in followed
+    sizes = re.findall(r"([\d.]+) um \((\d+) sessions\)", followed)
+    assert [count for _, count in sizes[:3]] == ["3", "4", "8"]
+    assert float(sizes[0][0]) > float(sizes[1][0]) > float(sizes[2][0]) > 0.0
