@@ -126,6 +126,10 @@ class LinearFactor:
         """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
         return self._shared.whiten(self._alone(values))
 
+    def whiten_in_place(self, values: Array) -> Array:
+        """W Y (N, m), each row where its reading stands, of a factor of all readings."""
+        return _in_place(self.order, self.whiten(values))
+
     def whiten_in_order(self, values: Array) -> Array:
         """The same with W lower triangular: the inverse of Cholesky's root of C."""
         shared = SharedFactor(self._columns, self.errors.starts)

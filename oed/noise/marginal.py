@@ -33,7 +33,7 @@ FARTHEST = 8.0
 #: end, and draws must fit beyond it
 ROOM = 1.0
 #: numbers in the largest array of one batch of laws
-BATCH_NUMBERS = 20_000_000
+BATCH_NUMBERS = 1_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
