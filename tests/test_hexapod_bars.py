@@ -12,6 +12,7 @@ from oed.base.arrays import Array
 from oed.identifiability import explain, identifiability
 from oed.identifiability.assessment import Assessment, assess
 from oed.identifiability.explain import Finding
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup, mount
@@ -113,8 +114,8 @@ def held(rng: np.random.Generator, n: int) -> Array:
     led by the bar.
     """
     m = Measurement(MACHINE, [free_cup()])
-    command, possible = m.commands_at_fixed_reading(
-        "cup, tool 0.0", commands(rng, n), "z"
+    command, possible = commands_at_fixed_reading(
+        m, "cup, tool 0.0", commands(rng, n), "z"
     )
     assert possible.all()
     return command

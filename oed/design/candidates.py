@@ -32,6 +32,7 @@ from oed.design.criterion import (
 from oed.design.rules import Rules
 from oed.identifiability.information import Scaling, column_scale
 from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_noise import reading_covariances, run_errors
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -280,14 +281,16 @@ def _series_blocks(
     single = np.ones(count, dtype=np.intp)
     if not whiten:
         return _SeriesBlocks(rows, np.zeros((count, k, 0)), single)
-    factor = np.linalg.inv(np.linalg.cholesky(measurement.reading_covariances(series)))
+    factor = np.linalg.inv(
+        np.linalg.cholesky(reading_covariances(measurement.of(series), series))
+    )
     shared = _shared_columns(measurement, series)
     return _SeriesBlocks(factor @ rows, factor @ shared, single)
 
 
 def _shared_columns(measurement: Measurement, series: Series) -> Array:
     """Slopes (n, k, r) of the readings by the errors that their runs share."""
-    errors = measurement.run_errors(series)
+    errors = run_errors(measurement.of(series), series)
     count, channels, k = errors.shape
     runs = list(dict.fromkeys(series.run))
     columns = np.zeros((count, channels, len(runs) * k))
