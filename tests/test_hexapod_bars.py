@@ -67,7 +67,7 @@ def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
 
 def test_slopes_are_those_of_the_oracle(rng: np.random.Generator) -> None:
     x, q = KINEMATICS.inverse(commands(rng, 4))
-    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.parameter_sensitivity(
+    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.slopes.over_parameters(
         x, q, MACHINE.nominal
     )
     for xi, qi, slope in zip(x, q, slopes, strict=True):

@@ -3,7 +3,7 @@
 A candidate is one reading with all its channels, or a whole run (a circle) with the
 covariance of its readings. The readings of a run may share an error e, that of the
 reference they are relative to, or of a cup that each run seats anew
-(`Measurement.run_errors`):
+(`oed.measurement.reading_noise`):
 
     y_i = h_i theta + sigma e_i + shared_i e        with e ~ N(0, 1).
 

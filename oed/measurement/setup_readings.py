@@ -15,8 +15,8 @@ import numpy as np
 
 from oed.base.arrays import Array, Mask
 from oed.measurement.observation import ObservationModel, Response
-from oed.mechanism.adjoints import PoseAdjoints
 from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_slopes import PoseAdjoints
 from oed.model.instrument import Setup
 from oed.model.series import Series
 
@@ -94,7 +94,8 @@ class SetupReadings:
         """Slopes (m, N, n) over theta (m, n). Raises AssemblyError."""
         x, p = self.poses(series, theta, strict=True), theta[:, : self._count]
         by_pose, by_setup, by_parameter = self._slopes(series, x, theta)
-        adjoints = PoseAdjoints(self._kinematics, x, self._joints(series, len(x)), p)
+        joints = self._joints(series, len(x))
+        adjoints = PoseAdjoints(self._kinematics.slopes, x, joints, p)
         shape = (len(x), len(series), by_setup.shape[1])
         pairs = zip(by_pose, series.pose_indices(), strict=True)
         parts = [adjoints.pull_back(g.reshape(*shape, -1), k) for g, k in pairs]
@@ -113,8 +114,8 @@ class SetupReadings:
         vectors = theta[None]
         x, p = self.poses(series, vectors, strict=True), theta[: self._count]
         by_pose, by_setup, by_parameter = self._slopes(series, x, vectors)
-        by_joint = self._kinematics.joint_sensitivity(x[0], series.q, p)
-        sensitivity = self._kinematics.parameter_sensitivity(x[0], series.q, p)
+        by_joint = self._kinematics.slopes.over_joints(x[0], series.q, p)
+        sensitivity = self._kinematics.slopes.over_parameters(x[0], series.q, p)
         pairs = list(zip(by_pose, series.pose_indices(), strict=True))
         joints = [slope @ by_joint[k] for slope, k in pairs]
         at_fixed_poses = self.model.joint_slopes(self._inputs(series, x, vectors))
