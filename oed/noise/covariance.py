@@ -93,11 +93,6 @@ def as_noise(noise: Noise | Array) -> Noise:
     return noise if isinstance(noise, Noise) else Noise(np.asarray(noise, dtype=float))
 
 
-def independent_noise(sigma: Array) -> Noise:
-    """Independent readings with standard deviations (N,)."""
-    return Noise(sigma)
-
-
 def block_noise(
     covariances: Sequence[Array] | Array, places: Sequence[Index] | Index
 ) -> Noise:

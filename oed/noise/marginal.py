@@ -131,12 +131,6 @@ class NoisePosterior:
     covariance: Array
     solutions: Solutions
 
-    def quantiles(self, values: Array, levels: tuple[float, ...]) -> Array:
-        """Weighted quantiles of a quantity (L,) of the laws."""
-        order = np.argsort(values)
-        mass = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
-        return np.interp(levels, mass, values[order])
-
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
         """Draws (count, r) of z and (count, d) of the law's coordinates.
 

@@ -164,11 +164,11 @@ class Whitening:
         scaled = self._on_chains(batch) / self._chain_scale[:, :, None]
         differences, solved = self._halves(scaled)
         columns, count = scaled.shape[:2]
-        left = differences.reshape(columns, count, -1).swapaxes(0, 1)
-        right = solved.reshape(columns, count, -1).transpose(1, 2, 0)
+        rows = differences.reshape(columns, count, -1).swapaxes(0, 1)
+        whole = rows @ solved.reshape(columns, count, -1).transpose(1, 2, 0)
         half, inner = self._columns
         products = self._run_products(half, differences)
-        return left @ right - taken_out(inner, products, self._amounts)[0]
+        return whole - taken_out(inner, products, self._amounts)[0]
 
     def draw(
         self,
