@@ -41,7 +41,7 @@ def _solve_coordinate(
         tolerances={"xatol": 1e-12, "fatol": 1e-13},
     )
     solved[:, column] = root.x
-    return solved, np.asarray(root.success)
+    return solved, root.success
 
 
 def commands_at_fixed_reading(

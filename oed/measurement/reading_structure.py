@@ -258,7 +258,7 @@ class _RunErrors:
         blocks = [(of_channel * ~stated, LEVEL)]
         for kind, values in errors:
             if values.any():
-                blocks.append((np.asarray(self.decouple @ values), kind))
+                blocks.append((self.decouple @ values, kind))
         columns = np.hstack([values for values, _ in blocks])
         kinds = np.concatenate([np.full(v.shape[1], kind) for v, kind in blocks])
         used = columns.any(axis=0)

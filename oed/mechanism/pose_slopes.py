@@ -124,7 +124,7 @@ class PoseSlopes:
         """
         phi_x = self.of_closure(x, q, p)
         values = np.linalg.svd(phi_x * self._scale, compute_uv=False)
-        return np.asarray(values[:, -1] / values[:, 0])
+        return values[:, -1] / values[:, 0]
 
     @functools.cached_property
     def _scale(self) -> Array:
@@ -181,7 +181,7 @@ class PoseAdjoints:
         )
         self._check(condition)
         rows = slopes.reshape(m, n * channels, nx) @ sensitivity
-        return np.asarray(rows.reshape(m, n, channels, -1))
+        return rows.reshape(m, n, channels, -1)
 
     def _check(self, condition: Array) -> None:
         """Check all poses by their singular values where bounds (n,) do not suffice."""

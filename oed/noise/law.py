@@ -74,7 +74,7 @@ class NoiseLaw:
         if self.channel_ratio is not None:
             ratio = self.channel_ratio[members]
             covariance *= np.outer(ratio, ratio)
-        return np.asarray(self.level**2 * covariance)
+        return self.level**2 * covariance
 
     def factor(self, runs: Runs, rows: Index | None = None) -> Factor:
         """Root of the covariance of all readings, or of the readings `rows`.

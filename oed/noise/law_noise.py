@@ -41,7 +41,7 @@ class LawNoise(Noise):
         wide = values[:, None] if values.ndim == 1 else values
         back = self._factor.whiten_back(wide[self._factor.order])
         if self.structure.decouple is not None:
-            back = np.asarray(self.structure.decouple.T @ back)
+            back = self.structure.decouple.T @ back
         else:
             back = back / self.structure.unit[:, None]
         return back.reshape(values.shape)

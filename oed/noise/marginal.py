@@ -140,7 +140,7 @@ class NoisePosterior:
         roots = np.linalg.cholesky(self.solutions.covariance)
         normal = rng.standard_normal((count, len(self.mean)))
         spread = np.einsum("mij,mj->mi", roots[number], normal)
-        return np.asarray(self.solutions.mean[number] + spread), self.draws[number]
+        return self.solutions.mean[number] + spread, self.draws[number]
 
 
 def integrate(

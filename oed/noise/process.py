@@ -151,7 +151,7 @@ class Whitening:
             log_variances = self._factor.log_variances.reshape(len(alone), -1)
             alone += log_variances.sum(axis=1)
         inner = self._columns[1]
-        return np.asarray(alone + taken_out(inner, inner[..., :0], self._amounts)[1])
+        return alone + taken_out(inner, inner[..., :0], self._amounts)[1]
 
     @property
     def _amounts(self) -> Array:
@@ -225,7 +225,7 @@ def _with_tails(
     if tails.student_dof is not None:
         dof = tails.student_dof
         chi2 = rng.chisquare(dof, errors.shape)
-        return np.asarray(errors * np.sqrt((dof - 2.0) / chi2))
+        return errors * np.sqrt((dof - 2.0) / chi2)
     if tails.outlier_share:
         size = np.exp(rng.uniform(np.log(FAR[0]), np.log(FAR[1]), errors.shape))
         size *= rng.choice([-1.0, 1.0], errors.shape)
