@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 from scipy import optimize
 
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement, Series
 from oed.model.expressions import symbols
 from oed.model.instrument import mount
@@ -39,7 +40,7 @@ def plan() -> tuple[Measurement, Series]:
     )
     angles = 2.0 * np.pi * np.arange(15) / 15
     command = np.array([[z, psi, 0.0] for z in (1.146, 1.266) for psi in angles])
-    command, _ = measurement.commands_at_fixed_reading("cup", command, "theta")
+    command, _ = commands_at_fixed_reading(measurement, "cup", command, "theta")
     return measurement, measurement.series("cup", command)
 
 

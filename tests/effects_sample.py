@@ -106,7 +106,7 @@ def session(machine: str, known: tuple[str, ...] = COVARIATES) -> SimpleNamespac
         measurement=measurement,
         series=series,
         states=states(measurement, series, frame, measurement.nominal),
-        responses=[measurement.response(s, measurement.nominal) for s in series],
+        responses=[measurement.of(s).response(s, measurement.nominal) for s in series],
     )
 
 

@@ -208,7 +208,7 @@ def test_who_knows_the_noise_is_given_its_covariance(blind, sets, monkeypatch):
         covariances.append(
             (
                 np.linalg.inv(whitened.T @ whitened),
-                [law.block(problem, k, rows) for k in range(3)],
+                [law.covariance(problem, problem.members[k][rows]) for k in range(3)],
             )
         )
         return diagnosed(blind, problem)

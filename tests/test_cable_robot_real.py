@@ -77,7 +77,7 @@ def test_slopes_are_exact_where_the_lines_disagree(rng: np.random.Generator) -> 
     """
     x, q, p = poses(rng, 12)
     motor, x = np.rad2deg(q), KINEMATICS.forward(q, p, x)
-    slopes = KINEMATICS.parameter_sensitivity(x, q, p)
+    slopes = KINEMATICS.slopes.over_parameters(x, q, p)
     differences = np.empty_like(slopes)
     for k in range(len(p)):
         move = 1e-4 * np.eye(len(p))[k]

@@ -125,7 +125,9 @@ def test_the_workspace_is_far_from_singular_poses(
     case: Case, kinematics: Kinematics, rng: np.random.Generator
 ) -> None:
     x, q = kinematics.inverse(case.commands(rng, 500))
-    assert kinematics.reciprocal_condition(x, q, case.machine.nominal).min() > 0.05
+    assert (
+        kinematics.slopes.reciprocal_condition(x, q, case.machine.nominal).min() > 0.05
+    )
 
 
 def test_a_pose_out_of_reach_is_named(

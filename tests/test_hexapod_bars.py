@@ -12,6 +12,7 @@ from oed.base.arrays import Array
 from oed.identifiability import explain, identifiability
 from oed.identifiability.assessment import Assessment, assess
 from oed.identifiability.explain import Finding
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup, mount
@@ -66,7 +67,7 @@ def test_newton_agrees_with_the_oracle(rng: np.random.Generator) -> None:
 
 def test_slopes_are_those_of_the_oracle(rng: np.random.Generator) -> None:
     x, q = KINEMATICS.inverse(commands(rng, 4))
-    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.parameter_sensitivity(
+    slopes = KINEMATICS.frames(x, NO_TOOL)[2] @ KINEMATICS.slopes.over_parameters(
         x, q, MACHINE.nominal
     )
     for xi, qi, slope in zip(x, q, slopes, strict=True):
@@ -113,8 +114,8 @@ def held(rng: np.random.Generator, n: int) -> Array:
     led by the bar.
     """
     m = Measurement(MACHINE, [free_cup()])
-    command, possible = m.commands_at_fixed_reading(
-        "cup, tool 0.0", commands(rng, n), "z"
+    command, possible = commands_at_fixed_reading(
+        m, "cup, tool 0.0", commands(rng, n), "z"
     )
     assert possible.all()
     return command

@@ -73,7 +73,7 @@ def test_newton_agrees_with_the_oracle_on_machines_that_are_not_perfect(
 def test_slopes_are_those_of_the_oracle() -> None:
     points, p = grid(3, 3), MACHINE.nominal
     _, q = KINEMATICS.inverse(points)
-    slopes = KINEMATICS.parameter_sensitivity(points, q, p)
+    slopes = KINEMATICS.slopes.over_parameters(points, q, p)
     for k in range(len(p)):
         moved = p + 1e-30j * np.eye(len(p))[k]
         expected = oracle.probe(q + moved[12:], centres(moved)[None]).imag / 1e-30

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed.measurement.assembly_mode import mode_jumps
-from oed.measurement.measurement import Measurement
+from oed.measurement.measurement import Measurement, mode_jumps
 from oed.model.instrument import mount
 from pkm_models.instruments import camera
 from pkm_models.machines import delta

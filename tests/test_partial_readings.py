@@ -11,6 +11,7 @@ import pytest
 from sample import refused, resolved
 
 from oed.measurement.measurement import Measurement
+from oed.measurement.reading_noise import reading_covariances
 from oed.model.instrument import mount
 from pkm_models.instruments import height_probe, laser_ball_bar, planar_position
 from pkm_models.machines import a3_head, cables_planar, delta
@@ -103,7 +104,7 @@ def test_a_subset_of_channels_reads_and_scatters_as_the_whole_does(
     theta[m.nuisance_slice("part")] = theta[m.nuisance_slice("whole")]
     full, taken = (m.readings([s], theta).reshape(2, -1) for s in both)
     assert taken == pytest.approx(full[:, rows], abs=1e-15)
-    covariances = [m.reading_covariances(s) for s in both]
+    covariances = [reading_covariances(m.of(s), s) for s in both]
     expected = covariances[0][:, rows][:, :, rows]
     assert covariances[1] == pytest.approx(expected, rel=1e-12)
 

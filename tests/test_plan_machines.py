@@ -20,6 +20,7 @@ from oed.design.stages.virtual_machines.propagation import PlanRealisation, prop
 from oed.design.stages.virtual_machines.refit import refit
 from oed.estimation.identification import identify
 from oed.measurement import simulation
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from oed.model.machine import Machine
@@ -95,7 +96,7 @@ def bar(
     heights = np.linspace(1.066, 1.266, 7) + tool
     angles = np.arange(around) * 2.0 * np.pi / around
     grid = np.array([[h, psi, 0.0] for h in heights for psi in angles])
-    command, possible = measurement.commands_at_fixed_reading(name, grid, "theta")
+    command, possible = commands_at_fixed_reading(measurement, name, grid, "theta")
     if possible.sum() <= 20:
         return None
     series = measurement.series(name, command[possible])

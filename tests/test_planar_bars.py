@@ -87,7 +87,9 @@ def test_slopes_agree_with_the_paper_s_jacobian_and_with_the_complex_step(
     )
     assert np.abs(printed - step).max() < 1e-13
     assert (
-        np.abs(m.kinematics.parameter_sensitivity(x, q, oracle.NOMINAL) - printed).max()
+        np.abs(
+            m.kinematics.slopes.over_parameters(x, q, oracle.NOMINAL) - printed
+        ).max()
         < 1e-13
     )
 

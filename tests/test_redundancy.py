@@ -12,6 +12,7 @@ from scipy import optimize
 from oed.estimation.estimate import Estimate
 from oed.estimation.identification import identify
 from oed.measurement.measurement import Measurement
+from oed.measurement.reading_noise import reading_covariances
 from oed.model.instrument import mount
 from oed.model.machine import Machine
 from pkm_models.instruments import redundancy
@@ -125,13 +126,15 @@ def test_a_joint_that_errs_changes_the_misfits_as_its_slope_says(
     m = Measurement(machine, [mount(instrument, "cables")])
     q = m.kinematics.inverse(machine.home_command[None])[1]
     series = m.series_from_joints("cables", q + 1e-3 * rng.standard_normal(q.shape))
-    (slopes,) = m.response(series, m.nominal).joints
+    (slopes,) = m.of(series).response(series, m.nominal).joints
     step, still = 1e-6, np.zeros((1, len(m.nominal)))
     for k in range(q.shape[1]):
         change = np.zeros_like(q)
         change[0, k] = step
         ahead, behind = (
-            m.perturbed_readings(series, m.nominal, sign * change, still, still[:, :0])
+            m.of(series).perturbed(
+                series, m.nominal, sign * change, still, still[:, :0]
+            )
             for sign in (1.0, -1.0)
         )
         numeric = (ahead - behind) / (2.0 * step)
@@ -164,9 +167,14 @@ def test_noise_per_leg_is_projected_onto_the_misfits(rng: np.random.Generator) -
     unit = away / np.linalg.norm(away, axis=1)[:, None]
     across = np.eye(4) - unit @ np.linalg.inv(unit.T @ unit) @ unit.T
     expected = across @ np.diag(np.square(list(noise.values()))) @ across / 4.0
-    covariance = m.reading_covariances(series)[0]
+    covariance = reading_covariances(m.of(series), series)[0]
     values = np.linalg.eigvalsh(expected)[-2:]
     assert np.linalg.eigvalsh(covariance) == pytest.approx(values, rel=1e-9)
+
+
+def _covariances(m: Measurement, name: str, command: np.ndarray) -> np.ndarray:
+    series = m.series(name, command)
+    return reading_covariances(m.of(series), series)
 
 
 def test_equal_legs_have_independent_misfits(rng: np.random.Generator) -> None:
@@ -175,6 +183,6 @@ def test_equal_legs_have_independent_misfits(rng: np.random.Generator) -> None:
     plain = redundancy.instrument.for_machine(machine)
     command = rng.uniform(-0.4, 0.4, (4, 2))
     both = Measurement(machine, [mount(legs, "legs"), mount(plain, "plain")])
-    found = both.reading_covariances(both.series("legs", command))
-    stated = both.reading_covariances(both.series("plain", command))
+    found = _covariances(both, "legs", command)
+    stated = _covariances(both, "plain", command)
     assert found == pytest.approx(stated, abs=1e-20)

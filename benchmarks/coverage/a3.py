@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.coverage.bench import Bench, components_from_home
 from oed.compensate import compensated_joints
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
@@ -83,7 +84,7 @@ def _circles(m: Measurement, setup: str, heights: np.ndarray) -> Series:
     """Fifteen readings on a circle at each height."""
     psi = 2.0 * np.pi * np.arange(15) / 15.0
     command = np.array([[z, angle, 0.0] for z in heights for angle in psi])
-    command, solved = m.commands_at_fixed_reading(setup, command, "theta")
+    command, solved = commands_at_fixed_reading(m, setup, command, "theta")
     assert solved.all()
     return m.series(setup, command, run=[f"z {row[0]:.3f}" for row in command])
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from benchmarks.coverage.bench import Bench, components_from_home
 from oed.compensate import compensated_joints
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import mount
@@ -26,7 +27,7 @@ def hexapod() -> Bench:
     m = Measurement(model.machine, [mount(ball_bar.free_cup, "bar", length=BAR, **at)])
     side, tilts = (-0.1, 0.0, 0.1), (-TILT, TILT)
     poses = itertools.product(side, side, [0.45], tilts, tilts, tilts)
-    command, solved = m.commands_at_fixed_reading("bar", np.array([*poses]), "z")
+    command, solved = commands_at_fixed_reading(m, "bar", np.array([*poses]), "z")
     assert solved.all()
     series = m.series("bar", command, run=[f"x {row[0]}" for row in command])
 

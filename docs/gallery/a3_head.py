@@ -14,6 +14,7 @@ import numpy as np
 
 from oed.design import exchange
 from oed.identifiability import identifiability, information
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
@@ -30,7 +31,7 @@ def on_circles(strokes: np.ndarray, points: int) -> np.ndarray:
     angles = np.linspace(0.0, FULL_TURN, points, endpoint=False)
     stroke, psi = (axis.ravel() for axis in np.meshgrid(strokes, angles))
     start = np.column_stack([HOME + stroke, psi, 0.0 * psi])
-    command, possible = bar.commands_at_fixed_reading("cup", start, "theta")
+    command, possible = commands_at_fixed_reading(bar, "cup", start, "theta")
     assert possible.all()
     return command
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from oed.identifiability.assessment import assess
 from oed.identifiability.explain import explain
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, pose_tracker
@@ -60,7 +61,7 @@ oriented = np.array(
 
 def on_sphere(setup: str, command: np.ndarray) -> np.ndarray:
     """Commands led onto the bar's sphere by z."""
-    solved, possible = hexapod.commands_at_fixed_reading(setup, command, "z")
+    solved, possible = commands_at_fixed_reading(hexapod, setup, command, "z")
     assert possible.all()
     return solved
 

@@ -35,7 +35,7 @@ print(f"{len(command)} poses, largest gap of a rod: {largest:.0e} m")
 
 again = kinematics.forward(q, machine.nominal, x + 0.005)
 print(f"forward after inverse: {np.abs(again - x).max():.0e}")
-distance = kinematics.reciprocal_condition(x, q, machine.nominal).min()
+distance = kinematics.slopes.reciprocal_condition(x, q, machine.nominal).min()
 print(f"distance to singular poses (1 / condition number): {distance:.3f}")
 lower, upper = np.array([[c.lower, c.upper] for c in machine.joints]).T
 print("all joints in range:", bool(((lower < q) & (q < upper)).all()))

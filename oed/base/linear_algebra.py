@@ -79,7 +79,7 @@ def _chosen_basis(rows: Array, n: int) -> Array:
     fixed = np.random.default_rng(DIRECTIONS).standard_normal((n, len(rows)))
     turn, triangle = np.linalg.qr(rows @ fixed)
     signs = np.where(np.diag(triangle) < 0.0, -1.0, 1.0)
-    return np.asarray((turn * signs).T @ rows)
+    return (turn * signs).T @ rows
 
 
 def first_largest(values: Array) -> int:
@@ -108,7 +108,7 @@ def covariance_root(covariance: Array) -> Array:
     scale = np.where(sd > 0.0, sd, 1.0)
     correlation = covariance / (scale[..., :, None] * scale[..., None, :])
     # sd, not scale: what has no variance stays where it is
-    return np.asarray(sd[..., :, None] * symmetric_root(correlation))
+    return sd[..., :, None] * symmetric_root(correlation)
 
 
 def symmetric_root(matrix: Array) -> Array:

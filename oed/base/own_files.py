@@ -51,10 +51,10 @@ def save_own(
     return target
 
 
-def is_own(path: Path, known: Collection[str] = ()) -> bool:
+def is_own(path: Path) -> bool:
     """Whether a file is as the program wrote it."""
     listed = _listed(path.parent).get(path.name, [])
-    return path.is_file() and digest(path) in (*listed, *known)
+    return path.is_file() and digest(path) in listed
 
 
 def latest(path: Path) -> Path:

@@ -50,7 +50,7 @@ def _curve_modes(
     correlation = _matern(distance, correlation_length)
     values, vectors = np.linalg.eigh(projection @ correlation @ projection)
     modes = np.sqrt(values[-count:]) * vectors[:, -count:]
-    return np.asarray(grid), np.asarray(modes.T[::-1])
+    return np.asarray(grid), modes.T[::-1]
 
 
 def field_modes(
@@ -72,7 +72,7 @@ def field_modes(
         mode = remainder / np.sqrt(unexplained[pivot])
         modes = np.column_stack([modes, mode])
         unexplained = np.maximum(unexplained - mode**2, 0.0)
-    return np.asarray(modes[place.ravel()])
+    return modes[place.ravel()]
 
 
 def _matern(distance: Array, correlation_length: float) -> Array:

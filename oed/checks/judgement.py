@@ -19,9 +19,10 @@ from oed.checks.goodness import Goodness, goodness, goodness_of
 from oed.checks.law import CheckedLaw
 from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.session import SessionReadings
+from oed.noise.law_noise import factor_of
 from oed.noise.marginal import ResidualModel, most_probable
 from oed.noise.prior import LEAST_FREEDOM, SCALE_SD, noise_prior
-from oed.noise.process import Laws, Whitening, stated_laws
+from oed.noise.process import Laws, stated_laws
 from oed.noise.robust import robust_residuals
 from oed.result.trust import ALARM, GUESS
 
@@ -165,6 +166,6 @@ def _under_scale(
     misfit = float(model.solve(laws).misfit[0])
     about_nominal = model.residual + model.slopes @ model.centre
     both = np.column_stack([about_nominal, model.slopes])
-    white = Whitening(structure, laws).whiten(both)[0]
+    white = factor_of(structure, laws).whiten(both)
     p_strain = probability_of_strain(white[:, 1:], white[:, 0])
     return goodness_of(misfit, residual_weights(white[:, 1:])), p_strain

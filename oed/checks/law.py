@@ -15,9 +15,8 @@ from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise
-from oed.noise.factor import LinearFactor
+from oed.noise.law_noise import noise_under
 from oed.noise.process import Laws
-from oed.noise.process_noise import errors_of
 from oed.noise.structure import ReadingStructure
 
 
@@ -62,46 +61,3 @@ class CheckedLaw:
         scale = laws.scale[0, structure.group]
         ratio = scale * np.sqrt((1.0 + shared.sum(axis=1)) / (1.0 + stated))
         return float(ratio.max())
-
-
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class LawNoise(Noise):
-    """Noise of N readings under a law, SI.
-
-    structure  of the readings
-    factor     of the covariance over the stated noise
-    """
-
-    structure: ReadingStructure
-    factor: LinearFactor
-
-    def whiten(self, values: Array) -> Array:
-        """Whitened values: (N,), (N, n), with readings first."""
-        standard = self.structure.standardise(values)
-        wide = standard[:, None] if values.ndim == 1 else standard
-        return self.factor.whiten(wide).reshape(values.shape)
-
-    def whiten_back(self, values: Array) -> Array:
-        """W^T Y, for Y (N,) or (N, n)."""
-        wide = values[:, None] if values.ndim == 1 else values
-        back = self.factor.whiten_back(wide)
-        if self.structure.decouple is not None:
-            back = np.asarray(self.structure.decouple.T @ back)
-        else:
-            back = back / self.structure.unit[:, None]
-        return back.reshape(values.shape)
-
-    def precision_diagonal(self) -> Array:
-        """Diagonal (N,) of Sigma^-1; channels share no error but those of a reading."""
-        diagonal = self.factor.precision_diagonal()
-        if self.structure.decouple is None:
-            return np.asarray(diagonal / self.structure.unit**2)
-        return np.asarray(self.structure.decouple.power(2).T @ diagonal)
-
-
-def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
-    """Noise of readings under the first of some laws, SI, with its precision."""
-    shared = (structure.columns * laws.sizes[0, structure.kinds]) ** 2
-    sd = laws.scale[0, structure.group] * np.sqrt(1.0 + shared.sum(axis=1))
-    factor = LinearFactor(errors_of(structure, laws))
-    return LawNoise(structure.unit * sd, structure=structure, factor=factor)

@@ -176,7 +176,7 @@ def joint_motion(kinematics: Kinematics, command: Array) -> Array:
     machine = kinematics.machine
     driven = [k for k, c in enumerate(machine.components) if c.compensatable]
     x, q = kinematics.inverse(command)
-    by_joint = kinematics.joint_sensitivity(x, q, machine.nominal)
+    by_joint = kinematics.slopes.over_joints(x, q, machine.nominal)
     twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
     slope = kinematics.error_components_jacobian(command)
     return np.asarray((slope @ twist)[:, driven])

@@ -95,7 +95,7 @@ def strut_motion(kinematics: Kinematics) -> Motion:
 
     def motion(command: Array) -> Array:
         x, q = kinematics.inverse(command)
-        by_joint = kinematics.joint_sensitivity(x, q, machine.nominal)
+        by_joint = kinematics.slopes.over_joints(x, q, machine.nominal)
         if machine.struts is not None:
             per_length = kinematics.struts(x, q, machine.nominal)[2]
             by_joint = by_joint * per_length[:, None]

@@ -3,7 +3,7 @@
 A candidate is one reading with all its channels, or a whole run (a circle) with the
 covariance of its readings. The readings of a run may share an error e, that of the
 reference they are relative to, or of a cup that each run seats anew
-(`Measurement.run_errors`):
+(`oed.measurement.reading_noise`):
 
     y_i = h_i theta + sigma e_i + shared_i e        with e ~ N(0, 1).
 
@@ -32,6 +32,7 @@ from oed.design.criterion import (
 from oed.design.rules import Rules
 from oed.identifiability.information import Scaling, column_scale
 from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_noise import reading_covariances, run_errors
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -280,14 +281,16 @@ def _series_blocks(
     single = np.ones(count, dtype=np.intp)
     if not whiten:
         return _SeriesBlocks(rows, np.zeros((count, k, 0)), single)
-    factor = np.linalg.inv(np.linalg.cholesky(measurement.reading_covariances(series)))
+    factor = np.linalg.inv(
+        np.linalg.cholesky(reading_covariances(measurement.of(series), series))
+    )
     shared = _shared_columns(measurement, series)
     return _SeriesBlocks(factor @ rows, factor @ shared, single)
 
 
 def _shared_columns(measurement: Measurement, series: Series) -> Array:
     """Slopes (n, k, r) of the readings by the errors that their runs share."""
-    errors = measurement.run_errors(series)
+    errors = run_errors(measurement.of(series), series)
     count, channels, k = errors.shape
     runs = list(dict.fromkeys(series.run))
     columns = np.zeros((count, channels, len(runs) * k))

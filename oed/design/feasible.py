@@ -113,7 +113,7 @@ def check_readings(
     refused: dict[str, Mask] = dict(_outside_joints(measurement, series, limits))
     details: dict[str, Array] = {}
     if limits.singularity is not None:
-        margin = measurement.kinematics.reciprocal_condition(
+        margin = measurement.kinematics.slopes.reciprocal_condition(
             x, series.q, measurement.machine.nominal
         )
         details["singularity"] = margin[series.index].min(axis=1)

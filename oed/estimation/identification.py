@@ -22,10 +22,10 @@ from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise, as_noise
+from oed.noise.law_noise import noise_under
 from oed.noise.marginal import ResidualModel, integrate, most_probable
 from oed.noise.prior import noise_prior
 from oed.noise.process import stated_laws
-from oed.noise.process_noise import process_noise
 from oed.noise.robust import robust_residuals
 
 __all__ = ["Estimate", "IdentificationError", "identify"]
@@ -292,7 +292,7 @@ def _integrated_stage(
         model = ResidualModel(structure, replaced, slopes, z)
         before, mode = mode, most_probable(model, prior, mode)
         law = prior.laws(mode[None])
-        noise = process_noise(structure, law)
+        noise = noise_under(structure, law)
         if before is not None and np.abs(mode - before).max() < SETTLED:
             break
     posterior = integrate(model, prior, mode)

@@ -132,7 +132,7 @@ def _pose_slopes(assessment: Assessment) -> tuple[Array, Array, Array]:
         tool = np.array(measurement.setups[s.setup].tool)
         x = measurement.poses(s, measurement.nominal)
         rotation, _, twist = kinematics.frames(x, tool)
-        slope = twist @ kinematics.parameter_sensitivity(x, s.q, nominal)
+        slope = twist @ kinematics.slopes.over_parameters(x, s.q, nominal)
         in_tool_frame = np.swapaxes(rotation, 1, 2) @ slope[:, 3:]
         parameters = slope.shape[2]
         position.append(slope[:, :3].reshape(-1, parameters))

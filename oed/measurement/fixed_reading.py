@@ -8,10 +8,11 @@ import numpy as np
 from scipy.optimize import elementwise
 
 from oed.base.arrays import Array, Mask
+from oed.measurement.measurement import Measurement
 from oed.model.machine import Coordinate
 
 
-def solve_coordinate(
+def _solve_coordinate(
     read: Callable[[Array], Array],
     wanted: float,
     command: Array,
@@ -40,4 +41,31 @@ def solve_coordinate(
         tolerances={"xatol": 1e-12, "fatol": 1e-13},
     )
     solved[:, column] = root.x
-    return solved, np.asarray(root.success)
+    return solved, root.success
+
+
+def commands_at_fixed_reading(
+    measurement: Measurement, setup: str, command: Array, coordinate: str
+) -> tuple[Array, Mask]:
+    """Solve one command coordinate for the reading that the instrument keeps.
+
+    A ball bar of fixed length leads the tool on a sphere about its cup. Returns
+    the commands (n, n_dof), and the mask (n,) of those that have a solution within
+    the coordinate's range. Raises ValueError where the instrument keeps no reading.
+    """
+    mounted = measurement.setups[setup]
+    if mounted.instrument.fixed_reading is None:
+        raise ValueError(
+            f"{mounted.instrument.name} holds no reading by design: give"
+            f" {coordinate} itself"
+        )
+    wanted = mounted.instrument.fixed_reading(mounted.settings)
+    column = [c.name for c in measurement.machine.command].index(coordinate)
+    limits = measurement.machine.workspace(mounted.tool)[column]
+
+    def read(poses: Array) -> Array:
+        return measurement.readings(
+            [measurement.series(setup, poses)], measurement.nominal
+        )
+
+    return _solve_coordinate(read, wanted, command, column, limits)

@@ -56,7 +56,7 @@ class InterpolatedReadings:
     def __call__(self, theta: Array) -> Array:
         """Readings (m, N) at parameters (m, n); NaN where a machine is not assembled."""
         change = self.few(theta) - self.middle[self.rows]
-        return np.asarray(self.middle + change @ self.matrix)
+        return self.middle + change @ self.matrix
 
 
 def interpolate(

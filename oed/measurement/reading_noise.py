@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from oed.base.arrays import Array
-from oed.measurement.observation import ObservationModel
+from oed.measurement.setup_readings import SetupReadings
 from oed.model.instrument import Setup
 from oed.model.series import Series
 from oed.noise.covariance import FactoredNoise, Noise, block_noise
@@ -16,37 +16,34 @@ from oed.noise.factor import Errors, LinearFactor
 DENSE_MOST = 500
 
 
-def stated_noise(
-    setup: Setup, model: ObservationModel, series: Series, run_errors: Array
-) -> Noise:
+def stated_noise(readings: SetupReadings, series: Series) -> Noise:
     """Noise of a series' readings at their nominal poses, SI.
-
-    run_errors  (n, channels, k) as `Measurement.run_errors` gives them
 
     It is independent, unless the instrument's channels have common sources, the
     readings of a run share errors, or an error is carried along a run; then it is
     correlated within each run.
     """
+    setup, shared = readings.setup, run_errors(readings, series)
     channels, statement = len(setup.sigma), setup.statement
-    alone = not run_errors.size and statement.carried_share == 0.0
+    alone = not shared.size and statement.carried_share == 0.0
     if setup.instrument.sources is None and alone:
         return Noise(np.tile(setup.sigma, len(series)))
-    separate = reading_covariances(setup, model, series)
+    separate = reading_covariances(readings, series)
     longest = np.unique(series.run, return_counts=True)[1].max()
     if longest * channels > DENSE_MOST:
-        return _factored(setup, separate, series, run_errors)
+        return _factored(setup, separate, series, shared)
     places, covariances = [], []
     for run in dict.fromkeys(series.run):
         members = np.flatnonzero(series.run == run)
         place = members[:, None] * channels + np.arange(channels)
-        errors = run_errors[members].reshape(place.size, -1)
+        errors = shared[members].reshape(place.size, -1)
         covariances.append(_single(setup, separate[members]) + errors @ errors.T)
         places.append(place.ravel())
     return block_noise(covariances, places)
 
 
 def _factored(
-    setup: Setup, separate: Array, series: Series, run_errors: Array
+    setup: Setup, separate: Array, series: Series, errors_of_runs: Array
 ) -> FactoredNoise:
     """The same noise by a factor in linear time."""
     channels, share = len(setup.sigma), setup.statement.carried_share
@@ -60,7 +57,7 @@ def _factored(
     decay = np.where(begins, 0.0, np.exp(-1.0 / setup.statement.reach_median))
     roots = np.linalg.cholesky(separate)
     inverse = sparse.block_diag(list(np.linalg.inv(roots)[reading]), format="csr")
-    shared = run_errors.reshape(len(order), -1)
+    shared = errors_of_runs.reshape(len(order), -1)
     errors = Errors(
         order=order,
         starts=starts,
@@ -93,32 +90,40 @@ def _single(setup: Setup, separate: Array) -> Array:
     return np.asarray(covariance.reshape(len(place) * root.shape[1], -1))
 
 
-def reading_covariances(setup: Setup, model: ObservationModel, series: Series) -> Array:
+def reading_covariances(readings: SetupReadings, series: Series) -> Array:
     """Covariance (n, channels, channels), SI, of each reading without its run's error."""
-    instrument = setup.instrument
+    setup, instrument = readings.setup, readings.setup.instrument
     if instrument.sources is None:
         return np.tile(np.diag(np.square(setup.sigma)), (len(series), 1, 1))
     default = np.array([c.sigma for c in instrument.channels])
     factor = np.array(setup.sigma) / default
-    root = source_slopes(setup, model, series) * factor[:, None]
+    root = source_slopes(readings, series) * factor[:, None]
     return np.asarray(root @ np.swapaxes(root, 1, 2))
 
 
-def source_slopes(setup: Setup, model: ObservationModel, series: Series) -> Array:
+def source_slopes(readings: SetupReadings, series: Series) -> Array:
     """Slopes (n, channels, sources), SI, over the errors inside an instrument.
 
     Each error is in its standard deviation. Only for instruments that state them.
     """
     poses = [series.start[k] for k in series.pose_indices()]
-    nuisances = np.array([n.nominal for n in setup.nuisances])
-    return model.sources(poses, nuisances)
+    nuisances = np.array([n.nominal for n in readings.setup.nuisances])
+    return readings.model.sources(poses, nuisances)
 
 
-def level_errors(setup: Setup, count: int) -> Array:
-    """Stated errors of a run's level (count, channels, k), SI, one a channel with one."""
-    shared = [
-        c.shared * s
-        for c, s in zip(setup.instrument.channels, setup.sigma, strict=True)
-    ]
+def run_errors(readings: SetupReadings, series: Series) -> Array:
+    """Slopes (n, channels, k), SI, over the k stated errors that a run shares.
+
+    Each error is standard normal: levels of channels, then unknowns that the run
+    seats anew. Slopes are those at the nominal poses.
+    """
+    setup = readings.setup
+    pairs = zip(setup.instrument.channels, setup.sigma, strict=True)
+    shared = [channel.shared * sigma for channel, sigma in pairs]
     errors = np.diag(shared)[:, np.flatnonzero(shared)]
-    return np.tile(errors, (count, 1, 1))
+    levels = np.tile(errors, (len(series), 1, 1))
+    if not setup.statement.seating:
+        return levels
+    renewed = [n.name in setup.instrument.renewed for n in setup.nuisances]
+    slopes = readings.nominal_slopes(series)[:, :, renewed]
+    return np.concatenate([levels, slopes * setup.statement.seating], axis=2)

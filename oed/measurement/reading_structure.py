@@ -10,6 +10,7 @@ from scipy import sparse
 
 from oed.base.arrays import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_noise import reading_covariances, run_errors
 from oed.noise.covariance import block_noise
 from oed.noise.stated import StatedErrors
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -48,7 +49,7 @@ def reading_structure(
         parts.shared.append(np.tile(common, len(s)))
         stated = [c.name in setup.statement.levels for c in channels]
         parts.stated.append(np.tile(stated, len(s)))
-        blocks.append(_decoupling(measurement.reading_covariances(s)))
+        blocks.append(_decoupling(reading_covariances(measurement.of(s), s)))
         runs += len(number)
     run, channel = (
         np.concatenate(parts.run),
@@ -120,13 +121,13 @@ def stated_errors(
     """Stated errors of readings of noise sigma (N,), SI; None where all are independent."""
     statement = common_statement(measurement, series)
     setups = [measurement.setups[s.setup] for s in series]
-    errors = [measurement.run_errors(s) for s in series]
+    errors = [run_errors(measurement.of(s), s) for s in series]
     related = any(setup.instrument.sources is not None for setup in setups)
     if not (related or statement.carried_share or any(e.size for e in errors)):
         return None
     roots, places, lines = [], [], []
     for s in series:
-        blocks = np.linalg.cholesky(measurement.reading_covariances(s))
+        blocks = np.linalg.cholesky(reading_covariances(measurement.of(s), s))
         count, channels = blocks.shape[:2]
         roots += list(blocks)
         run = np.unique(s.run, return_inverse=True)[1]
@@ -257,7 +258,7 @@ class _RunErrors:
         blocks = [(of_channel * ~stated, LEVEL)]
         for kind, values in errors:
             if values.any():
-                blocks.append((np.asarray(self.decouple @ values), kind))
+                blocks.append((self.decouple @ values, kind))
         columns = np.hstack([values for values, _ in blocks])
         kinds = np.concatenate([np.full(v.shape[1], kind) for v, kind in blocks])
         used = columns.any(axis=0)

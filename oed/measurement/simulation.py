@@ -72,7 +72,7 @@ def draw_deviations(
     normal = rng.standard_normal(shape)
     if measurement.correlation is None:
         return measurement.tolerance * normal
-    return np.asarray(normal @ measurement.prior_root().T)
+    return normal @ measurement.prior_root().T
 
 
 def draw_readings(

@@ -54,8 +54,8 @@ def error_model(
     """
     p = kinematics.machine.nominal if parameters is None else parameters
     x, q = kinematics.inverse(command, p, tool)
-    by_joint = kinematics.joint_sensitivity(x, q, p)
-    by_parameter = kinematics.parameter_sensitivity(x, q, p)
+    by_joint = kinematics.slopes.over_joints(x, q, p)
+    by_parameter = kinematics.slopes.over_parameters(x, q, p)
     commanded = kinematics.commanded_jacobian(x, tool)
     inverse = np.linalg.pinv(commanded @ by_joint)
     joints = -inverse @ (commanded @ by_parameter)

@@ -33,6 +33,8 @@ PATH_STEPS = (8, 64, 512)
 #: starts about the machine's own for a home pose that fails, and how far they reach,
 #: over the lever and in radians
 SEVERAL_STARTS, START_SPREAD = 64, 1.0
+#: pose numbers that an error lists
+LISTED = 8
 
 OUT_OF_REACH = "out of reach or singular"
 MIRRORED = (
@@ -59,6 +61,12 @@ class AssemblyError(RuntimeError):
         self.indices = indices
         self.first = first
         self.reason = reason
+
+
+def listed(indices: Index) -> str:
+    """Pose numbers for an error message, the first few."""
+    numbers = ", ".join(str(i) for i in indices[:LISTED])
+    return numbers + (" ..." if indices.size > LISTED else "")
 
 
 class InverseKinematics:

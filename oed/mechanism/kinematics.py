@@ -26,11 +26,12 @@ import functools
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.forward import ForwardKinematics
-from oed.mechanism.inverse import AssemblyError, InverseKinematics
+from oed.mechanism.inverse import AssemblyError, InverseKinematics, listed
+from oed.mechanism.pose_slopes import PoseSlopes
 from oed.model.expressions import (
     MachineExpressions,
     machine_expressions,
@@ -39,16 +40,10 @@ from oed.model.expressions import (
 )
 from oed.model.machine import Machine
 
-#: reciprocal condition number of phi_x (lengths over the lever) below which a pose
-#: counts as singular
-SINGULAR_BELOW = 1e-6
 #: steps in which joints without a command are followed from the home pose
 HOMING_STEPS = 20
 #: the same, where the first steps are too long
 FINER_HOMING_STEPS = 400
-#: pose numbers that an error lists
-LISTED = 8
-
 
 __all__ = ["AssemblyError", "Kinematics"]
 
@@ -63,7 +58,10 @@ class Kinematics:
         self.machine = machine
         self._expressions = e = machine_expressions(machine)
         self._inverse = InverseKinematics(machine, e)
-        self._forward = ForwardKinematics(machine, e)
+        #: the equations of a pose
+        self.equations = ForwardKinematics(machine, e)
+        #: slopes of poses, and how near they are to singular ones
+        self.slopes = PoseSlopes(machine, e, self.equations)
         self._components, self._components_slope = _component_functions(machine, e)
         self._struts = _strut_function(machine, e)
         self._skeleton = _skeleton_functions(machine, e)
@@ -80,12 +78,6 @@ class Kinematics:
         shared = copy.copy(self)
         shared.machine = machine
         return shared
-
-    @functools.cached_property
-    def _closure_slope(self) -> BatchedFunction:
-        e = self._expressions
-        slope = ca.jacobian(e.phi, e.x)
-        return BatchedFunction("closure_slope", [e.x, e.q, e.p], [slope])
 
     @functools.cached_property
     def _commanded_slope(self) -> BatchedFunction:
@@ -132,7 +124,7 @@ class Kinematics:
             poses = np.unique(np.argwhere(failed)[:, -1])
             raise AssemblyError(
                 f"{self.machine.name}: {int(failed.sum())} of {failed.size} poses cannot"
-                f" be assembled (pose numbers {_listed(poses)}): the joints do not close"
+                f" be assembled (pose numbers {listed(poses)}): the joints do not close"
                 " at these parameters, or the pose is singular; check joint values and"
                 " their unit, the parameters' size, and the distance to singular poses",
                 poses,
@@ -155,7 +147,7 @@ class Kinematics:
         """
         q, vectors = np.atleast_2d(q), np.atleast_2d(p)
         arguments = (q, vectors, start, step_tolerance)
-        x, failed = self._forward.solve_all(*arguments, wanted)
+        x, failed = self.equations.solve_all(*arguments, wanted)
         return (x[0], failed[0]) if p.ndim == 1 else (x, failed)
 
     def forward_per_pose(self, q: Array, p: Array, start: Array) -> Array:
@@ -164,7 +156,7 @@ class Kinematics:
         if failed.any():
             poses = np.flatnonzero(failed)
             raise AssemblyError(
-                f"{self.machine.name}: pose numbers {_listed(poses)} cannot be"
+                f"{self.machine.name}: pose numbers {listed(poses)} cannot be"
                 " assembled with their changes; make the effects smaller, or keep away"
                 " from singular poses",
                 poses,
@@ -179,7 +171,7 @@ class Kinematics:
         step_tolerance: float = newton.STEP_TOLERANCE,
     ) -> tuple[Array, Mask]:
         """As `forward_per_pose`, with a mask (n,) of failed poses in place of an error."""
-        return self._forward.solve((start, q, p), start, step_tolerance)
+        return self.equations.solve((start, q, p), start, step_tolerance)
 
     def struts(self, x: Array, q: Array, p: Array) -> tuple[Array, Array, Array]:
         """Ends of the struts at base and platform, each (n, nq, 3), m, and joint change.
@@ -222,7 +214,7 @@ class Kinematics:
             crossed = np.flatnonzero(side * self.assembly_side(x, joints, p) < 0.0)
             if crossed.size:
                 raise AssemblyError(
-                    f"{self.machine.name}: pose numbers {_listed(crossed)} change the"
+                    f"{self.machine.name}: pose numbers {listed(crossed)} change the"
                     " assembly mode on the way from the home pose; check joint values"
                     " and their unit, or give the commanded poses",
                     crossed,
@@ -233,105 +225,10 @@ class Kinematics:
         """Sign (n,) of det(phi_x), which differs between assembly modes on either side
         of a singularity; 0 for a redundant machine.
         """
-        phi_x = self._closure_slope(x, q, p)[0]
+        phi_x = self.slopes.of_closure(x, q, p)
         if phi_x.shape[1] != phi_x.shape[2]:
             return np.zeros(len(x))
         return np.asarray(np.linalg.slogdet(phi_x)[0])
-
-    def closure_slope_over_parameters(self, x: Array, q: Array) -> Array:
-        """d phi / dp (rows, np) of one pose (nx,) and joints (nq,), nominal parameters.
-
-        Of a redundant machine, the rows are its balanced equations.
-        """
-        slopes = self._forward.slopes(x[None], q[None], self.machine.nominal)
-        return np.asarray(slopes[1][0])
-
-    def misfit(self, x: Array, q: Array, p: Array) -> Array:
-        """phi (n, nx) at poses, joints and parameters, one a row; 0 when assembled.
-
-        Of a redundant machine, the balanced equations.
-        """
-        return self._forward.misfit(x, q, p)[0]
-
-    def closure_slopes(self, x: Array, q: Array, p: Array) -> list[Array]:
-        """Slopes of phi (n, nx, ...) over pose, parameters and joints."""
-        return self._forward.slopes(x, q, p)
-
-    def parameter_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
-        """dx/dp (n, nx, np) at fixed joints."""
-        by_x, by_p, _ = self._forward.slopes(x, q, p)
-        return -newton.solve_linear(by_x, by_p)
-
-    def pull_back(
-        self, x: Array, q: Array, p: Array, slopes: Array
-    ) -> tuple[Array, Array]:
-        """Slopes (n, channels, np) over the parameters of what has these over the pose.
-
-        slopes  (n, channels, nx)
-
-        Also returns bounds (n,) on the condition numbers; see `surely_regular`.
-        """
-        rows, condition, accurate = self._forward.adjoint.pull_back(
-            [x, q, p], slopes, self._scale
-        )
-        rest = np.flatnonzero(~accurate)
-        if rest.size:
-            sensitivity, condition[rest] = self.sensitivity(x[rest], q[rest], p[rest])
-            rows[rest] = -slopes[rest] @ sensitivity
-        return -rows, condition
-
-    def sensitivity(self, x: Array, q: Array, p: Array) -> tuple[Array, Array]:
-        """dx/dp (n, nx, np) at fixed joints, and bounds (n,) on condition numbers.
-
-        The bound is the product of Frobenius norms of phi_x and its inverse.
-        """
-        by_x, by_p = self._forward.by_pose_and_parameter(x, q, p)
-        identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
-        inverse = newton.solve_linear(by_x, identity)
-        norm = np.einsum("nij,nij->nj", by_x, by_x) @ self._scale**2
-        norm_of_inverse = np.einsum("nij,nij->ni", inverse, inverse) @ self._scale**-2
-        return -(inverse @ by_p), np.sqrt(norm * norm_of_inverse)
-
-    def surely_regular(self, condition: Array) -> bool:
-        """Whether bounds (n,) on condition numbers show that all poses are regular.
-
-        A redundant machine's balanced equations do not show it.
-        """
-        if self._expressions.phi.numel() != self._expressions.x.numel():
-            return False
-        return bool(np.all(condition < 1.0 / SINGULAR_BELOW))
-
-    def joint_sensitivity(self, x: Array, q: Array, p: Array) -> Array:
-        """dx/dq (n, nx, nq) at fixed parameters."""
-        by_x, _, by_q = self._forward.slopes(x, q, p)
-        return -newton.solve_linear(by_x, by_q)
-
-    def check_regular(self, x: Array, q: Array, p: Array) -> None:
-        """Raise AssemblyError for poses so near a singular one that slopes are useless."""
-        singular = self.reciprocal_condition(x, q, p) < SINGULAR_BELOW
-        if singular.any():
-            poses = np.flatnonzero(singular)
-            raise AssemblyError(
-                f"{self.machine.name}: pose numbers {_listed(poses)} are singular: the"
-                " machine can move there while its joints stand still, and a reading"
-                " carries no information; keep a distance from them",
-                poses,
-            )
-
-    def reciprocal_condition(self, x: Array, q: Array, p: Array) -> Array:
-        """Reciprocal condition number (n,) of phi_x: 0 where singular.
-
-        Lengths are in units of the machine's lever.
-        """
-        phi_x = self._closure_slope(x, q, p)[0]
-        values = np.linalg.svd(phi_x * self._scale, compute_uv=False)
-        return np.asarray(values[:, -1] / values[:, 0])
-
-    @functools.cached_property
-    def _scale(self) -> Array:
-        """Pose coordinates' units (nx,) for condition numbers: the lever, or 1 rad."""
-        lever = self.machine.lever
-        return np.array([1.0 if c.unit == "rad" else lever for c in self.machine.pose])
 
     # -- tool frame and pose errors ----------------------------------------------------
 
@@ -394,9 +291,3 @@ def _skeleton_functions(
         BatchedFunction(f"line{i}", inputs, [ca.horzcat(*line)])
         for i, line in enumerate(lines)
     ]
-
-
-def _listed(indices: Index) -> str:
-    """Pose numbers for an error message, the first few."""
-    numbers = ", ".join(str(i) for i in indices[:LISTED])
-    return numbers + (" ..." if indices.size > LISTED else "")

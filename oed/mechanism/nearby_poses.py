@@ -30,7 +30,7 @@ class NearbyPoses:
 
     def __init__(self, kinematics: Kinematics, q: Array, p: Array, x: Array) -> None:
         self._kinematics, self._q, self._p, self._x = kinematics, q, p, x
-        by_x, by_p, _ = kinematics.closure_slopes(x, q, p)
+        by_x, by_p, _ = kinematics.equations.slopes(x, q, p)
         identity = np.broadcast_to(np.eye(by_x.shape[1]), by_x.shape)
         self._inverse = newton.solve_linear(by_x, identity)
         self._sensitivity = -(self._inverse @ by_p)
@@ -44,7 +44,7 @@ class NearbyPoses:
         p = np.repeat(vectors, n, axis=0)
         x, sizes = start.reshape(m * n, nx).copy(), []
         for _ in range(2):
-            misfit = self._kinematics.misfit(x, q, p)
+            misfit = self._kinematics.equations.misfit(x, q, p)[0]
             step = (self._inverse @ misfit.reshape(m, n, nx, 1)).reshape(m * n, nx)
             x -= step
             sizes.append(np.abs(step).max(axis=1))

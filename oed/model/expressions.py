@@ -165,7 +165,7 @@ def _home_null_space(machine: Machine) -> Array:
     at = ca.Function("start", [e.c, e.p], start)(machine.home_command, machine.nominal)
     slope = ca.Function("slope", [e.x, e.q, e.p], [ca.jacobian(e.phi, e.x)])
     vectors, _, _ = np.linalg.svd(np.array(slope(*at, machine.nominal)))
-    return np.asarray(vectors[:, e.x.numel() :])
+    return vectors[:, e.x.numel() :]
 
 
 def _null_space(slope: Expr, reference: Array) -> Expr:

@@ -384,7 +384,7 @@ def _exceeds(values: Array, coordinate: Coordinate) -> Mask:
     slack = RANGE_SLACK * max(1.0, abs(upper))
     below = values < coordinate.lower - slack
     above = values > coordinate.upper + slack
-    return np.asarray(below | above)
+    return below | above
 
 
 def _shifted(coordinate: Coordinate, shift: float) -> Coordinate:

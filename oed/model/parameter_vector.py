@@ -61,7 +61,7 @@ class ParameterVector:
     @property
     def free(self) -> Mask:
         """Mask (n,) of the entries of theta that are unknown."""
-        return np.asarray(self.tolerance > 0.0)
+        return self.tolerance > 0.0
 
     @property
     def bounds(self) -> Array:
@@ -126,12 +126,12 @@ class ParameterVector:
     def prior_covariance(self) -> Array:
         """Prior covariance (n, n) of theta, SI."""
         root = self.prior_root()
-        return np.asarray(root @ root.T)
+        return root @ root.T
 
     def in_prior_units(self, rows: Array, freed: Mask | None = None) -> Array:
         """Slopes (..., n) over theta as slopes over z (see `prior_root`)."""
         if self.correlation is not None:
-            return np.asarray(rows @ self.prior_root(freed))
+            return rows @ self.prior_root(freed)
         scale = self.tolerance
         return rows * (scale if freed is None else np.where(freed, scale, 0.0))
 
@@ -139,10 +139,10 @@ class ParameterVector:
         """Covariance (n, n) of z (see `prior_root`) as that of theta, SI."""
         if self.correlation is not None:
             root = self.prior_root(freed)
-            return np.asarray(root @ covariance @ root.T)
+            return root @ covariance @ root.T
         scale = self.tolerance
         scale = scale if freed is None else np.where(freed, scale, 0.0)
-        return np.asarray(covariance * np.outer(scale, scale))
+        return covariance * np.outer(scale, scale)
 
     def freed(self, patterns: Sequence[str]) -> Mask:
         """Mask (n,) of the unknown entries whose name fits a pattern, as in "dq*"."""

@@ -62,7 +62,7 @@ class Series:
         sees = np.zeros((len(self), len(self.command)))
         for poses in self.pose_indices():
             sees[np.arange(len(self)), poses] = 1.0
-        return np.asarray(wanted @ sees > 0.0)
+        return wanted @ sees > 0.0
 
     def expand_passes(self, protocol: Protocol) -> Series:
         """The readings of all passes: each pass of a run becomes a run of its own.

@@ -11,7 +11,8 @@ the differences x_i - d_i x_b(i), T = D C D^T relates neighbours alone, so that
     C = D^-1 T D^-T,    W = L^-1 D,    T = L L^T,    W C W^T = 1,
 
 is linear in the number of readings. W is lower triangular: the inverse of Cholesky's
-root of C.
+root of C. Where chains stand one after the other, T is tridiagonal; products alone need
+no root of it: X^T C^-1 Y = (D X)^T T^-1 D Y.
 """
 
 from __future__ import annotations
@@ -27,6 +28,39 @@ from oed.base.arrays import Array, Index
 
 #: rows of a block
 ROWS = 32
+
+
+class ChainFactor:
+    """Inverse of the covariance of N errors of chains that stand one after the other."""
+
+    def __init__(self, decay: Array, single: Array, fresh: Array) -> None:
+        """Factor the covariance.
+
+        decay   (N,) what stays of what is carried in the reading before; 0 for the first
+        single  (N,) variances of what is not carried
+        fresh   (N,) variances of what joins it: a^2 (1 - d^2)
+        """
+        self._decay = decay[1:]
+        related = self._decay * single[:-1]
+        variance = single + fresh
+        variance[1:] += self._decay * related
+        self._variance, self._slope, _ = lapack.dpttrf(
+            variance, -related, overwrite_d=True, overwrite_e=True
+        )
+
+    @property
+    def log_variances(self) -> Array:
+        """Logs (N,) of the variance of each error, given those before it."""
+        return np.asarray(np.log(self._variance))
+
+    def halves(self, values: Array) -> tuple[Array, Array]:
+        """D Y and T^-1 D Y (N, m), for Y (N, m): their products are those of C^-1."""
+        differences = np.empty_like(values)
+        differences[0] = values[0]
+        np.multiply(values[:-1], -self._decay[:, None], out=differences[1:])
+        differences[1:] += values[1:]
+        solved, _ = lapack.dpttrs(self._variance, self._slope, differences)
+        return differences, np.asarray(solved)
 
 
 class BandedFactor:
@@ -192,6 +226,13 @@ def _band_of_blocks(
     band = np.zeros((width + 1, len(decay)))
     band[matrix.row - matrix.col, matrix.col] = matrix.data
     return band
+
+
+def along_chains(decay: Array, fresh: Array) -> Array:
+    """Errors e_k = d_k e_k-1 + fresh_k (N,), of decays (N,): 0 for the first of a chain."""
+    band = np.vstack([np.ones(len(decay)), -np.append(decay[1:], 0.0)])
+    errors, _ = lapack.dtbtrs(band, fresh[:, None], uplo="L", diag="U")
+    return np.asarray(errors[:, 0])
 
 
 def _banded_inverse(band: Array) -> Array:

@@ -62,11 +62,8 @@ class Noise:
 
     def whiten_last(self, values: Array) -> Array:
         """Whitened values (..., N), with readings last."""
-        return (
-            values / self.sigma
-            if self.whitening is None
-            else np.asarray((self.whitening @ values.T).T)
-        )
+        flat = values.reshape(-1, values.shape[-1])
+        return self.whiten(flat.T).T.reshape(values.shape)
 
     def scaled(self, factor: Array) -> Noise:
         """The same noise times a factor (N,), equal within each run."""
@@ -94,11 +91,6 @@ class Noise:
 def as_noise(noise: Noise | Array) -> Noise:
     """Standard deviations (N,) as independent noise; a Noise as it is."""
     return noise if isinstance(noise, Noise) else Noise(np.asarray(noise, dtype=float))
-
-
-def independent_noise(sigma: Array) -> Noise:
-    """Independent readings with standard deviations (N,)."""
-    return Noise(sigma)
 
 
 def block_noise(
@@ -162,9 +154,7 @@ class FactoredNoise(Noise):
     def whiten(self, values: Array) -> Array:
         """Whitened values: (N,), (N, n), with readings first."""
         wide = values[:, None] if values.ndim == 1 else values
-        white = np.empty_like(wide)
-        white[self.factor.order] = self.factor.whiten(wide)
-        return white.reshape(values.shape)
+        return self.factor.whiten_in_place(wide).reshape(values.shape)
 
     def whiten_back(self, values: Array) -> Array:
         """W^T Y, for Y (N,) or (N, n)."""
@@ -174,11 +164,6 @@ class FactoredNoise(Noise):
     def precision_diagonal(self) -> Array:
         """Diagonal (N,) of Sigma^-1."""
         return self.factor.precision_diagonal()
-
-    def whiten_last(self, values: Array) -> Array:
-        """Whitened values (..., N), with readings last."""
-        flat = values.reshape(-1, values.shape[-1])
-        return self.whiten(flat.T).T.reshape(values.shape)
 
     def scaled(self, factor: Array) -> Noise:
         """The same noise times a factor (N,), equal within each run."""
@@ -213,10 +198,6 @@ class SeveralNoises(Noise):
     def precision_diagonal(self) -> Array:
         """Diagonal (N,) of Sigma^-1."""
         return np.concatenate([p.precision_diagonal() for p in self.parts])
-
-    def whiten_last(self, values: Array) -> Array:
-        """Whitened values (..., N), with readings last."""
-        return np.moveaxis(self.whiten(np.moveaxis(values, -1, 0)), 0, -1)
 
     def scaled(self, factor: Array) -> Noise:
         """The same noise times a factor (N,), equal within each run."""

@@ -77,7 +77,7 @@ class Errors:
 
     def unmixed(self, values: Array) -> Array:
         """P^-1 Y (k, m)."""
-        return values if self.unmix is None else np.asarray(self.unmix @ values)
+        return values if self.unmix is None else self.unmix @ values
 
 
 class Factor(Protocol):
@@ -126,6 +126,10 @@ class LinearFactor:
         """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
         return self._shared.whiten(self._alone(values))
 
+    def whiten_in_place(self, values: Array) -> Array:
+        """W Y (N, m), each row where its reading stands, of a factor of all readings."""
+        return _in_place(self.order, self.whiten(values))
+
     def whiten_in_order(self, values: Array) -> Array:
         """The same with W lower triangular: the inverse of Cholesky's root of C."""
         shared = SharedFactor(self._columns, self.errors.starts)
@@ -136,7 +140,7 @@ class LinearFactor:
         errors = self.errors
         values = self._banded.whiten_back(self._shared.whiten(white.copy()))
         if errors.unmix is not None:
-            values = np.asarray(errors.unmix.T @ values)
+            values = errors.unmix.T @ values
         return _in_place(errors.order, values / errors.scale[:, None])
 
     def correlate(self, white: Array) -> Array:
@@ -146,7 +150,7 @@ class LinearFactor:
         values = self._banded.unwhiten(shared.unwhiten(white))
         if errors.unmix is not None:
             values = sparse_linalg.spsolve_triangular(errors.unmix, values)
-        return np.asarray(values * errors.scale[:, None])
+        return values * errors.scale[:, None]
 
     def _alone(self, values: Array) -> Array:
         """Values (N, m) whitened (k, m) as if segments shared no errors."""
@@ -156,7 +160,7 @@ class LinearFactor:
         """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
         scored = self.scored(self.standardise(values))
         if self.errors.unmix is not None:
-            scored = np.asarray(self.errors.unmix.T @ scored)
+            scored = self.errors.unmix.T @ scored
         return _in_place(self.order, scored / self.errors.scale[:, None])
 
     def standardise(self, values: Array) -> Array:
@@ -178,10 +182,10 @@ class LinearFactor:
         diagonal = self._banded.precision_diagonal()
         if errors.unmix is not None:
             # channels are independent where they are not mixed
-            diagonal = np.asarray(errors.unmix.power(2).T @ diagonal)
+            diagonal = errors.unmix.power(2).T @ diagonal
         shared = self.scored_root()
         if errors.unmix is not None:
-            shared = np.asarray(errors.unmix.T @ shared)
+            shared = errors.unmix.T @ shared
         diagonal = diagonal - (shared**2).sum(axis=1)
         return _in_place(errors.order, diagonal / errors.scale**2)
 
@@ -193,7 +197,7 @@ class DenseFactor:
         """Factor covariances (k_i, k_i) of the readings of each segment (k_i,)."""
         self.order = np.concatenate(segments)
         roots = [np.linalg.cholesky(covariance) for covariance in covariances]
-        self._inverses = [np.asarray(np.linalg.inv(root)) for root in roots]
+        self._inverses = [np.linalg.inv(root) for root in roots]
         self._ends = np.cumsum([0, *(len(members) for members in segments)])
         diagonals = [np.log(np.diag(root)).sum() for root in roots]
         #: log determinant of the covariance
@@ -216,7 +220,7 @@ class DenseFactor:
 
     def standardise(self, values: Array) -> Array:
         """Y (N, m) in order (k, m)."""
-        return np.asarray(values[self.order])
+        return values[self.order]
 
     def scored(self, standard: Array) -> Array:
         """The precision of values (k, m) in order times them."""

@@ -52,7 +52,7 @@ class LinearInnovations:
     def innovations(self, scored: Array) -> Array:
         """As in `Innovations`."""
         white = self._shared.whiten(self._banded.whiten(scored[self._at]))
-        return np.asarray(white[self._rank])
+        return white[self._rank]
 
 
 class Chains:

@@ -56,13 +56,6 @@ class NoiseLaw:
     channel_ratio: Array | None = None
     seat_sd: float = 0.0
 
-    def block(self, runs: Runs, number: int, rows: Index | None = None) -> Array:
-        """Covariance (k, k) of a run's readings, or of those of its `rows` (positions
-        within the run): quadratic in their number.
-        """
-        members = runs.members[number]
-        return self.covariance(runs, members if rows is None else members[rows])
-
     def covariance(self, runs: Runs, members: Index) -> Array:
         """Covariance (k, k) of readings of one run: quadratic in their number."""
         root = np.sqrt(self.variance[members])
@@ -81,7 +74,7 @@ class NoiseLaw:
         if self.channel_ratio is not None:
             ratio = self.channel_ratio[members]
             covariance *= np.outer(ratio, ratio)
-        return np.asarray(self.level**2 * covariance)
+        return self.level**2 * covariance
 
     def factor(self, runs: Runs, rows: Index | None = None) -> Factor:
         """Root of the covariance of all readings, or of the readings `rows`.

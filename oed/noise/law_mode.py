@@ -92,4 +92,4 @@ def signed(vectors: Array) -> Array:
     An eigenvector's sign is a matter of rounding.
     """
     largest = np.argmax(np.abs(vectors), axis=0)
-    return np.asarray(vectors * np.sign(vectors[largest, range(vectors.shape[1])]))
+    return vectors * np.sign(vectors[largest, range(vectors.shape[1])])

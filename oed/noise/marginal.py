@@ -33,7 +33,7 @@ FARTHEST = 8.0
 #: end, and draws must fit beyond it
 ROOM = 1.0
 #: numbers in the largest array of one batch of laws
-BATCH_NUMBERS = 20_000_000
+BATCH_NUMBERS = 1_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -131,12 +131,6 @@ class NoisePosterior:
     covariance: Array
     solutions: Solutions
 
-    def quantiles(self, values: Array, levels: tuple[float, ...]) -> Array:
-        """Weighted quantiles of a quantity (L,) of the laws."""
-        order = np.argsort(values)
-        mass = np.cumsum(self.weights[order]) - 0.5 * self.weights[order]
-        return np.interp(levels, mass, values[order])
-
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
         """Draws (count, r) of z and (count, d) of the law's coordinates.
 
@@ -146,7 +140,7 @@ class NoisePosterior:
         roots = np.linalg.cholesky(self.solutions.covariance)
         normal = rng.standard_normal((count, len(self.mean)))
         spread = np.einsum("mij,mj->mi", roots[number], normal)
-        return np.asarray(self.solutions.mean[number] + spread), self.draws[number]
+        return self.solutions.mean[number] + spread, self.draws[number]
 
 
 def integrate(

@@ -165,7 +165,7 @@ class NoisePrior:
     def _reach(self, u: Array) -> Array:
         """Reach (L,) of what is carried along, in readings."""
         sd = REACH_SD if self.statement.reach is None else STATED_REACH_SD
-        return np.asarray(self.statement.reach_median * np.exp(sd * u))
+        return self.statement.reach_median * np.exp(sd * u)
 
     def starts(self) -> Array:
         """Coordinates (s, d) from which the most probable law is sought.
@@ -187,7 +187,7 @@ def heavy_scale(u: Array) -> Array:
 
     The upper tail is heavier: noise may be far above a data sheet.
     """
-    return np.asarray(u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2))
+    return u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2)
 
 
 def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
@@ -196,14 +196,14 @@ def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
     The inverse of `heavy_scale` is the real root of a cubic.
     """
     if is_assumed:
-        return np.asarray(-0.5 * (np.log(scale) / ASSUMED_SCALE_SD) ** 2)
+        return -0.5 * (np.log(scale) / ASSUMED_SCALE_SD) ** 2
     half = np.log(scale) / SCALE_SD
     third = HEAVY_FROM**2 / 3.0
     root = np.sqrt((0.5 * HEAVY_FROM**2 * half) ** 2 + third**3)
     shift = 0.5 * HEAVY_FROM**2 * half
     above = np.cbrt(shift + root) + np.cbrt(shift - root)
     u = np.where(half > 0.0, above, half)
-    return np.asarray(-0.5 * u**2)
+    return -0.5 * u**2
 
 
 def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:

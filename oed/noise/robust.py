@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from oed.base.arrays import Array
 from oed.noise import outliers
+from oed.noise.law_noise import factor_of
 from oed.noise.process import Laws
-from oed.noise.process_noise import factor_of
 from oed.noise.structure import ReadingStructure
 
 #: fewest readings among which one can be told to be far off

@@ -108,22 +108,24 @@ class SharedProducts:
         return [(self._columns[a:b], values[a:b]) for a, b in bounds]
 
 
-def taken_out(inner: Array, products: Array, amounts: Array) -> tuple[Array, float]:
-    """What shared errors U diag(amounts) take out of a Gram matrix, and a log determinant.
+def taken_out(inner: Array, products: Array, amounts: Array) -> tuple[Array, Array]:
+    """What shared errors U diag(amounts) take out of a Gram matrix, and log determinants.
 
-    inner     (S, K, K) products U^T U of each segment
-    products  (S, K, m) products U^T Y
-    amounts   (K,) sizes of the columns
+    inner     (..., S, K, K) products U^T U of each segment
+    products  (..., S, K, m) products U^T Y
+    amounts   (..., K) sizes of the columns
 
-    The first result is (m, m), to be subtracted from Y^T Y.
+    The first result is (..., m, m), to be subtracted from Y^T Y; the second (...).
     """
-    size = len(amounts)
-    covariance = np.eye(size) + amounts[:, None] * inner * amounts
+    size = amounts[..., None, :, None]
+    covariance = np.eye(inner.shape[-1]) + size * inner * np.swapaxes(size, -1, -2)
     roots = np.linalg.cholesky(covariance)
-    scaled = amounts[:, None] * products
-    half = np.linalg.solve(roots, scaled).reshape(-1, products.shape[-1])
-    diagonals = np.diagonal(roots, axis1=1, axis2=2)
-    return half.T @ half, 2.0 * float(np.log(diagonals).sum())
+    half = np.linalg.solve(roots, size * products)
+    *rest, segments, columns, count = half.shape
+    flat = half.reshape(*rest, segments * columns, count)
+    diagonals = np.diagonal(roots, axis1=-2, axis2=-1)
+    removed = np.swapaxes(flat, -1, -2) @ flat
+    return removed, 2.0 * np.log(diagonals).sum(axis=(-2, -1))
 
 
 def _sums_before(values: Array, starts: Index) -> Array:

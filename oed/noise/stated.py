@@ -57,7 +57,7 @@ class StatedErrors:
         """
         mixing = sparse.diags_array(root) @ self.root[order][:, order]
         if mixing.nnz == len(order):
-            return np.asarray(mixing.diagonal() ** 2)
+            return mixing.diagonal() ** 2
         return sparse.csr_array(mixing @ mixing.T)
 
     def unmix(self, order: Index, root: Array) -> sparse.csr_array:

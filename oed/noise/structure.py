@@ -15,7 +15,6 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from oed.base.arrays import Array, Index, Mask
-from oed.noise.recursions import block_shape
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
 #: kinds of errors that a run shares: level of unknown size, known level (that of a
@@ -87,39 +86,16 @@ class ReadingStructure:
 
         Infinite for the first of a chain, and where there is no reading.
         """
-        grid = self.to_grid(self.position, np.nan)
-        steps = np.full(self.shape, np.inf)
-        steps[:, 1:] = np.diff(grid, axis=1)
-        return np.where(np.isfinite(steps), steps, np.inf)
+        position = np.full(self.shape, np.nan)
+        position[self.slot] = self.position
+        steps = np.diff(position, axis=1, prepend=np.nan)
+        return np.where(np.isnan(steps), np.inf, steps)
 
     @functools.cached_property
-    def step_patterns(self) -> tuple[Array, Index]:
-        """Rows (P, T) of `steps` without repetition, and the number (C,) of each chain's."""
-        patterns, number = np.unique(self.steps, axis=0, return_inverse=True)
-        return patterns, number.ravel().astype(np.intp)
-
-    @functools.cached_property
-    def present_of_pattern(self) -> Array:
-        """Number (P, T) of chains of each pattern that have a reading there."""
-        patterns, number = self.step_patterns
-        counts = np.zeros(patterns.shape)
-        np.add.at(counts, number, self.present)
-        return counts
-
-    @functools.cached_property
-    def step_of_reading(self) -> tuple[Index, Index]:
-        """Chain, and step within it (N,), where steps stand block by block (C, S B)."""
-        chain, place = self.slot
-        length, count = block_shape(self.shape[1])
-        return chain, place % length * count + place // length
-
-    @functools.cached_property
-    def reading_of_step(self) -> tuple[Index, Mask]:
-        """Reading of each step in blocks (S, C, B), and which steps have none."""
-        chain, place = self.slot
-        length, count = block_shape(self.shape[1])
-        reading = np.full((length, self.shape[0], count), -1, dtype=np.intp)
-        reading[place % length, chain, place // length] = np.arange(len(self))
+    def reading_of_slot(self) -> tuple[Index, Mask]:
+        """Reading of each slot (C, T), and which slots have none."""
+        reading = np.full(self.shape, -1, dtype=np.intp)
+        reading[self.slot] = np.arange(len(self))
         return reading, reading < 0
 
     @functools.cached_property
@@ -128,17 +104,6 @@ class ReadingStructure:
         of_chain = np.zeros(len(self.run), dtype=np.intp)
         of_chain[self.chain] = self.group
         return of_chain
-
-    @functools.cached_property
-    def present(self) -> Array:
-        """1 where a chain has a reading (C, T), 0 elsewhere."""
-        return self.to_grid(np.ones(len(self)), 0.0)
-
-    def to_grid(self, values: Array, fill: float = 0.0) -> Array:
-        """Values (N, ...) at their slots (C, T, ...)."""
-        grid = np.full((*self.shape, *values.shape[1:]), fill)
-        grid[self.slot] = values
-        return grid
 
     def standardise(self, values: Array) -> Array:
         """Values (N,) or (N, m), SI, in units of the stated noise, channels decoupled."""

@@ -81,7 +81,7 @@ def _draw_points(
     dual = estimate.coordinates.dual
     root = covariance_root(dual @ estimate.covariance @ dual.T)
     normal = rng.standard_normal((count, len(estimate.z)))
-    return np.asarray(estimate.z + normal @ root.T), np.zeros((count, 0))
+    return estimate.z + normal @ root.T, np.zeros((count, 0))
 
 
 def draw_parameters(

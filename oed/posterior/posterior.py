@@ -303,7 +303,7 @@ def _accepted(values: Array, inside: Mask) -> Array:
     """
     least = int(inside.sum(axis=1).min())
     if least * len(values) < 0.5 * inside.sum():
-        return np.asarray(values[inside][None])
+        return values[inside][None]
     chains = zip(values, inside, strict=True)
     return np.stack([chain[within][:least] for chain, within in chains])
 

@@ -8,6 +8,7 @@ from reference import tian_2016 as paper
 
 from oed.identifiability import identifiability, information
 from oed.identifiability.identifiability import Identifiability
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import mount
 from oed.model.machine import Machine
@@ -75,8 +76,8 @@ def bar_commands(
     theta follows from stroke (m) and psi (rad).
     """
     z = HOME_Z + m.setups[setup].tool[2] + stroke
-    command, possible = m.commands_at_fixed_reading(
-        setup, np.column_stack([z, psi, 0.0 * psi]), "theta"
+    command, possible = commands_at_fixed_reading(
+        m, setup, np.column_stack([z, psi, 0.0 * psi]), "theta"
     )
     assert possible.all()
     return command

@@ -70,7 +70,7 @@ def readings(
     noise = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
     for k, members in enumerate(problem.members):
         noise[members] += np.linalg.cholesky(
-            stated_law(problem).block(problem, k)
+            stated_law(problem).covariance(problem, problem.members[k])
         ) @ rng.standard_normal(len(members))
     return problem.with_readings(noise)
 

@@ -39,7 +39,9 @@ def orthogonal_sum(
     """
     noise = problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.members):
-        noise[np.ix_(members, members)] += stated_law(problem).block(problem, k)
+        noise[np.ix_(members, members)] += stated_law(problem).covariance(
+            problem, problem.members[k]
+        )
     inverse, orthogonal = np.linalg.inv(noise), []
     for part, energy in zip(parts, energies, strict=True):
         for other in orthogonal:

@@ -82,7 +82,9 @@ def _with_noise(
     planned = problems.assemble(measurement, series, covariates)
     noise = np.zeros(len(planned))
     for k, members in enumerate(planned.members):
-        block = np.linalg.cholesky(stated_law(planned).block(planned, k))
+        block = np.linalg.cholesky(
+            stated_law(planned).covariance(planned, planned.members[k])
+        )
         noise[members] = block @ rng.standard_normal(len(members))
     y = measurement.readings(planned.series, theta) + change + noise * planned.sigma
     return problems.prepare(measurement, planned.series, y, covariates)

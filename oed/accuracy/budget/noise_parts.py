@@ -18,8 +18,8 @@ import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
 from oed.noise.factor import Errors, LinearFactor
+from oed.noise.law_noise import errors_of
 from oed.noise.process import Laws
-from oed.noise.process_noise import errors_of
 from oed.noise.structure import (
     KNOWN,
     LEVEL,

@@ -16,6 +16,7 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, Words
 from oed.checks.words import rounded
+from oed.measurement.reading_noise import source_slopes
 from oed.model.instrument import InnerReading
 
 #: units of sizes in sentences, by SI unit
@@ -44,7 +45,7 @@ def _slopes(given: Given, name: str) -> Array:
         setup = session.measurement.setups[series.setup]
         for one in setup.instrument.inner:
             if one.name == name:
-                of_sources = session.measurement.source_slopes(series)
+                of_sources = source_slopes(session.measurement.of(series), series)
                 of_errors = of_sources[:, :, list(one.sources)].sum(axis=2)
                 slopes[span] = of_errors.ravel() / setup.settings[one.noise]
     return slopes

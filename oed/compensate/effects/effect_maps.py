@@ -113,7 +113,7 @@ def effect_maps(
     machine = kinematics.machine
     model = error_model(kinematics, np.vstack([command, machine.home_command[None]]))
     tools = kinematics.frames(state.pose, np.zeros(3))[2]
-    by_joint = tools @ kinematics.joint_sensitivity(
+    by_joint = tools @ kinematics.slopes.over_joints(
         state.pose, state.joints, parameters
     )
     raw, remaining = [], []

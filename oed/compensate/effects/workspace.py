@@ -25,7 +25,7 @@ from oed.compensate.effects.effect_maps import (
     workspace_state,
 )
 from oed.compensate.effects.fit import CorrectedEstimate
-from oed.noise.process_noise import ProcessNoise
+from oed.noise.law_noise import LawNoise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -106,7 +106,7 @@ def _budget(
         corrected.measurement,
         corrected.series,
         estimate.theta,
-        laws=noise.law.laws if isinstance(noise, ProcessNoise) else None,
+        laws=noise.law if isinstance(noise, LawNoise) else None,
         coefficients=len(corrected.scales),
     )
     spreads = predicted.fully_corrected

@@ -105,5 +105,7 @@ class LawEvidence:
         removed, log_shared = taken_out(products.inner, cross, sizes)
         weights = 1.0 / scale[first] ** 2
         whole = np.tensordot(weights, products.channels, axes=1) - removed
-        log_det = products.log_det + log_shared + 2.0 * float(np.log(scale).sum())
+        log_det = (
+            products.log_det + float(log_shared) + 2.0 * float(np.log(scale).sum())
+        )
         return evidence.log_evidence_of_products(whole, log_det, len(scale))

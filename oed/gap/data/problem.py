@@ -184,7 +184,7 @@ def assemble(
         gravity=gravity,
         theta=theta,
         states=states,
-        responses=tuple(measurement.response(s, theta) for s in series),
+        responses=tuple(measurement.of(s).response(s, theta) for s in series),
         sigma=sigma,
         residual=residual / sigma,
         slopes=measurement.in_prior_units(jacobian)[:, free] / sigma[:, None],

@@ -213,7 +213,7 @@ def _exact_series(
                 nuisances[:, k] += size * column.nuisances[nuisance.name][read]
         for k, change in _direct_changes(column, measurement, series):
             direct[:, k] += size * change[read]
-    readings = measurement.perturbed_readings(
+    readings = measurement.of(series).perturbed(
         series, theta, joints, parameters, nuisances
     )
     return readings + direct.ravel()

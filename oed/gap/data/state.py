@@ -167,7 +167,7 @@ def _geometry(
     x = measurement.poses(series, theta)
     tool = np.array(measurement.setups[series.setup].tool)
     rotation, tip, twist = kinematics.frames(x, tool)
-    by_joint = twist @ kinematics.joint_sensitivity(x, q, p)
+    by_joint = twist @ kinematics.slopes.over_joints(x, q, p)
     force = np.einsum("k,mkj->mj", down, by_joint[:, :3])
     base, platform, per_length = _struts(measurement, x, q, p)
     lever = platform.mean(axis=1) - tip

@@ -9,6 +9,7 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument, mount
@@ -115,7 +116,7 @@ def _led_share(
     setup = mount(instrument, SETUP, teach=teach, **settings)  # type: ignore[arg-type]
     try:
         measurement = Measurement(machine, [setup], kinematics)
-        _, solvable = measurement.commands_at_fixed_reading(SETUP, command, coordinate)
+        _, solvable = commands_at_fixed_reading(measurement, SETUP, command, coordinate)
     except (AssemblyError, ValueError):
         return 0.0
     return float(solvable.mean())

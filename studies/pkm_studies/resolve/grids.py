@@ -14,6 +14,7 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.instrument import Setup
@@ -229,7 +230,7 @@ def solve_held(
         problem = f"{instrument.name} holds no reading by design"
         raise place.error(problem, f"give {hold} values with a unit", "hold")
     try:
-        solved, solvable = measurement.commands_at_fixed_reading(setup, command, hold)
+        solved, solvable = commands_at_fixed_reading(measurement, setup, command, hold)
     except AssemblyError as error:
         problem = reach_problem(error, measurement.machine)
         raise place.error(problem, "narrow the grid", "hold") from error

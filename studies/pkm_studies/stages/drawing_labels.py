@@ -95,7 +95,8 @@ def _with_joined_points(
     kinematics: Kinematics, x: Array, q: Array, moved: Sequence[Array | None]
 ) -> list[Array | None]:
     """The moved points, and for other parameters the middle of the points they join."""
-    by_p = kinematics.closure_slope_over_parameters(x, q)
+    nominal = kinematics.machine.nominal
+    by_p = kinematics.equations.slopes(x[None], q[None], nominal)[1][0]
     scale = np.abs(by_p).max(axis=1, keepdims=True)
     in_row = np.abs(by_p) > LEAST_SLOPE * scale
     places = list(moved)

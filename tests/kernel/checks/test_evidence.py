@@ -11,7 +11,7 @@ from scipy import stats
 from kernel.dense_noise import dense_covariance
 from oed import checks
 from oed.base.arrays import Array
-from oed.checks import evidence, law, screening
+from oed.checks import evidence, screening
 from oed.checks.fit import fit
 from oed.checks.fit_amounts import fit_amounts
 from oed.checks.mistakes import Given, trials
@@ -20,6 +20,7 @@ from oed.measurement.measurement import Measurement
 from oed.measurement.reading_structure import reading_structure
 from oed.model.instrument import mount
 from oed.noise import prior
+from oed.noise.law_noise import noise_under
 from oed.noise.process import Laws
 from oed.noise.structure import ReadingStructure
 from pkm_models.instruments import ball_bar, laser_ball_bar
@@ -88,7 +89,7 @@ def test_noise_of_a_law_has_its_covariance(
     structure = one if kind == "laser" else structure_of(one)
     groups = len(structure.names)
     laws = dataclasses.replace(ONE, scale=np.full((1, groups), 1.3))
-    noise = law.noise_under(structure, laws)
+    noise = noise_under(structure, laws)
     precision = np.linalg.inv(in_si(structure, laws))
     values = np.random.default_rng(1).standard_normal((len(structure), 2))
     scale = np.abs(precision @ values).max()

@@ -18,6 +18,7 @@ from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.data.signature import signature
 from oed.gap.forms import library
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import Setup, mount
 from oed.noise.law import stated_law
@@ -58,8 +59,8 @@ def readings(bars: tuple[Bar, ...]) -> GapProblem:
                 a3_plans.HOME_Z + setup.tool[2] + stroke,
                 2 * np.pi * np.arange(POINTS) / POINTS,
             )
-            command, possible = m.commands_at_fixed_reading(
-                name, np.column_stack([0 * psi + z, psi, 0 * psi]), "theta"
+            command, possible = commands_at_fixed_reading(
+                m, name, np.column_stack([0 * psi + z, psi, 0 * psi]), "theta"
             )
             if possible.all():
                 commands.append(command)

@@ -31,7 +31,7 @@ def dense(p, law):
     """Sigma + H Lambda H^T (N, N), written out."""
     whole = p.slopes @ p.slopes.T
     for k, rows in enumerate(p.members):
-        whole[np.ix_(rows, rows)] += law.block(p, k)
+        whole[np.ix_(rows, rows)] += law.covariance(p, p.members[k])
     return whole
 
 

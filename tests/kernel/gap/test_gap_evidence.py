@@ -30,7 +30,9 @@ def _law(problem: GapProblem) -> NoiseLaw:
 def _dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     covariance = problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.members):
-        covariance[np.ix_(members, members)] += law.block(problem, k)
+        covariance[np.ix_(members, members)] += law.covariance(
+            problem, problem.members[k]
+        )
     return covariance
 
 
@@ -65,7 +67,9 @@ def test_metric_of_some_readings(problem: GapProblem) -> None:
 
 
 def test_shared_reference_reading_is_in_the_law(problem: GapProblem) -> None:
-    block = NoiseLaw(0.0, 0.0, 1.0, np.ones(len(problem))).block(problem, 0)
+    block = NoiseLaw(0.0, 0.0, 1.0, np.ones(len(problem))).covariance(
+        problem, problem.members[0]
+    )
     # RM 5 tells each reading against one other: half of its variance is shared by the
     # run, channel by channel
     np.testing.assert_allclose(np.diag(block), 1.0)

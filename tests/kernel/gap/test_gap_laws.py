@@ -17,7 +17,7 @@ def _readings(problem: GapProblem, law: NoiseLaw, seed: int) -> GapProblem:
     rng = np.random.default_rng(seed)
     y = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
     for k, members in enumerate(problem.members):
-        root = linalg.cholesky(law.block(problem, k), lower=True)
+        root = linalg.cholesky(law.covariance(problem, problem.members[k]), lower=True)
         y[members] += root @ rng.standard_normal(len(members))
     return problem.with_residual(y)
 

@@ -60,7 +60,7 @@ def dense(p, law, rows, target, rival):
     """
     c = p.slopes @ p.slopes.T + ROOM**2 * rival @ rival.T
     for k, block in enumerate(p.members):
-        c[np.ix_(block, block)] += law.block(p, k)
+        c[np.ix_(block, block)] += law.covariance(p, p.members[k])
     return target[rows] @ np.linalg.solve(c[np.ix_(rows, rows)], target[rows])
 
 

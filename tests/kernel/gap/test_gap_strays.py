@@ -169,9 +169,9 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     rng = np.random.default_rng(4)
     y = np.zeros(len(problem))
     for k, members in enumerate(problem.members):
-        y[members] = np.linalg.cholesky(law.block(problem, k)) @ rng.standard_normal(
-            len(members)
-        )
+        y[members] = np.linalg.cholesky(
+            law.covariance(problem, problem.members[k])
+        ) @ rng.standard_normal(len(members))
     far = np.arange(20, len(problem), 60)
     spoilt = y.copy()
     spoilt[far] += 20.0

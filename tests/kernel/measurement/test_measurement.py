@@ -11,6 +11,7 @@ from kernel import a3_plans
 from kernel.cases import CASES
 from oed.identifiability import information
 from oed.measurement import simulation
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.instrument import Channel, Cost, Instrument, mount
@@ -157,7 +158,7 @@ def test_a_bar_leads_the_tool_on_a_sphere() -> None:
     m = a3_plans.measurement()
     psi = np.linspace(0, 2 * np.pi, 25)
     command = np.column_stack([np.full(25, a3_plans.HOME_Z + 0.12), psi, np.zeros(25)])
-    found, possible = m.commands_at_fixed_reading("cup", command, "theta")
+    found, possible = commands_at_fixed_reading(m, "cup", command, "theta")
     assert possible.all()
     assert (
         np.abs(
@@ -171,7 +172,7 @@ def test_a_bar_leads_the_tool_on_a_sphere() -> None:
     short = Measurement(
         m.machine, [mount(ball_bar.instrument, "bar", teach=(1.286, 0, 0), length=0.05)]
     )
-    _, possible = short.commands_at_fixed_reading("bar", command, "theta")
+    _, possible = commands_at_fixed_reading(short, "bar", command, "theta")
     assert not possible.any()
 
 
@@ -180,8 +181,8 @@ def test_only_a_bar_holds_a_reading() -> None:
     with pytest.raises(
         ValueError, match="height_probe holds no reading by design: give theta itself"
     ):
-        m.commands_at_fixed_reading(
-            "probe", a3_head.machine.home_command[None], "theta"
+        commands_at_fixed_reading(
+            m, "probe", a3_head.machine.home_command[None], "theta"
         )
 
 

@@ -52,8 +52,8 @@ def test_rows_of_several_channels_of_a_machine(rng: np.random.Generator) -> None
     p = tolerance * rng.standard_normal((count, len(tolerance)))
     x = x + 0.1 * rng.standard_normal(x.shape)
     slopes = rng.standard_normal((count, 3, 6))
-    rows, condition = kinematics.pull_back(x, q, p, slopes)
-    sensitivity, by_inverse = kinematics.sensitivity(x, q, p)
+    rows, condition = kinematics.slopes.pull_back(x, q, p, slopes)
+    sensitivity, by_inverse = kinematics.slopes.over_parameters_with_condition(x, q, p)
     np.testing.assert_allclose(rows, slopes @ sensitivity, rtol=1e-9, atol=1e-11)
     assert np.all(condition > by_inverse / 6.0)
 

@@ -6,8 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.mechanism.array_code.layout import Layout
-from oed.mechanism.array_code.memory import Arena
+from oed.mechanism.array_code.layout import Arena, Layout
 from oed.mechanism.array_code.tape import ArrayTape
 from oed.model.expressions import machine_expressions
 from oed.model.machine import Machine

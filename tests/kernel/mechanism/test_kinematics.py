@@ -84,12 +84,14 @@ def test_a3_sensitivity_is_the_papers_linear_model(
 ) -> None:
     command, offset = a3_commands(rng, 100, tool), np.array([0, 0, tool])
     x, q = A3.inverse(command, tool=offset)
-    twist = A3.frames(x, offset)[2] @ A3.parameter_sensitivity(x, q, A3.machine.nominal)
+    twist = A3.frames(x, offset)[2] @ A3.slopes.over_parameters(
+        x, q, A3.machine.nominal
+    )
     model = a3.linear_model(*command.T, tool)
     assert np.abs(twist - model).max() < 1e-12 * np.abs(model).max()
     by_joint, by_parameter = (
         f(x, q, A3.machine.nominal)
-        for f in (A3.joint_sensitivity, A3.parameter_sensitivity)
+        for f in (A3.slopes.over_joints, A3.slopes.over_parameters)
     )
     assert (
         np.abs(by_joint - by_parameter[..., :3]).max() < 1e-13
@@ -109,7 +111,7 @@ def test_a3_sensitivity_of_a_wrong_machine_is_the_oracles_complex_step(
         [moved.tip.imag / 1e-30, spin[..., [2, 0, 1], [1, 2, 0]]], axis=-1
     ).swapaxes(1, 2)
     assert (
-        np.abs(twist @ A3.parameter_sensitivity(x, q, p) - exact).max()
+        np.abs(twist @ A3.slopes.over_parameters(x, q, p) - exact).max()
         < 1e-11 * np.abs(exact).max()
     )
 
@@ -143,7 +145,7 @@ def test_a3_is_upright_without_trouble() -> None:
     command = np.array([[1.1, psi, 0.0] for psi in (-1.0, 0.0, 2.0)])
     x, q = A3.inverse(command)
     assert np.ptp(q) < 1e-15
-    twist = A3.frames(x, np.zeros(3))[2] @ A3.parameter_sensitivity(
+    twist = A3.frames(x, np.zeros(3))[2] @ A3.slopes.over_parameters(
         x, q, A3.machine.nominal
     )
     assert np.abs(twist - a3.linear_model(*command[1])).max() < 1e-13
@@ -209,7 +211,7 @@ def test_the_singular_pose_of_the_a3_head() -> None:
     theta = np.deg2rad([30.0, 60.0, 75.0, 76.0])
     command = np.column_stack([np.full(4, 1.2), np.full(4, 0.3), theta])
     x, q = A3.inverse(command)
-    near = A3.reciprocal_condition(x, q, A3.machine.nominal)
+    near = A3.slopes.reciprocal_condition(x, q, A3.machine.nominal)
     slopes = np.abs(a3.linear_model(*command.T)).max(axis=(1, 2))
     assert (np.diff(near) < 0).all()
     assert (np.diff(slopes) > 0).all()
@@ -318,7 +320,7 @@ def test_a_redundant_machine_settles_where_its_legs_miss_least(
     )
     assert np.abs(found - x).max() > 1e-4
     slope, h = (
-        kinematics.parameter_sensitivity(x, kinematics.inverse(point, p)[1], p),
+        kinematics.slopes.over_parameters(x, kinematics.inverse(point, p)[1], p),
         1e-4,
     )
     agreed = kinematics.inverse(point, p)[1]

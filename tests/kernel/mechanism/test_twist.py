@@ -41,7 +41,8 @@ def test_slopes_over_the_twist_are_those_over_the_pose(
     pose = x[0] + 0.1 * rng.standard_normal(6)
     step = 1e-6 * np.eye(6)
     ahead, behind = (
-        kinematics.misfit(pose + sign * step, q[0], p) for sign in (1.0, -1.0)
+        kinematics.equations.misfit(pose + sign * step, q[0], p)[0]
+        for sign in (1.0, -1.0)
     )
     wanted = ((ahead - behind) / 2e-6).T
     found = _slopes_over_pose(slopes, e, [pose, q[0], p])

@@ -48,7 +48,7 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     )
     dense = np.zeros((size, size))
     for k, members in enumerate(problem.members):
-        dense[np.ix_(members, members)] = law.block(problem, k)
+        dense[np.ix_(members, members)] = law.covariance(problem, problem.members[k])
     factor, values = law.factor(problem), rng.standard_normal((size, 3))
     assert factor.log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-9)
     white = factor.whiten(values)
@@ -71,7 +71,9 @@ def test_a_law_of_the_noise_model_has_the_same_covariance_run_by_run() -> None:
     laws = Laws(*(np.array(v) for v in ([[1.4]], [0.3], [6.0], [0.8], [1.7])))
     law, covariance = law_of(laws, 0, problem.channel), np.zeros((len(problem),) * 2)
     for k, members in enumerate(problem.members):
-        covariance[np.ix_(members, members)] = law.block(problem, k)
+        covariance[np.ix_(members, members)] = law.covariance(
+            problem, problem.members[k]
+        )
     assert problem.seat.any()
     np.testing.assert_allclose(covariance, dense_covariance(structure, laws), atol=1e-9)
 

@@ -106,7 +106,9 @@ def stated_errors(problem: GapProblem, share: float) -> StatedErrors:
 def dense_covariance(problem: Runs, law: NoiseLaw) -> Array:
     covariance = np.zeros((len(problem), len(problem)))
     for number, members in enumerate(problem.members):
-        covariance[np.ix_(members, members)] = law.block(problem, number)
+        covariance[np.ix_(members, members)] = law.covariance(
+            problem, problem.members[number]
+        )
     return covariance
 
 

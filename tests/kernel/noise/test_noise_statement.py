@@ -268,7 +268,9 @@ def test_the_diagnosis_takes_what_is_stated_as_known() -> None:
     law = gap_laws.posterior(problem, problem.slopes[:, :0])
     assert law.draws.shape[1] == 0
     for k, members in enumerate(problem.members):
-        block = law.mode.block(problem, k) * np.outer(*2 * [problem.sigma[members]])
+        block = law.mode.covariance(problem, problem.members[k]) * np.outer(
+            *2 * [problem.sigma[members]]
+        )
         exact = expected(series, RUN)[np.ix_(members, members)]
         assert block == pytest.approx(exact, rel=1e-9)
     assert len(gap_laws.mixture(problem, [law])) == gap_laws.EACH

@@ -24,6 +24,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design.stages.option import Option
 from oed.design.stages.stage.knowledge import multiply_each, square_roots
+from oed.measurement.reading_noise import reading_covariances
 
 #: share of a reading's noise below which its residual is neglected
 NEGLIGIBLE = 0.02
@@ -143,7 +144,7 @@ def whiten(option: Option, chosen: Index, values: Array) -> Array:
     parts = []
     start = 0
     for s in series:
-        root = np.linalg.cholesky(measurement.reading_covariances(s))
+        root = np.linalg.cholesky(reading_covariances(measurement.of(s), s))
         n, k = root.shape[:2]
         part = values[:, start : start + n * k].reshape(-1, n, k)
         white = np.linalg.solve(root, part.transpose(1, 2, 0))

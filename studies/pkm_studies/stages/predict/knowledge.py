@@ -18,7 +18,7 @@ from oed.estimation.estimate import Estimate
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
-from oed.noise.process_noise import ProcessNoise
+from oed.noise.law_noise import LawNoise
 from oed.posterior.laplace import ApproximateDraws
 
 
@@ -76,7 +76,8 @@ def identified(
 ) -> ParameterKnowledge:
     """After a fit: the estimate, and draws of what is known of the parameters."""
     count = len(measurement.machine.parameters)
-    laws = estimate.noise.law.laws if isinstance(estimate.noise, ProcessNoise) else None
+    noise = estimate.noise
+    laws = noise.law if isinstance(noise, LawNoise) else None
     estimated = estimate.covariance[:count, :count]
     draws = known.theta[:, :count] - estimate.theta[:count]
     return ParameterKnowledge(

@@ -9,8 +9,7 @@ import msgspec
 from oed.base.arrays import Array
 from oed.checks.goodness import goodness_of_estimate
 from oed.estimation import fit_warnings, identification, run_prediction
-from oed.measurement.assembly_mode import mode_jumps
-from oed.measurement.measurement import Series
+from oed.measurement.measurement import Series, mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
 from pkm_studies.stages.fit.estimate import combination_estimates, estimate_section

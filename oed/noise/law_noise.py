@@ -1,8 +1,9 @@
-"""Noise of readings under one estimated law, for fits and predictions."""
+"""Noise of readings under one estimated law, for fits, checks and predictions."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 
@@ -14,44 +15,57 @@ from oed.noise.structure import ReadingStructure
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class ProcessNoise(Noise):
-    """Noise of N readings under a law, SI; whitened in linear time.
+class LawNoise(Noise):
+    """Noise of N readings under a law, SI.
 
-    structure   of the readings
-    law         whitening of its covariance
+    structure  of the readings
+    law        the law, one of some laws
     """
 
     structure: ReadingStructure
-    law: Whitening
+    law: Laws
+
+    @functools.cached_property
+    def _factor(self) -> LinearFactor:
+        """Root of the covariance over the stated noise."""
+        return factor_of(self.structure, self.law)
 
     def whiten(self, values: Array) -> Array:
         """Whitened values: (N,), (N, n), with readings first."""
         standard = self.structure.standardise(values)
-        if values.ndim == 1:
-            return np.asarray(self.law.whiten(standard[:, None])[0, :, 0])
-        return np.asarray(self.law.whiten(standard)[0])
+        wide = standard[:, None] if values.ndim == 1 else standard
+        return self._factor.whiten_in_place(wide).reshape(values.shape)
 
-    def whiten_last(self, values: Array) -> Array:
-        """Whitened values (..., N), with readings last."""
-        flat = values.reshape(-1, values.shape[-1])
-        return self.whiten(flat.T).T.reshape(values.shape)
+    def whiten_back(self, values: Array) -> Array:
+        """W^T Y, for Y (N,) or (N, n)."""
+        wide = values[:, None] if values.ndim == 1 else values
+        back = self._factor.whiten_back(wide[self._factor.order])
+        if self.structure.decouple is not None:
+            back = self.structure.decouple.T @ back
+        else:
+            back = back / self.structure.unit[:, None]
+        return back.reshape(values.shape)
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of Sigma^-1; channels share no error but those of a reading."""
+        diagonal = self._factor.precision_diagonal()
+        if self.structure.decouple is None:
+            return np.asarray(diagonal / self.structure.unit**2)
+        return np.asarray(self.structure.decouple.power(2).T @ diagonal)
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
         """Draws (..., N)."""
-        count = int(np.prod(shape[:-1]))
-        laws = self.law.laws.take([0] * count)
+        laws = self.law.take([0] * int(np.prod(shape[:-1])))
         errors = Whitening(self.structure, laws).draw(rng)
         return self.structure.restore(errors).reshape(shape)
 
 
-def process_noise(structure: ReadingStructure, laws: Laws) -> ProcessNoise:
-    """Noise under the first of the laws."""
+def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
+    """Noise of readings under the first of some laws, SI."""
     law = laws.take([0])
     shared = (structure.columns * law.sizes[0, structure.kinds]) ** 2
     sd = law.scale[0, structure.group] * np.sqrt(1.0 + shared.sum(axis=1))
-    return ProcessNoise(
-        sigma=structure.unit * sd, structure=structure, law=Whitening(structure, law)
-    )
+    return LawNoise(structure.unit * sd, structure=structure, law=law)
 
 
 def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:

@@ -1,0 +1,182 @@
+"""Readings of a machine by one set-up, and their slopes.
+
+A reading y = g(x_1, x_2, s) sees one pose, or two (a taught cup, a reference); each
+pose obeys the closure at the joints that the controller sent. Its identification row is
+
+    dy/d(p, s) = [ sum_j g_xj dx_j/dp,  g_s ],        dx/dp = -phi_x^-1 phi_p   (joints fixed).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+
+from oed.base.arrays import Array, Mask
+from oed.measurement.observation import ObservationModel, Response
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_slopes import PoseAdjoints
+from oed.model.instrument import Setup
+from oed.model.series import Series
+
+
+@dataclasses.dataclass(frozen=True)
+class _Solution:
+    """Arguments of a forward solution, copied, and the poses."""
+
+    arguments: tuple[Array, ...]
+    x: Array
+
+    def is_of(self, arguments: tuple[Array, ...]) -> bool:
+        """Whether the poses are those of equal arguments."""
+        pairs = zip(self.arguments, arguments, strict=True)
+        return all(np.array_equal(stored, given) for stored, given in pairs)
+
+
+class SetupReadings:
+    """One set-up's readings.
+
+    setup  of the instrument
+    model  its readings at given poses
+
+    A vector theta has the machine's parameters first, and the set-up's unknowns at the
+    slice `unknowns`. Shapes: m vectors, n readings, N = n times the channels.
+    """
+
+    def __init__(self, kinematics: Kinematics, setup: Setup, unknowns: slice) -> None:
+        self.setup = setup
+        self.model = ObservationModel(kinematics.machine, setup)
+        self._kinematics, self._unknowns = kinematics, unknowns
+        self._count = len(kinematics.machine.parameters)
+        # a fit needs slopes where it has just computed the readings
+        self._last: _Solution | None = None
+
+    def poses(
+        self, series: Series, theta: Array, *, strict: bool, wanted: Mask | None = None
+    ) -> Array:
+        """Poses (m, poses, nx) at theta (m, n); NaN for failures unless `strict`.
+
+        wanted  (m, poses) those to solve
+
+        Raises AssemblyError where `strict`.
+        """
+        p = theta[:, : self._count]
+        if len(p) == 1 or series.q.ndim == 3:
+            return self._poses_once(series, p, strict=strict)
+        if strict:
+            return self._kinematics.forward(series.q, p, series.start)
+        arguments = (series.q, p, series.start)
+        x, failed = self._kinematics.try_forward(*arguments, wanted=wanted)
+        return np.where(failed[..., None], np.nan, x)
+
+    def _poses_once(self, series: Series, p: Array, *, strict: bool) -> Array:
+        """Poses (m, poses, nx) at one vector (1, np), or one a machine; solved once."""
+        arguments = (series.q, p, series.start)
+        if self._last is not None and self._last.is_of(arguments):
+            return self._last.x
+        if strict:
+            x = self._kinematics.forward(*arguments)
+        else:
+            x, failed = self._kinematics.try_forward(*arguments)
+            if failed.any():
+                return np.where(failed[..., None], np.nan, x)
+        x.flags.writeable = False
+        self._last = _Solution(tuple(argument.copy() for argument in arguments), x)
+        return x
+
+    def read(self, series: Series, x: Array, theta: Array) -> Array:
+        """Readings (m, N) at poses x (m, poses, nx) and theta (m, n)."""
+        inputs = self._inputs(series, x, theta)
+        return self.model.read(inputs).reshape(len(theta), -1)
+
+    def jacobian(self, series: Series, theta: Array) -> Array:
+        """Slopes (m, N, n) over theta (m, n). Raises AssemblyError."""
+        x, p = self.poses(series, theta, strict=True), theta[:, : self._count]
+        by_pose, by_setup, by_parameter = self._slopes(series, x, theta)
+        joints = self._joints(series, len(x))
+        adjoints = PoseAdjoints(self._kinematics.slopes, x, joints, p)
+        shape = (len(x), len(series), by_setup.shape[1])
+        pairs = zip(by_pose, series.pose_indices(), strict=True)
+        parts = [adjoints.pull_back(g.reshape(*shape, -1), k) for g, k in pairs]
+        if by_parameter is not None:
+            parts.append(by_parameter.reshape(*shape, -1))
+        rows = np.zeros((*shape, theta.shape[1]))
+        rows[..., : self._count] = functools.reduce(np.add, parts)
+        rows[..., self._unknowns] = by_setup.reshape(*shape, -1)
+        return rows.reshape(len(x), -1, theta.shape[1])
+
+    def response(self, series: Series, theta: Array) -> Response:
+        """Slopes of the readings over joints, parameters and nuisances, by pose.
+
+        At theta (n,). Raises AssemblyError.
+        """
+        vectors = theta[None]
+        x, p = self.poses(series, vectors, strict=True), theta[: self._count]
+        by_pose, by_setup, by_parameter = self._slopes(series, x, vectors)
+        by_joint = self._kinematics.slopes.over_joints(x[0], series.q, p)
+        sensitivity = self._kinematics.slopes.over_parameters(x[0], series.q, p)
+        pairs = list(zip(by_pose, series.pose_indices(), strict=True))
+        joints = [slope @ by_joint[k] for slope, k in pairs]
+        at_fixed_poses = self.model.joint_slopes(self._inputs(series, x, vectors))
+        if at_fixed_poses is not None:
+            joints = [a + b for a, b in zip(joints, at_fixed_poses, strict=True)]
+        parameters = [slope @ sensitivity[k] for slope, k in pairs]
+        if by_parameter is not None:
+            parameters[0] = parameters[0] + by_parameter
+        return Response(tuple(joints), tuple(parameters), by_setup)
+
+    def perturbed(
+        self,
+        series: Series,
+        theta: Array,
+        joints: Array,
+        parameters: Array,
+        nuisances: Array,
+    ) -> Array:
+        """Exact readings (N,), SI, where each of m poses has changes of its own.
+
+        joints      (m, nq) added to the joints sent
+        parameters  (m, np) added to the machine's parameters
+        nuisances   (n, ns) added to the set-up's unknowns at each of n readings
+
+        Raises AssemblyError.
+        """
+        p, s = theta[: self._count] + parameters, theta[self._unknowns] + nuisances
+        q, indices = series.q + joints, series.pose_indices()
+        x = self._kinematics.forward_per_pose(q, p, series.start)
+        inputs = [*(x[k] for k in indices), s]
+        if self.model.uses_closure:
+            inputs += [*(q[k] for k in indices), p[indices[0]]]
+        return self.model.read(inputs).ravel()
+
+    def nominal_slopes(self, series: Series) -> Array:
+        """Slopes (n, channels, ns) over the set-up's unknowns, all of it nominal."""
+        theta = np.zeros(self._unknowns.stop)
+        theta[: self._count] = self._kinematics.machine.nominal
+        theta[self._unknowns] = [n.nominal for n in self.setup.nuisances]
+        return self._slopes(series, series.start[None], theta[None])[1]
+
+    def _inputs(self, series: Series, x: Array, theta: Array) -> list[Array]:
+        """Inputs of the observation model, m times the readings n.
+
+        Poses x (m, poses, nx), theta (m, n).
+        """
+        indices, m, n = series.pose_indices(), len(x), len(series)
+        inputs = [x[:, k].reshape(m * n, -1) for k in indices]
+        inputs.append(np.repeat(theta[:, self._unknowns], n, axis=0))
+        if self.model.uses_closure:
+            q = self._joints(series, m)
+            inputs += [q[:, k].reshape(m * n, -1) for k in indices]
+            inputs.append(np.repeat(theta[:, : self._count], n, axis=0))
+        return inputs
+
+    def _joints(self, series: Series, machines: int) -> Array:
+        """Joints (m, poses, nq) of so many machines."""
+        return np.broadcast_to(series.q, (machines, *series.q.shape[-2:]))
+
+    def _slopes(
+        self, series: Series, x: Array, theta: Array
+    ) -> tuple[list[Array], Array, Array | None]:
+        """Slopes of the readings, as `ObservationModel.slopes`, m times n."""
+        return self.model.slopes(self._inputs(series, x, theta))
