@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -14,11 +15,23 @@ from oed.estimation.identification import Estimate
 from oed.measurement.measurement import Measurement
 from oed.posterior.posterior import MIXED_RHAT, Posterior
 from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord
+from pkm_studies.study.tables import PosteriorTable
 
 #: draws shown in the corner plot
 CORNER_DRAWS = 1500
 #: parameters that name a direction
 NAMED = 3
+
+
+def sampler_options(table: PosteriorTable) -> dict[str, Any]:
+    """Options of the sampler, as [posterior] states them."""
+    return {
+        "walkers": table.walkers,
+        "ess": float(table.ess),
+        "max_steps": table.steps,
+        "max_draws": table.draws,
+        "thin": table.thin,
+    }
 
 
 def posterior_section(
