@@ -197,7 +197,7 @@ def _coefficients(
     names: Sequence[str], means: Array, sds: Array
 ) -> tuple[CoefficientRecord, ...]:
     return tuple(
-        CoefficientRecord("backlash", name, name, float(mean), float(sd))
+        CoefficientRecord("backlash", name, name, float(mean), float(sd), "SI", None)
         for name, mean, sd in zip(names, means, sds, strict=True)
     )
 

@@ -11,11 +11,11 @@ from oracles import hexapod_geometry as oracle
 from oed.base.arrays import Array
 from oed.identifiability import explain, identifiability
 from oed.identifiability.assessment import Assessment, assess
-from oed.identifiability.explain import Finding
 from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup, mount
+from oed.result import IdentifiabilityFinding
 from pkm_models.instruments import ball_bar, pose_tracker
 from pkm_models.machines import hexapod
 
@@ -121,7 +121,7 @@ def held(rng: np.random.Generator, n: int) -> Array:
     return command
 
 
-def lost(seen: Assessment) -> Finding:
+def lost(seen: Assessment) -> IdentifiabilityFinding:
     return next(f for f in explain.explain(seen) if f.kind == "lost")
 
 

@@ -28,6 +28,7 @@ from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.scenarios import Risk, RiskObjective, aggregate
 from oed.design.search import search, select_greedily
+from oed.result.design import RobustSummary
 
 #: sharpness of the smoothed minimum over scenarios, from level to level
 SHARPNESS = (4.0, 16.0, 64.0, 256.0, 1024.0)
@@ -39,27 +40,12 @@ __all__ = ["Risk", "RobustChoice", "aggregate", "choose"]
 
 @dataclasses.dataclass(frozen=True)
 class RobustChoice:
-    """Chosen candidates and their values, as log phi.
-
-    indices  ascending
-    risk     how scenarios are combined
-    value    of the plan, by the risk
-    values   (S,) of the plan, in each scenario
-    bound    no plan's value exceeds it
-    nominal  value, by the risk, of the plan for the first scenario alone
+    """Chosen candidates (n,), ascending, and their values; `nominal` is the plan for the
+    first scenario alone.
     """
 
     indices: Index
-    risk: Risk
-    value: float
-    values: Array
-    bound: float
-    nominal: float
-
-    @property
-    def efficiency(self) -> float:
-        """Lower bound of the efficiency, exp(value - bound)."""
-        return float(np.exp(min(self.value - self.bound, 0.0)))
+    summary: RobustSummary
 
 
 def choose(
@@ -111,14 +97,19 @@ def choose(
         raise ValueError(
             "a scenario leaves directions undetermined: give a prior, or more readings"
         )
-    return RobustChoice(
-        np.sort(best),
-        risk,
-        robust.value(best),
-        values,
-        optimum.bound,
-        robust.value(nominal_plan),
+    value = robust.value(best)
+    summary = RobustSummary(
+        risk=risk,
+        level=tail_share,
+        scenarios=len(scenarios),
+        value=value,
+        bound=float(optimum.bound),
+        efficiency=float(np.exp(min(value - optimum.bound, 0.0))),
+        nominal=robust.value(nominal_plan),
+        values=values.tolist(),
+        nominal_values=robust.scenario_values(nominal_plan).tolist(),
     )
+    return RobustChoice(np.sort(best), summary)
 
 
 def _relax(

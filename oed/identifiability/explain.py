@@ -1,12 +1,11 @@
 """Identifiability in sentences: what is determined, what only in combination, what not.
 
-Each sentence is a `Finding`. Directions that no reading determines come with remedies,
-whose effect `oed.identifiability.remedies` computes.
+Each sentence is an `IdentifiabilityFinding`. Directions that no reading determines come
+with remedies, whose effect `oed.identifiability.remedies` computes.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Mapping
 
@@ -17,6 +16,7 @@ from oed.base.arrays import Array, Index, Mask
 from oed.identifiability import identifiability, remedies
 from oed.identifiability.assessment import Assessment
 from oed.identifiability.remedies import Readings
+from oed.result.identifiability import IdentifiabilityFinding
 
 #: posterior over prior standard deviation above which a parameter counts as weak
 WEAK = 0.7
@@ -24,23 +24,9 @@ WEAK = 0.7
 MAX_TERMS, LEAST_SHARE = 8, 0.05
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Finding:
-    """One sentence on the readings.
-
-    kind      `seen`, `combination`, `weak` or `lost`
-    text      the sentence
-    remedies  additional readings that would help, a phrase each
-    """
-
-    kind: str
-    text: str
-    remedies: tuple[str, ...] = ()
-
-
 def explain(
     assessment: Assessment, alternatives: Mapping[str, Readings] | None = None
-) -> list[Finding]:
+) -> list[IdentifiabilityFinding]:
     """Put an assessment into sentences.
 
     `alternatives` are further readings of the study, by name: possible remedies.
@@ -88,24 +74,26 @@ def _ratio(pivot_unit: str, unit: str) -> str:
     return f"{pivot_unit}/{unit} "
 
 
-def _determined(assessment: Assessment) -> Finding:
+def _determined(assessment: Assessment) -> IdentifiabilityFinding:
     by_itself = _determined_by_itself(assessment)
     strong = np.flatnonzero(by_itself & (assessment.shrinkage <= WEAK))
     if not strong.size:
-        return Finding("weak", "The readings determine no parameter by itself.")
-    return Finding(
+        return IdentifiabilityFinding(
+            "weak", "The readings determine no parameter by itself."
+        )
+    return IdentifiabilityFinding(
         "seen",
         "Determined one by one, with the standard deviation before and after the"
         f" readings: {_shrinkages(assessment, strong)}.",
     )
 
 
-def _weakly_determined(assessment: Assessment) -> Finding | None:
+def _weakly_determined(assessment: Assessment) -> IdentifiabilityFinding | None:
     by_itself = _determined_by_itself(assessment)
     weak = np.flatnonzero(by_itself & (assessment.shrinkage > WEAK))
     if not weak.size:
         return None
-    return Finding(
+    return IdentifiabilityFinding(
         "weak",
         "Determined in principle, but in practice these stay near their tolerance:"
         f" {_shrinkages(assessment, weak)}.",
@@ -131,7 +119,7 @@ def _shrinkages(assessment: Assessment, indices: Index) -> str:
     return ", ".join(phrases)
 
 
-def _weak_common_errors(assessment: Assessment) -> Finding | None:
+def _weak_common_errors(assessment: Assessment) -> IdentifiabilityFinding | None:
     """Kinds of machine parameters whose common error the readings hardly reduce."""
     phrases = []
     for kind, members in _machine_parameters_by_kind(assessment.names).items():
@@ -148,7 +136,7 @@ def _weak_common_errors(assessment: Assessment) -> Finding | None:
             )
     if not phrases:
         return None
-    return Finding(
+    return IdentifiabilityFinding(
         "weak",
         f"Not identifiable in practice from these readings: {'; '.join(phrases)}.",
     )
@@ -163,7 +151,7 @@ def _machine_parameters_by_kind(names: tuple[str, ...]) -> dict[str, list[int]]:
     return kinds
 
 
-def _combinations(assessment: Assessment) -> Finding | None:
+def _combinations(assessment: Assessment) -> IdentifiabilityFinding | None:
     identified = assessment.identifiability
     unit = {p.name: p.unit for p in assessment.measurement.parameters}
     phrases = []
@@ -172,7 +160,7 @@ def _combinations(assessment: Assessment) -> Finding | None:
             phrases.append(combination_text(terms, unit))
     if not phrases:
         return None
-    return Finding(
+    return IdentifiabilityFinding(
         "combination",
         f"Determined only in combination ({len(phrases)}): {'; '.join(phrases)}.",
     )
@@ -180,11 +168,13 @@ def _combinations(assessment: Assessment) -> Finding | None:
 
 def _lost(
     assessment: Assessment, alternatives: Mapping[str, Readings]
-) -> Finding | None:
+) -> IdentifiabilityFinding | None:
     identified = assessment.identifiability
     count = len(identified.names) - identified.rank
     if not count:
-        return Finding("seen", "The readings determine every free parameter.")
+        return IdentifiabilityFinding(
+            "seen", "The readings determine every free parameter."
+        )
     machine = assessment.measurement.machine
     motions, remainder = identifiability.lost_motions(
         identified, machine, assessment.scale
@@ -199,7 +189,7 @@ def _lost(
         " these."
     )
     trials = remedies.recoveries(assessment, alternatives)
-    return Finding("lost", sentence, tuple(trials))
+    return IdentifiabilityFinding("lost", sentence, tuple(trials))
 
 
 def _direction(assessment: Assessment, row: Array) -> str:

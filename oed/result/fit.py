@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from oed.result.record import Number, Record
 
+#: probability below which a discrepancy contradicts the posterior, either way
+CONTRADICTED = 0.005
+
 
 class ParameterEstimate(Record, frozen=True):
     """An identified parameter, in its display unit."""
@@ -83,6 +86,11 @@ class PredictiveCheckRecord(Record, frozen=True):
     low: float
     high: float
     p_high: float
+
+    @property
+    def alarming(self) -> bool:
+        """Whether the readings contradict the posterior."""
+        return not CONTRADICTED <= self.p_high <= 1.0 - CONTRADICTED
 
 
 class PosteriorSection(Record, frozen=True):

@@ -91,8 +91,8 @@ class CoefficientRecord(Record, frozen=True):
     label: str
     value: float
     sd: float
-    unit: str = "SI"
-    prior_sd: float | None = None
+    unit: str
+    prior_sd: float | None
     shape: bool = False
 
 

@@ -12,7 +12,7 @@ class IdentifiabilityFinding(Record, frozen=True):
 
     kind: str  # seen | combination | lost | weak
     text: str
-    remedies: list[str] = []
+    remedies: tuple[str, ...] = ()  # additional readings that would help, a phrase each
 
 
 class IdentifiabilitySection(Record, frozen=True):

@@ -115,7 +115,9 @@ def _coefficients(
     for c, mean, sd in zip(rows, means, sds, strict=True):
         name, label = library.names[c], library.labels[c]
         coefficients.append(
-            CoefficientRecord(effect, name, label, float(mean), float(sd))
+            CoefficientRecord(
+                effect, name, label, float(mean), float(sd), unit="SI", prior_sd=None
+            )
         )
     return coefficients
 

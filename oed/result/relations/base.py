@@ -62,12 +62,6 @@ def table(
         yield from lengths(f"{field}[{k}]", row, other, width)
 
 
-def equal_widths(field: str, rows: Sequence[Sequence[Any]]) -> Iterator[Breach]:
-    """Rows whose lengths differ from that of the first."""
-    for k, row in enumerate(rows[1:], start=2):
-        yield from lengths(f"{field}[{k}]", row, f"{field}[1]", len(rows[0]))
-
-
 def points(field: str, places: Sequence[Sequence[float]]) -> Iterator[Breach]:
     """Points that have not three coordinates."""
     for k, place in enumerate(places, start=1):

@@ -118,7 +118,7 @@ def _extent(
     ]
     covered.append(_outline(axes, box))
     to_shares = figure.transFigure.inverted()
-    return np.asarray(to_shares.transform(Bbox.union(covered).get_points()))
+    return to_shares.transform(Bbox.union(covered).get_points())
 
 
 def _outline(axes: Any, box: Box) -> Bbox:

@@ -103,7 +103,7 @@ def _component(
 
 def _positive(values: Array) -> Array:
     """Numbers; NaN for what a log axis cannot show."""
-    return np.asarray(np.where(values > 0.0, values, np.nan))
+    return np.where(values > 0.0, values, np.nan)
 
 
 def _set_ticks(axes: Axes, count: int) -> None:

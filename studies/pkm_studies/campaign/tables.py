@@ -27,7 +27,6 @@ LIMIT = 200_000
 MOST_CASES = 1_000_000
 
 Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9_-]*$")]
-Scalar = float | int | str | bool
 
 
 class CampaignFile(

@@ -1,16 +1,169 @@
-"""What became of the options of a Klipper configuration."""
+"""What became of the options of a Klipper configuration.
+
+Words after Klipper's configuration reference, with the options of older versions.
+"""
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Final
 
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers.klipper_config import Entry, KlipperConfig
-from pkm_studies.importers.klipper_words import COSTLY_SECTIONS, WORDS
-from pkm_studies.importers.words import WrittenWord, account, cost_sentence
+from pkm_studies.importers.words import (
+    HARMLESS,
+    READ,
+    Word,
+    WordTable,
+    WrittenWord,
+    account,
+    cost_sentence,
+    costs,
+    same,
+)
 
+IN_HEIGHTS: Final = costs(
+    "the saved heights have it already; an error of it moves all of z"
+)
+BESIDE: Final = costs(
+    "the saved positions are those of the carriages at contact; a probe beside the"
+    " nozzle also reads how the platform tilts"
+)
+NOT_THE_CALIBRATION: Final = (
+    "it moves the tool after calibration, and is not in the saved positions: clear it,"
+    " or compensate without it"
+)
+
+PRINTER: Final[dict[str, Word]] = {
+    **same(READ, ("kinematics", "delta_radius")),
+    **same(
+        HARMLESS,
+        (
+            "max_velocity",
+            "max_accel",
+            "max_accel_to_decel",
+            "minimum_cruise_ratio",
+            "square_corner_velocity",
+            "max_z_velocity",
+            "max_z_accel",
+            "minimum_z_position",
+            "print_radius",
+        ),
+    ),
+}
+STEPPER: Final[dict[str, Word]] = {
+    **same(
+        READ,
+        (
+            "arm_length",
+            "angle",
+            "position_endstop",
+            "rotation_distance",
+            "microsteps",
+            "full_steps_per_rotation",
+            "gear_ratio",
+            "step_distance",
+        ),
+    ),
+    **same(
+        HARMLESS,
+        (
+            "step_pin",
+            "dir_pin",
+            "enable_pin",
+            "step_pulse_duration",
+            "endstop_pin",
+            "position_min",
+            "position_max",
+            "homing_speed",
+            "homing_retract_dist",
+            "homing_retract_speed",
+            "second_homing_speed",
+            "homing_positive_dir",
+            "homing_accel",
+            "homing_stepper_phases",
+            "homing_endstop_accuracy",
+            "homing_endstop_phase",
+            "homing_endstop_align_zero",
+            "min_home_dist",
+            "use_sensorless_homing",
+        ),
+    ),
+}
+PROBE: Final[dict[str, Word]] = {
+    "z_offset": IN_HEIGHTS,
+    **same(BESIDE, ("x_offset", "y_offset")),
+    **same(
+        HARMLESS,
+        (
+            "pin",
+            "deactivate_on_each_sample",
+            "speed",
+            "samples",
+            "sample_retract_dist",
+            "lift_speed",
+            "samples_result",
+            "samples_tolerance",
+            "samples_tolerance_retries",
+            "drop_first_result",
+            "activate_gcode",
+            "deactivate_gcode",
+            "recovery_time",
+            "sensor_pin",
+            "control_pin",
+            "pin_move_time",
+            "stow_on_each_sample",
+            "probe_with_touch_mode",
+            "pin_up_reports_not_triggered",
+            "pin_up_touch_mode_reports_triggered",
+            "set_output_mode",
+            "probe_accel",
+        ),
+    ),
+}
+CALIBRATE: Final[dict[str, Word]] = {
+    **same(
+        READ,
+        (
+            "radius",
+            "height<n>",
+            "height<n>_pos",
+            "manual_height<n>",
+            "manual_height<n>_pos",
+            "distance<n>",
+            "distance<n>_pos1",
+            "distance<n>_pos2",
+        ),
+    ),
+    **same(
+        HARMLESS,
+        (
+            "points",
+            "speed",
+            "horizontal_move_z",
+            "samples",
+            "sample_retract_dist",
+            "manual_probe",
+            "use_probe_xy_offsets",
+        ),
+    ),
+}
+WORDS: Final[WordTable] = {
+    "[printer]": PRINTER,
+    **{f"[stepper_{tower}]": STEPPER for tower in "abc"},
+    "[delta_calibrate]": CALIBRATE,
+    **{f"[{name}]": PROBE for name in ("probe", "bltouch", "smart_effector")},
+}
+#: sections that move the tool in other ways than by the delta's geometry
+COSTLY_SECTIONS: Final[dict[str, str]] = {
+    "bed_mesh": NOT_THE_CALIBRATION,
+    "bed_tilt": NOT_THE_CALIBRATION,
+    "skew_correction": NOT_THE_CALIBRATION,
+    "axis_twist_compensation": NOT_THE_CALIBRATION,
+    "z_thermal_adjust": NOT_THE_CALIBRATION,
+}
 INCLUDE = "include "
 INCLUDED = (
     "their options win over those above them; give these files too where they have any of"

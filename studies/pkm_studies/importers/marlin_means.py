@@ -204,4 +204,4 @@ def _corrections(
     change = optimize.least_squares(misses, np.zeros(len(TOLERANCE))).x
     single = np.array([[contact.x, contact.y] for contact in contacts])
     at_place = believed(change, delta_contact.travels_to_bed(single, geometry))
-    return np.asarray(at_place - means @ believed(change, travels))
+    return at_place - means @ believed(change, travels)

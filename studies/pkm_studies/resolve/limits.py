@@ -71,7 +71,7 @@ def _likely(
     covariance = measurement.prior_covariance
     travel = _metres(table.travel_mm)
     chance = feasible.within_travel(measurement, series, covariance, travel)
-    return np.asarray(chance >= (table.travel_chance or 0.0))
+    return chance >= (table.travel_chance or 0.0)
 
 
 def _limits(

@@ -249,4 +249,4 @@ def _candidate_seconds(option: Option, pass_seconds: float) -> Array:
         usual = measurement.setups[name].instrument.cost.reading
         seconds.append(pass_seconds * reading_time(measurement, name) / usual)
     each = np.array(seconds)
-    return np.asarray(each[candidates.setup] * candidates.members[:, 1])
+    return each[candidates.setup] * candidates.members[:, 1]

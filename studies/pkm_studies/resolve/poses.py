@@ -231,7 +231,7 @@ def within_reach(
         except AssemblyError as error:
             reached = np.delete(reached, error.indices)
             continue
-        return np.asarray(reached[((q >= low) & (q <= high)).all(axis=1)])
+        return reached[((q >= low) & (q <= high)).all(axis=1)]
     return reached
 
 

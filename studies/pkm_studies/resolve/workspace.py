@@ -58,7 +58,7 @@ def regular(kinematics: Kinematics, command: Array) -> Array:
     """
     slopes = kinematics.error_components_jacobian(command)
     is_regular = np.isfinite(slopes).all(axis=(1, 2))
-    return np.asarray(command[is_regular])
+    return command[is_regular]
 
 
 def _reachable(kinematics: Kinematics, command: Array) -> Array:

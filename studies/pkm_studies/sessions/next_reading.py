@@ -120,7 +120,7 @@ class Adviser:
         """Rms (K,) that candidates of a pool reach, without any other reading."""
         prior = self.prior(measurement, pool)
         after = next_reading.after_all(prior, pool.blocks, indices)
-        return np.asarray(np.sqrt(after.variances))
+        return np.sqrt(after.variances)
 
     def prior(self, measurement: Measurement, pool: Candidates) -> Belief:
         """What the tolerances alone say, before any reading."""

@@ -19,7 +19,7 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
-from pkm_studies.stages.plan.summary import plan_sentences
+from pkm_studies.stages.plan.phrases import plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
 
 MAX_SENTENCES = 5

@@ -48,12 +48,12 @@ def test_no_subset_exceeds_the_bound(seed: int, risk: robust.Risk) -> None:
     every = np.array(
         [risk_of(values(table, s), risk) for s in itertools.combinations(range(12), 5)]
     )
-    assert choice.value == pytest.approx(
+    assert choice.summary.value == pytest.approx(
         risk_of(values(table, tuple(choice.indices)), risk), abs=1e-9
     )
-    assert every.max() <= choice.bound + 1e-9
-    assert choice.value >= np.quantile(every, 0.99)
-    assert choice.value >= choice.nominal
+    assert every.max() <= choice.summary.bound + 1e-9
+    assert choice.summary.value >= np.quantile(every, 0.99)
+    assert choice.summary.value >= choice.summary.nominal
 
 
 def test_one_scenario_is_the_plain_problem(rng: np.random.Generator) -> None:
@@ -65,8 +65,12 @@ def test_one_scenario_is_the_plain_problem(rng: np.random.Generator) -> None:
         )
         for r in ("mean", "cvar", "worst")
     ]
-    assert [k.value for k in choices] == pytest.approx([choices[0].value] * 3, abs=1e-3)
-    assert [k.bound for k in choices] == pytest.approx([choices[0].bound] * 3, abs=1e-3)
+    assert [k.summary.value for k in choices] == pytest.approx(
+        [choices[0].summary.value] * 3, abs=1e-3
+    )
+    assert [k.summary.bound for k in choices] == pytest.approx(
+        [choices[0].summary.bound] * 3, abs=1e-3
+    )
 
 
 def test_risks_are_ordered() -> None:
@@ -85,10 +89,12 @@ def test_risks_are_ordered() -> None:
         )
         for r in ("mean", "cvar", "worst")
     }
-    assert choice["worst"].bound <= choice["cvar"].bound + 1e-3
-    assert choice["cvar"].bound <= choice["mean"].bound + 1e-3
-    assert choice["worst"].values.min() >= choice["mean"].values.min() - 1e-9
-    assert choice["worst"].efficiency > 0.8
+    assert choice["worst"].summary.bound <= choice["cvar"].summary.bound + 1e-3
+    assert choice["cvar"].summary.bound <= choice["mean"].summary.bound + 1e-3
+    assert (
+        min(choice["worst"].summary.values) >= min(choice["mean"].summary.values) - 1e-9
+    )
+    assert choice["worst"].summary.efficiency > 0.8
 
 
 def test_budget_and_refusals(rng: np.random.Generator) -> None:
@@ -96,7 +102,7 @@ def test_budget_and_refusals(rng: np.random.Generator) -> None:
     cost = rng.uniform(1.0, 3.0, 30)
     choice = robust.choose(table, Determinant(3), Rules(budget=15.0, cost=cost), rng)
     assert cost[choice.indices].sum() <= 15.0
-    assert choice.value <= choice.bound
+    assert choice.summary.value <= choice.summary.bound
     with pytest.raises(ValueError, match="needs a smooth criterion"):
         robust.choose(table, ExtremeEigenvalues(), Rules(size=5), rng)
     with pytest.raises(ValueError, match="share of worst"):

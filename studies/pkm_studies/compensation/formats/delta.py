@@ -47,7 +47,7 @@ class DeltaNumbers:
     @property
     def carriages(self) -> Array:
         """Heights (3,) of the carriages at their endstops."""
-        return np.asarray(self.endstops + np.sqrt(self.arms**2 - self.radii**2))
+        return self.endstops + np.sqrt(self.arms**2 - self.radii**2)
 
 
 def delta_numbers(compensation: Compensation, name: str) -> DeltaNumbers:

@@ -42,9 +42,7 @@ class FurtherPromise:
     @property
     def without(self) -> Array:
         """Rms errors (k,) without the axes."""
-        return np.asarray(
-            np.hypot(np.sqrt(np.mean(self.known**2, axis=0)), self.promise.rms)
-        )
+        return np.hypot(np.sqrt(np.mean(self.known**2, axis=0)), self.promise.rms)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -145,7 +145,7 @@ class StudyCriteria:
         """Information (n, n) of readings, with the tolerances where they count."""
         rows = self._rows(measurement, series)
         prior = information.prior_information(measurement) if self.table.prior else 0.0
-        return np.asarray(rows.T @ rows + prior)
+        return rows.T @ rows + prior
 
     def score(
         self, name: str, measurement: Measurement, series: Sequence[Series]

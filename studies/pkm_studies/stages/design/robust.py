@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import msgspec
 import numpy as np
 
 from oed.base.arrays import Array, Index
@@ -63,16 +64,10 @@ def choose_robust(
     nominal_rows = np.searchsorted(pool, nominal.indices)
     nominal_values = _log_phis(blocks, within, prior, nominal_rows)
     of_nominal = robust.aggregate(nominal_values, table.risk, table.level)
-    summary = RobustSummary(
-        risk=table.risk,
-        level=table.level,
-        scenarios=table.scenarios,
-        value=float(choice.value),
-        bound=float(choice.bound),
-        efficiency=choice.efficiency,
+    summary = msgspec.structs.replace(
+        choice.summary,
         nominal=float(of_nominal),
-        values=[float(v) for v in choice.values],
-        nominal_values=[float(v) for v in nominal_values],
+        nominal_values=nominal_values.tolist(),
     )
     indices = pool[choice.indices]
     value = problem.score(criterion, indices)[1]

@@ -176,7 +176,7 @@ def _best_within(
         certify=False,
         rules=rules,
     )
-    return np.asarray(pool[choice.indices])
+    return pool[choice.indices]
 
 
 def _certified(problem: DesignProblem, criterion: Criterion, chosen: Index) -> Choice:

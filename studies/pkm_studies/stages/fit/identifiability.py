@@ -8,7 +8,7 @@ from oed.identifiability import explain
 from oed.identifiability.assessment import Assessment, assess
 from oed.identifiability.information import Scaling
 from oed.measurement.measurement import Measurement, Series
-from oed.result import IdentifiabilityFinding, IdentifiabilitySection
+from oed.result import IdentifiabilitySection
 
 SeriesWithMeasurement = tuple[Measurement, Sequence[Series]]
 
@@ -23,10 +23,6 @@ def identifiability_section(
     `others` are readings that the sentences may recommend as a remedy.
     """
     verdict = identifiability.identifiability
-    words = [
-        IdentifiabilityFinding(f.kind, f.text, list(f.remedies))
-        for f in explain.explain(identifiability, others)
-    ]
     return IdentifiabilitySection(
         parameters=list(verdict.names),
         n=len(verdict.names),
@@ -36,7 +32,7 @@ def identifiability_section(
         singular_values=[float(v) for v in verdict.singular_values],
         combinations=verdict.coefficients_by_name(verdict.combinations),
         lost=verdict.coefficients_by_name(verdict.lost),
-        words=words,
+        words=explain.explain(identifiability, others),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -13,13 +14,24 @@ from oed.base.linear_algebra import by_size
 from oed.estimation.identification import Estimate
 from oed.measurement.measurement import Measurement
 from oed.posterior.posterior import MIXED_RHAT, Posterior
-from oed.posterior.posterior_checks import PredictiveCheck
 from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord
+from pkm_studies.study.tables import PosteriorTable
 
 #: draws shown in the corner plot
 CORNER_DRAWS = 1500
 #: parameters that name a direction
 NAMED = 3
+
+
+def sampler_options(table: PosteriorTable) -> dict[str, Any]:
+    """Options of the sampler, as [posterior] states them."""
+    return {
+        "walkers": table.walkers,
+        "ess": float(table.ess),
+        "max_steps": table.steps,
+        "max_draws": table.draws,
+        "thin": table.thin,
+    }
 
 
 def posterior_section(
@@ -58,17 +70,13 @@ COMPARED = {
 
 
 def with_checks(
-    section: PosteriorSection, checks: Mapping[str, PredictiveCheck]
+    section: PosteriorSection, checks: Mapping[str, PredictiveCheckRecord]
 ) -> PosteriorSection:
     """The section with its posterior predictive checks."""
-    records = {
-        name: PredictiveCheckRecord(c.observed, c.low, c.high, c.p_high)
-        for name, c in checks.items()
-    }
-    return msgspec.structs.replace(section, checks=records)
+    return msgspec.structs.replace(section, checks=dict(checks))
 
 
-def contradictions(checks: Mapping[str, PredictiveCheck]) -> list[str]:
+def contradictions(checks: Mapping[str, PredictiveCheckRecord]) -> list[str]:
     """Checks that the readings fail, as sentences."""
     return [
         f"the readings contradict the posterior: {COMPARED[name]} is"

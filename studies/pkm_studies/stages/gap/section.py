@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 
@@ -113,16 +114,8 @@ def _note(effect: Effect, diagnosis: Diagnosis) -> EffectNote:
     column = ""
     if missing:
         column = sentences.columns_to_record(effect, diagnosis.problem.states)
-    return EffectNote(
-        about=effect.about,
-        remedy=effect.remedy,
-        exposed_by=effect.exposed_by,
-        source=effect.source,
-        missing=missing,
-        column=column,
-        nature=effect.nature,
-        check=effect.check,
-    )
+    known = msgspec.convert(effect, EffectNote, from_attributes=True)
+    return replace(known, missing=missing, column=column)
 
 
 def _channels(diagnosis: Diagnosis) -> tuple[dict[str, str], np.ndarray]:

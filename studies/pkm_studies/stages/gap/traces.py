@@ -60,7 +60,7 @@ def _after_calibration(diagnosis: Diagnosis, change: Array) -> Array:
     scaled = problem.in_noise_units(change)
     fitted = Metric(problem, stated_law(problem)).fit(scaled)
     remainder = scaled - problem.slopes @ fitted
-    return np.asarray(remainder * problem.sigma)
+    return remainder * problem.sigma
 
 
 def _drawn_runs(diagnosis: Diagnosis) -> list[Index]:

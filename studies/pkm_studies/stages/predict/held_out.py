@@ -97,7 +97,7 @@ def _setup_adjustment(measurement: Measurement, series: Series, mean: Array) -> 
     white = noise.whiten(slope)
     precision = white.T @ white + np.diag(measurement.tolerance[columns] ** -2.0)
     weight = white.T @ noise.whiten(np.eye(len(slope)))
-    return np.asarray(np.eye(len(slope)) - slope @ np.linalg.solve(precision, weight))
+    return np.eye(len(slope)) - slope @ np.linalg.solve(precision, weight)
 
 
 def _setup_unknowns(measurement: Measurement, setup: str) -> Mask:

@@ -29,7 +29,7 @@ from pkm_studies.resolve.workspace import regular_commands, workspace_axes
 from pkm_studies.stages.corrected import alarm, coefficients
 from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.noise import with_noise
-from pkm_studies.stages.fit.posterior import sampling_warnings
+from pkm_studies.stages.fit.posterior import sampler_options, sampling_warnings
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.run_state import Fitted, Stream
 
@@ -209,7 +209,6 @@ def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Arra
 def _sample(
     state: Fitted, corrected: CorrectedEstimate, rng: np.random.Generator
 ) -> posterior.Posterior:
-    table = state.study.posterior
     state.progress.stage("posterior with the effects")
     return posterior.sample(
         corrected.measurement,
@@ -217,10 +216,6 @@ def _sample(
         corrected.readings.y,
         corrected.estimate,
         rng,
-        walkers=table.walkers,
-        ess=float(table.ess),
-        max_steps=table.steps,
-        max_draws=table.draws,
-        thin=table.thin,
+        **sampler_options(state.study.posterior),
         progress=state.progress.share,
     )

@@ -21,6 +21,7 @@ from pkm_studies.stages.fit.noise import (
 from pkm_studies.stages.fit.posterior import (
     contradictions,
     posterior_section,
+    sampler_options,
     sampling_warnings,
     with_checks,
 )
@@ -131,11 +132,7 @@ def sample_posterior(state: Fitted) -> Fitted:
         state.readings.y,
         state.estimate,
         state.rng(Stream.SAMPLER),
-        walkers=table.walkers,
-        ess=float(table.ess),
-        max_steps=table.steps,
-        max_draws=table.draws,
-        thin=table.thin,
+        **sampler_options(table),
         progress=state.progress.share,
         checkpoint=state.checkpoint,
         resumed=lambda steps: state.progress.stage(
