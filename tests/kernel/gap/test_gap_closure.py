@@ -195,7 +195,7 @@ def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
     change = case.sized(G @ [1.0, -0.5, 0.7], covariance, 10.0)
     wrong = rng.standard_normal((len(problem), 12))
     gains, oracle, worse, harmed = [], [], [], []
-    for _ in range(30):
+    for _ in range(16):
         r = problem.with_residual(change + root @ rng.standard_normal(len(problem)))
         estimated, true = (
             closure(r, law, G, rng, split=split),

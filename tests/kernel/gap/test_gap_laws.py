@@ -22,7 +22,7 @@ def _readings(problem: GapProblem, law: NoiseLaw, seed: int) -> GapProblem:
     return problem.with_residual(y)
 
 
-@pytest.mark.parametrize("repeat", [0.0, 2.0])
+@pytest.mark.parametrize("repeat", [pytest.param(0.0, marks=pytest.mark.slow), 2.0])
 def test_evidence_over_laws_is_the_mean_over_the_prior(repeat: float) -> None:
     """By many laws drawn from the prior; the mixture serves both models at once."""
     lines = white_lines(3, runs=6, length=12)
