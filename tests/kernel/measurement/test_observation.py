@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from oed.measurement.assembly_mode import mode_jumps
-from oed.measurement.fixed_reading import solve_coordinate
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement.fixed_reading import _solve_coordinate
+from oed.measurement.measurement import Measurement, Series, mode_jumps
 from oed.measurement.observation import ObservationModel
 from oed.measurement.reading_noise import (
-    level_errors,
     reading_covariances,
+    run_errors,
+    source_slopes,
     stated_noise,
 )
 from oed.measurement.reading_structure import reading_structure
@@ -61,14 +61,23 @@ def stating(**numbers: float) -> Setup:
     )
 
 
+def sharing(setup: Setup, channel: int, shared: float) -> Setup:
+    """The set-up with a channel whose errors a run shares."""
+    channels = [
+        dataclasses.replace(c, shared=shared if k == channel else 0.0)
+        for k, c in enumerate(setup.instrument.channels)
+    ]
+    instrument = dataclasses.replace(setup.instrument, channels=tuple(channels))
+    return dataclasses.replace(setup, instrument=instrument)
+
+
 def test_noise_carried_along_falls_with_the_distance(
     circle: tuple[Measurement, Series],
 ) -> None:
     _, series = circle
-    setup = stating(carried=0.4, reach=2.0)
-    model = ObservationModel(a3_head.machine, setup)
-    shared = 0.3e-6 * np.ones((8, 1, 1))
-    noise = stated_noise(setup, model, series, shared)
+    setup = sharing(stating(carried=0.4, reach=2.0), 0, 0.6)
+    m = Measurement(a3_head.machine, [setup])
+    noise = stated_noise(m.of(series), series)
     apart = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
     along = 0.4 * np.exp(-apart / 2.0) + 0.6 * np.eye(8)
     covariance = 0.25e-12 * along + 0.09e-12
@@ -82,23 +91,20 @@ def test_channels_with_common_sources_have_a_covariance() -> None:
     setup = mount(laser_ball_bar.instrument, "laser", **GIMBAL)
     m = Measurement(prs_spindle.machine, [setup])
     series = m.series("laser", np.array([[0.6, 0.1, 0.0], [0.65, 0.0, 0.1]]))
-    model = ObservationModel(prs_spindle.machine, setup)
-    covariances = reading_covariances(setup, model, series)
-    slopes = m.source_slopes(series)
+    covariances = reading_covariances(m.of(series), series)
+    slopes = source_slopes(m.of(series), series)
     np.testing.assert_allclose(covariances, slopes @ np.swapaxes(slopes, 1, 2))
     assert np.abs(covariances[0] - np.diag(np.diag(covariances[0]))).max() > 0.0
 
 
 def test_a_level_is_shared_by_its_channel_alone() -> None:
-    setup = mount(laser_ball_bar.instrument, "laser", **GIMBAL)
-    channels = [
-        dataclasses.replace(c, shared=0.5 if k == 1 else 0.0)
-        for k, c in enumerate(setup.instrument.channels)
-    ]
-    instrument = dataclasses.replace(setup.instrument, channels=tuple(channels))
-    errors = level_errors(dataclasses.replace(setup, instrument=instrument), 2)
-    assert errors.shape == (2, len(channels), 1)
-    wanted = np.zeros(len(channels))
+    setup = sharing(mount(laser_ball_bar.instrument, "laser", **GIMBAL), 1, 0.5)
+    m = Measurement(prs_spindle.machine, [setup])
+    series = m.series("laser", np.array([[0.6, 0.1, 0.0], [0.65, 0.0, 0.1]]))
+    errors = run_errors(m.of(series), series)
+    channels = len(setup.instrument.channels)
+    assert errors.shape == (2, channels, 1)
+    wanted = np.zeros(channels)
     wanted[1] = 0.5 * setup.sigma[1]
     np.testing.assert_allclose(errors[0, :, 0], wanted)
 
@@ -121,7 +127,7 @@ def test_a_machine_near_nominal_stays_in_its_mode(
 def test_a_coordinate_is_solved_where_there_is_a_solution() -> None:
     """z with x^2 + z^2 = 1 within 0 to 1; there is none from x = 1 on."""
     command = np.array([[0.6, 9.0], [0.0, 9.0], [1.2, 9.0]])
-    solved, found = solve_coordinate(
+    solved, found = _solve_coordinate(
         lambda c: np.square(c).sum(axis=1),
         1.0,
         command,

@@ -10,13 +10,12 @@ from oracles import a3_geometry as a3
 from scipy.spatial.transform import Rotation
 
 from oed.mechanism import pose_errors
-from oed.mechanism.adjoints import PoseAdjoints
 from oed.mechanism.closest_closure import closest_closure
 from oed.mechanism.error_model import error_model
 from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import AssemblyError, InverseKinematics
 from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_cache import PoseCache
+from oed.mechanism.pose_slopes import PoseAdjoints
 from oed.model.expressions import machine_expressions
 from pkm_models.machines import a3_head, linear_delta
 
@@ -81,10 +80,10 @@ def test_slopes_pulled_back_are_those_of_the_sensitivity(
 ) -> None:
     """Whether readings see poses of their own, one pose, or few."""
     x, q = A3.inverse(COMMAND)
-    adjoints = PoseAdjoints(A3, x[None], q[None], NOMINAL[None])
+    adjoints = PoseAdjoints(A3.slopes, x[None], q[None], NOMINAL[None])
     poses = np.array(index, dtype=np.intp)
     slopes = rng.standard_normal((1, len(poses), 2, x.shape[1]))
-    wanted = slopes[0] @ A3.parameter_sensitivity(x, q, NOMINAL)[poses]
+    wanted = slopes[0] @ A3.slopes.over_parameters(x, q, NOMINAL)[poses]
     assert adjoints.pull_back(slopes, poses)[0] == pytest.approx(wanted, abs=1e-12)
 
 
@@ -124,17 +123,3 @@ def test_a_machine_that_assembles_has_no_open_equation() -> None:
     ]
     broken = closest_closure(machine.with_parameters(short), np.array([0.0, 0.0, 0.05]))
     assert broken.still_open == (0, 1, 2)
-
-
-def test_poses_are_recalled_for_equal_arguments_alone() -> None:
-    cache, q = PoseCache(), np.array([1.0, 2.0])
-    assert cache.recall("cup", q) is None
-    cache.store("cup", np.array([3.0]), q)
-    q[0] = 5.0  # the cache has a copy
-    assert cache.recall("cup", q) is None
-    recalled = cache.recall("cup", np.array([1.0, 2.0]))
-    assert recalled is not None
-    assert recalled.tolist() == [3.0]
-    assert cache.recall("long", np.array([1.0, 2.0])) is None
-    with pytest.raises(ValueError, match="read-only"):
-        recalled[0] = 0.0
