@@ -8,7 +8,6 @@ larger one is near 0 or 1 where readings contradict the posterior (Gelman, Meng 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -20,6 +19,7 @@ from oed.measurement.reading_structure import reading_structure
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.structure import ReadingStructure
 from oed.posterior.posterior import Posterior
+from oed.result import PredictiveCheckRecord
 
 #: draws that are compared
 DRAWS = 400
@@ -27,24 +27,9 @@ DRAWS = 400
 ALARM = 0.005
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class PredictiveCheck:
-    """One discrepancy of the residuals, in units of the stated noise.
-
-    observed   mean over draws
-    low, high  95 % of the draws of the noise lie between
-    p_high     share of draws in which the noise has the larger one
-    """
-
-    observed: float
-    low: float
-    high: float
-    p_high: float
-
-    @property
-    def alarming(self) -> bool:
-        """Whether the readings contradict the posterior."""
-        return not ALARM <= self.p_high <= 1.0 - ALARM
+def is_alarming(check: PredictiveCheckRecord) -> bool:
+    """Whether the readings contradict the posterior."""
+    return not ALARM <= check.p_high <= 1.0 - ALARM
 
 
 def predictive_checks(
@@ -54,7 +39,7 @@ def predictive_checks(
     estimate: Estimate,
     posterior: Posterior,
     rng: np.random.Generator,
-) -> dict[str, PredictiveCheck]:
+) -> dict[str, PredictiveCheckRecord]:
     """Checks of readings y (N,), SI, by the names of `DISCREPANCIES`."""
     structure = reading_structure(measurement, series, estimate.theta)
     theta = posterior.pooled
@@ -73,7 +58,7 @@ def predictive_checks(
     for name, discrepancy in DISCREPANCIES.items():
         observed, drawn = (discrepancy(structure, e) for e in (residuals, noise))
         if np.isfinite(observed).all():
-            checks[name] = PredictiveCheck(
+            checks[name] = PredictiveCheckRecord(
                 observed=float(observed.mean()),
                 low=float(np.quantile(drawn, 0.025)),
                 high=float(np.quantile(drawn, 0.975)),

@@ -13,7 +13,7 @@ from oed.base.linear_algebra import by_size
 from oed.estimation.identification import Estimate
 from oed.measurement.measurement import Measurement
 from oed.posterior.posterior import MIXED_RHAT, Posterior
-from oed.posterior.posterior_checks import PredictiveCheck
+from oed.posterior.posterior_checks import is_alarming
 from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord
 
 #: draws shown in the corner plot
@@ -58,24 +58,20 @@ COMPARED = {
 
 
 def with_checks(
-    section: PosteriorSection, checks: Mapping[str, PredictiveCheck]
+    section: PosteriorSection, checks: Mapping[str, PredictiveCheckRecord]
 ) -> PosteriorSection:
     """The section with its posterior predictive checks."""
-    records = {
-        name: PredictiveCheckRecord(c.observed, c.low, c.high, c.p_high)
-        for name, c in checks.items()
-    }
-    return msgspec.structs.replace(section, checks=records)
+    return msgspec.structs.replace(section, checks=dict(checks))
 
 
-def contradictions(checks: Mapping[str, PredictiveCheck]) -> list[str]:
+def contradictions(checks: Mapping[str, PredictiveCheckRecord]) -> list[str]:
     """Checks that the readings fail, as sentences."""
     return [
         f"the readings contradict the posterior: {COMPARED[name]} is"
         f" {check.observed:.2g}, predicted are {check.low:.2g} to {check.high:.2g} (in"
         " units of the stated noise)"
         for name, check in checks.items()
-        if check.alarming
+        if is_alarming(check)
     ]
 
 
