@@ -16,6 +16,7 @@ from oed.design import feasible
 from oed.design.clearance import Clearance, Surroundings
 from oed.design.feasible import ReadingLimits
 from oed.design.segments import Capsule, point_distance, segment_distance, sphere
+from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
@@ -210,7 +211,7 @@ def test_a_guided_move_follows_its_instrument() -> None:
     m = a3_plans.measurement()
     ends = a3_plans.bar_commands(m, np.array([0.0, 0.2]), np.zeros(2))
     middle = ends.mean(axis=0, keepdims=True)
-    guide = partial(m.commands_at_fixed_reading, "cup", coordinate="theta")
+    guide = partial(commands_at_fixed_reading, m, "cup", coordinate="theta")
     cup = np.array([0.0, 0.0, a3.Z_TEACH])
     straight, guided = (
         a3.forward(np.zeros(24), a3.inverse_nominal(*c[0])).tip
@@ -236,7 +237,7 @@ def test_a_guided_move_follows_its_instrument() -> None:
     assert not clearance.free_moves(
         ends[:1],
         ends[1:],
-        guide=partial(short.commands_at_fixed_reading, "cup", coordinate="theta"),
+        guide=partial(commands_at_fixed_reading, short, "cup", coordinate="theta"),
     ).any()
 
 
