@@ -18,12 +18,11 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import canonical_rows, right_singular
+from oed.estimation.fitter import minimise
+from oed.estimation.readings_problem import ReadingsProblem
 from oed.identifiability import identifiability, information
 from oed.measurement.measurement import Measurement, Series
-from oed.noise.covariance import Noise
-
-#: Gauss-Newton steps to the coordinates of exact readings
-STEPS = 6
+from oed.noise.covariance import Noise, independent_noise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,17 +133,18 @@ def coordinates_of_readings(
 
     It is what readings can say of a machine: a lost direction of a millimetre moves
     the machine's own coordinates by micrometres, to second order, and its readings not
-    at all. Gauss-Newton in units of the stated noise. Raises AssemblyError.
+    at all. A fit in units of the stated noise, without a prior.
     """
-    sigma = measurement.sigma(series)
-    z = start
-    for _ in range(STEPS):
-        theta = coordinates.to_theta(z)
-        slopes = measurement.jacobian(series, theta) @ coordinates.basis
-        missing = exact - measurement.readings(series, theta)
-        step = np.linalg.lstsq(slopes / sigma[:, None], missing / sigma, rcond=None)[0]
-        z = z + step
-    return z
+    noise = independent_noise(measurement.sigma(series))
+    problem = ReadingsProblem(
+        measurement,
+        series,
+        noise,
+        exact[None],
+        coordinates.origin[None],
+        coordinates.basis,
+    )
+    return np.asarray(minimise(problem, start[None], weight=0.0).z[0])
 
 
 def _null_space(
