@@ -224,4 +224,4 @@ def _smooth(session: SessionReadings) -> Array:
 def _centred(values: Array) -> Array:
     """Values (n,) brought to -1..1."""
     low, high = float(values.min()), float(values.max())
-    return np.asarray((2.0 * values - low - high) / max(high - low, 1e-300))
+    return (2.0 * values - low - high) / max(high - low, 1e-300)

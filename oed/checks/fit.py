@@ -73,7 +73,7 @@ class Fit:
 
     def linear_residual(self) -> Array:
         """Whitened residual (N,) about the nominal machine, linear at the solution."""
-        return np.asarray(self.residual + self.slopes @ self.departure)
+        return self.residual + self.slopes @ self.departure
 
     def half_covariance(self) -> Array:
         """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes."""
@@ -163,7 +163,7 @@ class LeaveOneOut:
         unit = np.zeros((len(self.diagonal), len(members)))
         unit[members, np.arange(len(members))] = 1.0
         alone = self.noise.precision(unit)
-        return np.asarray(alone - self.factor @ self.factor[members].T)
+        return alone - self.factor @ self.factor[members].T
 
     def without(self, members: Index) -> tuple[Array, Array]:
         """Gradient and diagonal (N,), with the values `members` (k,) left out.

@@ -90,7 +90,7 @@ class _AmountProblem:
 
     def theta(self, x: Array) -> Array:
         """Parameters (n,)."""
-        return np.asarray(self.measurement.nominal + self.root @ x[: self.count])
+        return self.measurement.nominal + self.root @ x[: self.count]
 
     def difference(self, x: Array) -> Array:
         """Whitened residual (N,); NaN where it cannot be computed."""

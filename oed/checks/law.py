@@ -95,7 +95,7 @@ class LawNoise(Noise):
         """Diagonal (N,) of Sigma^-1; channels share no error but those of a reading."""
         diagonal = self.factor.precision_diagonal()
         if self.structure.decouple is None:
-            return np.asarray(diagonal / self.structure.unit**2)
+            return diagonal / self.structure.unit**2
         return np.asarray(self.structure.decouple.power(2).T @ diagonal)
 
 

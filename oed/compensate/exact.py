@@ -38,7 +38,7 @@ def joint_corrections(
     """
     needed = compensated_joints(kinematics, command, parameters)
     modelled = compensated_joints(kinematics, command, kinematics.machine.nominal)
-    return np.asarray(needed - modelled)
+    return needed - modelled
 
 
 def corrected_commands(

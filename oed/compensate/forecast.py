@@ -99,7 +99,7 @@ def strut_motion(kinematics: Kinematics) -> Motion:
             by_joint = by_joint * per_length[:, None]
         twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
         slope = kinematics.error_components_jacobian(command)
-        return np.asarray((slope @ twist)[:, driven])
+        return (slope @ twist)[:, driven]
 
     return motion
 

@@ -45,7 +45,7 @@ class IdentifiableCoordinates:
 
     def from_theta(self, theta: Array) -> Array:
         """Coordinates z (r,) of parameters (n,); null directions are dropped."""
-        return np.asarray(self.dual @ (theta - self.origin))
+        return self.dual @ (theta - self.origin)
 
     def to_theta(self, z: Array) -> Array:
         """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
@@ -113,13 +113,13 @@ class _PriorUnits:
     def directions(self, columns: Array) -> Array:
         """Directions (k, m) of z as changes of the parameters, SI."""
         shaped = columns if self.shape is None else self.shape @ columns
-        return np.asarray(self.scale[:, None] * shaped)
+        return self.scale[:, None] * shaped
 
     def duals(self, columns: Array) -> Array:
         """Slopes (k, m) over the parameters of the shares of directions (k, m) of z."""
         if self.shape is not None:
             columns = np.asarray(np.linalg.solve(self.shape, columns), dtype=float)
-        return np.asarray(columns / self.scale[:, None])
+        return columns / self.scale[:, None]
 
 
 def coordinates_of_readings(
@@ -161,7 +161,7 @@ def _null_space(
     names = [measurement.names[k] for k in free]
     scale = 1.0 / lengths[free]
     identified = identifiability.analyse(h, names, scale)
-    return np.asarray(identified.null_space / lengths[free])
+    return identified.null_space / lengths[free]
 
 
 def _split_directions(null_space: Array) -> tuple[Array, Array]:

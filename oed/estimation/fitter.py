@@ -271,7 +271,7 @@ class _StepSystem:
     def step(self, rows: Index | Mask, damping: Array) -> Array:
         """Steps (s, k) of z of some rows, each with its damping (s,)."""
         moves = self._moves(rows, damping)
-        return np.asarray((self.directions[rows] @ moves[:, :, None])[:, :, 0])
+        return (self.directions[rows] @ moves[:, :, None])[:, :, 0]
 
     def _moves(self, rows: Index | Mask | slice, damping: Array) -> Array:
         """Moves (s, k) along the directions; none along flat ones."""

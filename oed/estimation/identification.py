@@ -129,7 +129,7 @@ class _Fit:
 
     def residuals(self, theta: Array) -> Array:
         """y - f(theta) (N,), SI."""
-        return np.asarray(self.y - self.measurement.readings(self.series, theta))
+        return self.y - self.measurement.readings(self.series, theta)
 
     def solve(
         self, noise: Noise, coordinates: IdentifiableCoordinates, theta: Array

@@ -36,11 +36,11 @@ class ReadingsProblem:
         # a small reading may be the difference of lengths as large as the machine
         factors = self.measurement.reading_length_factors(self.series)
         size = np.maximum(np.abs(self.y), self.measurement.machine.lever / factors)
-        return np.asarray(READINGS_ROUNDED * size / self.noise.sigma)
+        return READINGS_ROUNDED * size / self.noise.sigma
 
     def theta(self, machines: Index, z: Array) -> Array:
         """Parameters (s, n), SI, of some machines at z (s, k)."""
-        return np.asarray(self.origin[machines] + z @ self.basis.T)
+        return self.origin[machines] + z @ self.basis.T
 
     def residuals(self, machines: Index, z: Array) -> Array:
         """Whitened residuals (s, N); NaN where a pose cannot be assembled."""

@@ -45,7 +45,7 @@ class Given:
         measurement = self.session.measurement
         jacobian = measurement.jacobian(self.session.series, measurement.nominal)
         scaled = measurement.in_prior_units(jacobian)
-        return np.asarray(scaled[:, measurement.free])
+        return scaled[:, measurement.free]
 
     @functools.cached_property
     def sigma(self) -> Array:
