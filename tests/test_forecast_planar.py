@@ -21,10 +21,8 @@ from oed.compensate import (
     fit_error_field,
     forecast_from_field,
     strut_motion,
-    uncompensated,
 )
 from oed.estimation.identification import identify
-from pkm_models.machines.planar_2dof import machine
 
 BOX = Box(("y", "z"), np.array([-1.5, 0.0]), np.array([1.5, 1.5]))
 HOME = np.zeros(2)
@@ -104,8 +102,8 @@ def realised(
 ) -> np.ndarray:
     """Errors (n, 2) against home with the compensator at work."""
     both = np.vstack([HOME, command])
-    sent = compensator.apply(uncompensated(machine, both), {})
-    pose = machine_.gantry.pose(K.inverse(sent.command, machine_.p)[1])
+    sent = compensator.corrected(both)
+    pose = machine_.gantry.pose(K.inverse(sent, machine_.p)[1])
     error = pose - both
     return error[1:] - error[0]
 

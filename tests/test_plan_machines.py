@@ -17,7 +17,7 @@ from oed.design.stages.stage.knowledge import Prior
 from oed.design.stages.stage.prediction import PlanStage
 from oed.design.stages.virtual_machines import propagation
 from oed.design.stages.virtual_machines.propagation import PlanRealisation, propagate
-from oed.design.stages.virtual_machines.refit import refit
+from oed.design.stages.virtual_machines.refit import refit_machines
 from oed.estimation.identification import identify
 from oed.measurement import simulation
 from oed.measurement.fixed_reading import commands_at_fixed_reading
@@ -351,7 +351,8 @@ def test_refits_are_the_fits_of_identify() -> None:
         y = simulation.draw_readings(
             m, option.series, simulation.draw_parameters(m, rng), rng
         )
-        fast = refit(m, option.series, y, m.nominal)
+        every = np.ones((1, len(y)), dtype=bool)
+        (fast,) = refit_machines(m, option.series, y[None], every, m.nominal[None])
         slow = identify(m, option.series, y)
         difference = np.abs(fast.theta - slow.theta)
         assert (difference[m.free] < 1e-3 * slow.sd[m.free]).all()

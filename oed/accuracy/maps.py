@@ -144,7 +144,7 @@ def _relative(
         carry = np.zeros((len(twist), 6, 6))
         carry[:, :3, :3] = np.eye(3)
         carry[:, 3:, 3:] = model.rotation @ home.rotation[0].T
-        return np.asarray(twist - carry @ home_twist)
+        return twist - carry @ home_twist
     if reference == "best_fit":
         return _without_rigid_motion(twist, model.point, lever)
     raise ValueError(f"reference {reference!r} is none of {get_args(Reference)}")
@@ -167,7 +167,7 @@ def _without_rigid_motion(twist: Array, point: Array, lever: float) -> Array:
     data = (twist * weight).reshape(6 * n, -1)
     motion = np.linalg.lstsq(design, data, rcond=None)[0]
     fit = rigid.reshape(6 * n, 6) @ motion
-    return np.asarray(twist - fit.reshape(twist.shape))
+    return twist - fit.reshape(twist.shape)
 
 
 def _cross_matrices(vectors: Array) -> Array:

@@ -248,7 +248,7 @@ def _machines(maps: ErrorMaps) -> int:
 def _draw(covariance: Array, rng: np.random.Generator, count: int) -> Array:
     """Draws (count, np) of N(0, covariance)."""
     noise = rng.standard_normal((count, len(covariance)))
-    return np.asarray(noise @ covariance_root(covariance).T)
+    return noise @ covariance_root(covariance).T
 
 
 def _choose(

@@ -92,7 +92,7 @@ def log_priors(every: Sequence[MistakeTrial]) -> Array:
         len(kinds) * levels[t.kind] * counts[t.kind, t.scope.level] for t in every
     ]
     priors = np.array([t.log_prior for t in every])
-    return np.asarray(priors + np.log(MISTAKEN / np.array(shares)))
+    return priors + np.log(MISTAKEN / np.array(shares))
 
 
 def _chosen(

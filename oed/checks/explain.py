@@ -15,12 +15,18 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.checks.candidates import HOPELESS, MISTAKEN, candidates
+from oed.checks.candidates import HOPELESS, MISTAKEN, Candidate, candidates
+from oed.checks.evidence import linear_readings, log_evidence
 from oed.checks.fit import Fit
-from oed.checks.mistakes import Alternatives, Given
-from oed.checks.screening import Screening
+from oed.checks.fit_amounts import fit_amounts
+from oed.checks.large_misfit import fit_of_any_misfit
+from oed.checks.mistakes import Alternatives, Given, MistakeTrial
+from oed.checks.mistakes.moved import CANNOT_BE
+from oed.checks.outlier_odds import SHARE as SHARE_OF_OUTLIERS
+from oed.checks.outlier_search import MEDIAN
+from oed.checks.outliers import find_outliers
+from oed.checks.screening import LOG_SIZES, Screening, log_density_of_any
 from oed.checks.session import SessionReadings
-from oed.checks.undone import Undone, as_given, undone
 
 #: readings of which at most the mistakes are compared
 MOST_READINGS = 1000
@@ -33,6 +39,12 @@ EXPLAINED = 3.0
 #: noise: a specific mistake that leaves no more ends the search
 GENERAL = ("contradiction", "change", "disorder", "size", "run")
 SETTLED = 1.5
+#: misfit from which effects are looked for in readings without a mistake
+WITH_EFFECTS = 1.5
+#: robust standard deviations from which a residual may be an outlier
+FAR = 4.5
+#: standard deviations that an amount must be away from nothing
+SIGNIFICANT = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -137,3 +149,126 @@ def _sample(session: SessionReadings) -> SessionReadings:
     if count <= MOST_READINGS:
         return session
     return session.take(np.linspace(0, count - 1, MOST_READINGS).astype(np.intp))
+
+
+# -- a mistake undone and fitted -------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Undone:
+    """Readings without a mistake, fitted.
+
+    kind           of mistake; empty for the readings as given
+    what           the mistake in words
+    log_posterior  log evidence and log prior
+    ratio          misfit over the stated noise; NaN where no readings are left
+    """
+
+    kind: str
+    what: str
+    log_posterior: float
+    ratio: float
+
+
+def as_given(given: Given, scale: float) -> Undone | None:
+    """The readings as given, without a prior; None where they cannot be fitted.
+
+    scale  of the noise over the stated one, in the linear model
+    """
+    try:
+        return _fitted([given.session], scale, 0.0)
+    except CANNOT_BE:
+        return None
+
+
+def undone(given: Given, candidate: Candidate) -> Undone | None:
+    """The readings without a mistake; None where they cannot be fitted."""
+    trial = candidate.trial
+    log_prior = candidate.log_prior + trial.log_scale + _log_missing(given, trial)
+    try:
+        if len(trial.amounts):
+            return _with_amounts(trial, candidate.scale, log_prior)
+        sessions = trial.undo(trial.amounts)
+        return _fitted(sessions, candidate.scale, log_prior, trial)
+    except CANNOT_BE:
+        return None
+
+
+def _fitted(
+    sessions: Sequence[SessionReadings],
+    scale: float,
+    log_prior: float,
+    trial: MistakeTrial | None = None,
+) -> Undone | None:
+    """Sessions of machines apart, fitted."""
+    total, square, count = log_prior, 0.0, 0
+    words = ""
+    if trial is not None and trial.estimated is None:
+        words = trial.words(trial.amounts, trial.amounts)
+    for session in sessions:
+        solution = fit_of_any_misfit(session, scale)
+        if solution is None:
+            return None
+        solution, log_density = _with_evidence(solution)
+        total += log_density
+        values = len(solution.session)
+        square, count = square + values * solution.ratio**2, count + values
+        if trial is not None and trial.estimated is not None:
+            words = trial.words(*trial.estimated(solution))
+    ratio = float(np.sqrt(square / count)) if count else np.nan
+    return Undone("" if trial is None else trial.kind, words, total, ratio)
+
+
+def _with_amounts(trial: MistakeTrial, scale: float, log_prior: float) -> Undone | None:
+    """A trial whose amounts are fitted as well; their prior has no scale."""
+    fitted = fit_amounts(trial, scale)
+    if fitted is None:
+        return None
+    size = float(np.abs(fitted.amounts / fitted.sd).max())
+    if size < SIGNIFICANT:
+        return None
+    solution, log_density = _with_evidence(fitted.solution)
+    cost = LOG_SIZES + 0.5 * float(np.log1p(size**2))
+    total = log_prior + log_density + trial.scaling(fitted.amounts) - cost
+    words = trial.words(fitted.amounts, fitted.sd)
+    return Undone(trial.kind, words, total, solution.ratio)
+
+
+def _with_evidence(solution: Fit) -> tuple[Fit, float]:
+    """The fit without outliers, and the log density of all readings, SI."""
+    solution, log_outliers = _without_outliers(solution)
+    # effects need a misfit to explain
+    effects = solution.ratio > WITH_EFFECTS
+    linear = linear_readings(solution)
+    density = log_evidence(linear, solution.session, with_effects=effects)
+    return solution, density + log_outliers
+
+
+def _without_outliers(solution: Fit) -> tuple[Fit, float]:
+    """The fit without outliers, where there are few, and the log density of these."""
+    session = solution.session
+    if not _has_few_far(solution):
+        return solution, 0.0
+    result = find_outliers(session, np.empty(0, dtype=np.intp))
+    if result is None or result.exhausted or not result.far:
+        return solution, 0.0
+    far = [one.reading for one in result.far]
+    values = np.flatnonzero(np.isin(session.reading_of_value, far))
+    choices = len(far) * float(np.log(1 + session.reading_of_value[-1]))
+    return result.rest, log_density_of_any(Given(session), values) - choices
+
+
+def _has_few_far(solution: Fit) -> bool:
+    """Whether a few residuals are far larger than the others."""
+    sizes = np.abs(solution.residual)
+    far = sizes > FAR * float(np.median(sizes)) / MEDIAN
+    return 0.0 < float(far.mean()) <= SHARE_OF_OUTLIERS
+
+
+def _log_missing(given: Given, trial: MistakeTrial) -> float:
+    """Log density of the values that a trial does not place, SI."""
+    if trial.missing is None:
+        return 0.0
+    if trial.log_missing is not None:
+        return trial.log_missing
+    return log_density_of_any(given, np.flatnonzero(trial.missing))

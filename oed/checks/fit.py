@@ -10,16 +10,16 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
+from oed.estimation.fitter import minimise
+from oed.estimation.readings_problem import ReadingsProblem
 from oed.noise.covariance import Noise
 
-#: evaluations of the model in one fit
-MOST_EVALUATIONS = 30
-#: whitened residual in place of one that cannot be computed
-UNREACHABLE = 1e9
+#: steps of one fit
+MOST_STEPS = 30
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Fit:
 
     def linear_residual(self) -> Array:
         """Whitened residual (N,) about the nominal machine, linear at the solution."""
-        return np.asarray(self.residual + self.slopes @ self.departure)
+        return self.residual + self.slopes @ self.departure
 
     def half_covariance(self) -> Array:
         """L (r, r) with L L^T = (1 + A^T A)^-1, A the slopes."""
@@ -94,44 +94,32 @@ def fit(
 
     scale  factor on the noise
     """
-    measurement, series = session.measurement, session.series
+    measurement = session.measurement
     noise, root = session.noise(), session.prior_root()
     if scale != 1.0:
         noise = noise.scaled(np.full(len(session), scale))
     free = np.flatnonzero(measurement.free)
     nominal = measurement.nominal
-
-    def theta_at(z: Array) -> Array:
-        return np.asarray(nominal + root @ z)
-
-    def residuals(z: Array) -> Array:
-        predicted = measurement.try_readings(series, theta_at(z))
-        white = noise.whiten(np.nan_to_num(session.y - predicted, nan=UNREACHABLE))
-        return np.concatenate([white, z])
-
-    def slopes(z: Array) -> Array:
-        h = measurement.jacobian(series, theta_at(z)) @ root
-        return np.vstack([-noise.whiten(h), np.eye(len(free))])
-
     first: Array = np.zeros(len(free))
     if start is not None:
         first = linalg.solve(root[free], start[free] - nominal[free])
+    problem = ReadingsProblem(
+        measurement, session.series, noise, session.y[None], nominal[None], root
+    )
     try:
-        solution = optimize.least_squares(
-            residuals, first, slopes, xtol=1e-10, ftol=1e-8, max_nfev=MOST_EVALUATIONS
-        )
+        minima = minimise(problem, first[None], steps=MOST_STEPS)
     except (ArithmeticError, ValueError, RuntimeError, linalg.LinAlgError):
         return None
-    count = len(session)
-    if 2.0 * solution.cost >= UNREACHABLE**2:
+    residual, departure = minima.residual[0], minima.z[0]
+    if not np.isfinite(residual).all():
         return None
     return Fit(
         session=session,
-        theta=theta_at(solution.x),
-        penalised=float(2.0 * solution.cost),
-        residual=solution.fun[:count],
-        slopes=-solution.jac[:count],
-        departure=solution.x,
+        theta=np.asarray(nominal + root @ departure),
+        penalised=float(residual @ residual + departure @ departure),
+        residual=residual,
+        slopes=minima.slopes[0],
+        departure=departure,
         noise=noise,
         scale=scale,
     )
@@ -175,7 +163,7 @@ class LeaveOneOut:
         unit = np.zeros((len(self.diagonal), len(members)))
         unit[members, np.arange(len(members))] = 1.0
         alone = self.noise.precision(unit)
-        return np.asarray(alone - self.factor @ self.factor[members].T)
+        return alone - self.factor @ self.factor[members].T
 
     def without(self, members: Index) -> tuple[Array, Array]:
         """Gradient and diagonal (N,), with the values `members` (k,) left out.

@@ -5,17 +5,18 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
-from oed.base.arrays import Array
-from oed.checks.fit import UNREACHABLE, Fit, fit
+from oed.base.arrays import Array, Index
+from oed.checks.fit import Fit, fit
 from oed.checks.large_misfit import at_scale_of_misfit
 from oed.checks.mistakes.moved import CANNOT_BE
 from oed.checks.mistakes.trial import MistakeTrial
 from oed.checks.session import SessionReadings
+from oed.estimation.fitter import READINGS_ROUNDED, Minima, minimise
 
-#: evaluations of the model in one fit
-MOST_EVALUATIONS = 30
+#: steps of one fit
+MOST_STEPS = 30
 #: steps by which an amount may change with no doubt: its prior is that wide
 WIDE = 1e9
 
@@ -55,22 +56,14 @@ def _at_scale(
         if other is not None:
             first[: problem.count] = other.departure
     try:
-        solution = optimize.least_squares(
-            problem.residuals,
-            first,
-            problem.slopes,
-            x_scale="jac",
-            xtol=1e-10,
-            ftol=1e-8,
-            max_nfev=MOST_EVALUATIONS,
-        )
-        return problem.fitted(solution.x)
+        minima = minimise(problem, first[None], weight=problem.weight, steps=MOST_STEPS)
+        return problem.fitted(minima)
     except CANNOT_BE:
         return None
 
 
 class _AmountProblem:
-    """Whitened residuals over parameters in their tolerances and amounts in their steps."""
+    """One machine's readings over parameters in their tolerances and amounts in steps."""
 
     def __init__(self, trial: MistakeTrial, scale: float) -> None:
         self.trial, self.scale = trial, scale
@@ -82,9 +75,10 @@ class _AmountProblem:
         factor = np.full(len(session), scale)
         self.noise = session.noise().scaled(factor) if scale != 1.0 else session.noise()
         self.first = np.concatenate([np.zeros(self.count), trial.amounts / trial.steps])
-        self.prior = np.concatenate(
+        self.weight = np.concatenate(
             [np.ones(self.count), np.full(len(trial.steps), 1.0 / WIDE)]
         )
+        self.rounding = READINGS_ROUNDED * (np.abs(session.y) / self.noise.sigma)[None]
 
     def session(self, x: Array) -> SessionReadings:
         """The session without the mistake of the amounts."""
@@ -96,39 +90,46 @@ class _AmountProblem:
 
     def theta(self, x: Array) -> Array:
         """Parameters (n,)."""
-        return np.asarray(self.measurement.nominal + self.root @ x[: self.count])
+        return self.measurement.nominal + self.root @ x[: self.count]
 
     def difference(self, x: Array) -> Array:
-        """Whitened residual (N,); what cannot be computed is far off."""
+        """Whitened residual (N,); NaN where it cannot be computed."""
         try:
             session = self.session(x)
         except CANNOT_BE:
-            return np.full(len(self.noise.sigma), UNREACHABLE)
+            return np.full(len(self.noise.sigma), np.nan)
         # a trial may change the tool, and with it the measurement
         predicted = session.measurement.try_readings(session.series, self.theta(x))
-        return self.noise.whiten(np.nan_to_num(session.y - predicted, nan=UNREACHABLE))
+        return self.noise.whiten(session.y - predicted)
 
-    def residuals(self, x: Array) -> Array:
-        """Whitened residual and what the priors say (N + r + k,)."""
-        return np.concatenate([self.difference(x), self.prior * x])
+    def residuals(self, machines: Index, z: Array) -> Array:
+        """Whitened residuals (1, N)."""
+        return self.difference(z[0])[None]
 
-    def slopes(self, x: Array) -> Array:
-        """Slopes (N + r + k, r + k) of the residuals."""
+    def slopes(self, machines: Index, z: Array) -> Array:
+        """Whitened slopes (1, N, r + k) of the predicted readings."""
+        x = z[0]
         session = self.session(x)
         jacobian = session.measurement.jacobian(session.series, self.theta(x))
-        by_parameter = -self.noise.whiten(jacobian @ self.root)
-        here = self.difference(x)
+        by_parameter = self.noise.whiten(jacobian @ self.root)
         moves = np.eye(len(x))[self.count :]
-        by_amount = [self.difference(x + move) - here for move in moves]
-        both = np.column_stack([by_parameter, *by_amount])
-        return np.vstack([both, np.diag(self.prior)])
+        by_amount = [self._change(x, move) for move in moves]
+        return np.column_stack([by_parameter, *by_amount])[None]
 
-    def fitted(self, x: Array) -> FitOfAmounts | None:
+    def _change(self, x: Array, move: Array) -> Array:
+        """Change (N,) of the predicted readings, whitened, by a move of x."""
+        ahead = self.difference(x) - self.difference(x + move)
+        if np.isfinite(ahead).all():
+            return ahead
+        # beyond may lie poses out of reach
+        return self.difference(x - move) - self.difference(x)
+
+    def fitted(self, minima: Minima) -> FitOfAmounts | None:
         """The fit at a solution."""
-        rows = self.slopes(x)
-        residual, count = self.difference(x), len(self.noise.sigma)
-        if np.abs(residual).max() >= UNREACHABLE:
+        x, residual, slopes = minima.z[0], minima.residual[0], minima.slopes[0]
+        if not np.isfinite(residual).all():
             return None
+        rows = np.vstack([slopes, np.diag(self.weight)])
         norm = np.linalg.norm(rows, axis=0)
         covariance = linalg.pinvh((rows / norm).T @ (rows / norm))
         z, steps = x[: self.count], self.trial.steps
@@ -137,7 +138,7 @@ class _AmountProblem:
             theta=self.theta(x),
             penalised=float(residual @ residual + z @ z),
             residual=residual,
-            slopes=-rows[:count, : self.count],
+            slopes=slopes[:, : self.count],
             departure=z,
             noise=self.noise,
             scale=self.scale,

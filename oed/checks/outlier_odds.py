@@ -221,7 +221,7 @@ def _odds_beside_normal_noise(errors: _PredictionErrors, share: float) -> Array:
     density, prior = _noise_densities(errors.core, TAILS)
     weights = prior + errors.freedom * density.sum(axis=2)
     weights += _noise_densities(errors.far, TAILS)[0].sum(axis=2)
-    return np.asarray(with_gross - np.logaddexp(without, _log_sum(weights.ravel())))
+    return with_gross - np.logaddexp(without, _log_sum(weights.ravel()))
 
 
 def _odds_beside_heavy_tails(

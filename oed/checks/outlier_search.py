@@ -141,7 +141,7 @@ def _pulls(
     gradient, diagonal = prediction.without(members)
     pulls = gradient / np.sqrt(diagonal)
     if not robust:
-        return np.asarray(pulls)
+        return pulls
     others = np.setdiff1d(np.arange(len(reading)), members)
     scatter = float(np.median(np.abs(pulls[others]))) / MEDIAN
-    return np.asarray(pulls / max(scatter, 1.0))
+    return pulls / max(scatter, 1.0)

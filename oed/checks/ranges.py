@@ -45,12 +45,12 @@ class Ranges:
     @property
     def lower(self) -> Array:
         """Lower ends (N,)."""
-        return np.asarray(self.middle - self.factor * self.sd)
+        return self.middle - self.factor * self.sd
 
     @property
     def upper(self) -> Array:
         """Upper ends (N,)."""
-        return np.asarray(self.middle + self.factor * self.sd)
+        return self.middle + self.factor * self.sd
 
     def outside(self, y: Array) -> Index:
         """Values, by number, that lie outside."""

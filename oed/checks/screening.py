@@ -45,7 +45,7 @@ class ResidualSpectrum:
 
     def components(self, white: Array) -> Array:
         """Components (r, m) of whitened values (N, m) along the eigenvectors."""
-        return np.asarray(self.vectors.T @ (self.slopes.T @ white))
+        return self.vectors.T @ (self.slopes.T @ white)
 
 
 def spectrum(slopes: Array) -> ResidualSpectrum:

@@ -1,7 +1,7 @@
 """Compensation: what a controller must be sent, and what stays uncorrected.
 
-Each compensator stands in a file: parameters in the controller's model, the linear one
-of Tian et al. (2016), the exact one, forecast grids, tables over states, and sequences.
+Joints and commands follow through the closure, errors that come back at a place by a
+forecast grid, and those of states by tables (`oed.compensate.effects`).
 """
 
 from oed.compensate.command_grid import (
@@ -13,10 +13,10 @@ from oed.compensate.command_grid import (
 )
 from oed.compensate.error_field import Box, ErrorField, Kernel, fit_error_field
 from oed.compensate.exact import (
-    ExactCompensator,
     compensated_joints,
     corrected_commands,
     joint_corrections,
+    undriven_components,
 )
 from oed.compensate.forecast import (
     ForecastCompensator,
@@ -26,16 +26,6 @@ from oed.compensate.forecast import (
 )
 from oed.compensate.further_axes import FurtherAxes, FurtherAxis, further_axes
 from oed.compensate.grid_design import GridDesign, design_grid, expected_kernel
-from oed.compensate.linear import LinearCompensator
-from oed.compensate.parameters import ParameterCompensator
-from oed.compensate.sequence import CompensatorSequence
-from oed.compensate.setpoint import (
-    Compensator,
-    Conditions,
-    Setpoint,
-    uncompensated,
-)
-from oed.compensate.states import StateCompensator
 from oed.compensate.table import InterpolationTable
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.pose_errors import (
@@ -49,12 +39,8 @@ __all__ = [
     "NO_TOOL",
     "Box",
     "CommandGrid",
-    "Compensator",
-    "CompensatorSequence",
-    "Conditions",
     "ErrorField",
     "ErrorModel",
-    "ExactCompensator",
     "ForecastCompensator",
     "FurtherAxes",
     "FurtherAxis",
@@ -62,10 +48,6 @@ __all__ = [
     "GridDesign",
     "InterpolationTable",
     "Kernel",
-    "LinearCompensator",
-    "ParameterCompensator",
-    "Setpoint",
-    "StateCompensator",
     "box_axes",
     "choose_command_grid",
     "compensated_joints",
@@ -83,5 +65,5 @@ __all__ = [
     "pose_error",
     "strut_motion",
     "twist_between",
-    "uncompensated",
+    "undriven_components",
 ]

@@ -179,7 +179,7 @@ def joint_motion(kinematics: Kinematics, command: Array) -> Array:
     by_joint = kinematics.slopes.over_joints(x, q, machine.nominal)
     twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
     slope = kinematics.error_components_jacobian(command)
-    return np.asarray((slope @ twist)[:, driven])
+    return (slope @ twist)[:, driven]
 
 
 def choose_command_grid(
@@ -230,7 +230,7 @@ def choose_command_grid(
 def _latin_hypercube(count: int, axes: int, rng: np.random.Generator) -> Array:
     """Places (count, axes) between 0 and 1, one in each of `count` slices of an axis."""
     slices = rng.permuted(np.tile(np.arange(count), (axes, 1)), axis=1).T
-    return np.asarray((slices + rng.uniform(size=slices.shape)) / count)
+    return (slices + rng.uniform(size=slices.shape)) / count
 
 
 def _grown(counts: list[int], k: int, largest: int) -> list[int] | None:
@@ -249,4 +249,4 @@ def _between(places: Array, k: int, knots: Array, correction: Correction) -> Arr
     low[:, k], high[:, k] = knots[index], knots[index + 1]
     share = (places[:, k] - low[:, k]) / (high[:, k] - low[:, k])
     share = share[:, None, None]
-    return np.asarray((1.0 - share) * correction(low) + share * correction(high))
+    return (1.0 - share) * correction(low) + share * correction(high)

@@ -47,7 +47,7 @@ class Box:
 
     def scaled(self, places: Array) -> Array:
         """Places (n, a) with the box from -1 to 1."""
-        return np.asarray(2.0 * (places - self.lower) / (self.upper - self.lower) - 1.0)
+        return 2.0 * (places - self.lower) / (self.upper - self.lower) - 1.0
 
     def lattice(self, counts: Sequence[int]) -> tuple[Array, ...]:
         """`counts` (a,) evenly spaced places along each axis, SI."""
@@ -72,7 +72,7 @@ class Kernel:
         """Covariance (n, m) between scaled places (n, a) and (m, a)."""
         difference = (first[:, None] - second[None]) / self.length
         distance = np.sqrt((difference**2).sum(axis=-1))
-        return np.asarray(self.size**2 * _correlation(self.order, distance))
+        return self.size**2 * _correlation(self.order, distance)
 
 
 def _correlation(order: str, distance: Array) -> Array:
@@ -123,7 +123,7 @@ class ErrorField:
             variance += here**2 * np.diag(covariance)[:-1, None]
             variance += there**2 * covariance[-1, -1]
             variance -= 2.0 * here * there * covariance[:-1, -1, None]
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.sqrt(np.maximum(variance, 0.0))
 
     def _strut(self, places: Array, k: int) -> tuple[Array, Array]:
         """Mean (m,) and covariance (m, m) of strut error k, Eqs. 2.25-2.26."""
@@ -213,4 +213,4 @@ def _trend_size(errors: Array) -> float:
 def _with_trend(kernel: Kernel, size: float, first: Array, second: Array) -> Array:
     """Covariance (n, m) of field and linear trend with coefficients of sd `size`."""
     trend = 1.0 + first @ second.T
-    return np.asarray(kernel.covariance(first, second) + size**2 * trend)
+    return kernel.covariance(first, second) + size**2 * trend

@@ -1,18 +1,17 @@
-"""The exact compensator: joints through the closure, for an unchanged controller."""
+"""Joints and commands through the closure, for an unchanged controller."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import casadi as ca
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.compensate.setpoint import Conditions, Setpoint, undriven_components
+from oed.base.text import quantity
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL, component_errors
+from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.expressions import machine_expressions
+from oed.model.machine import Machine
 
 #: Gauss-Newton steps from a command to a corrected one, and the step that ends them
 STEPS, STEP_TOLERANCE = 20, 1e-12
@@ -39,7 +38,7 @@ def joint_corrections(
     """
     needed = compensated_joints(kinematics, command, parameters)
     modelled = compensated_joints(kinematics, command, kinematics.machine.nominal)
-    return np.asarray(needed - modelled)
+    return needed - modelled
 
 
 def corrected_commands(
@@ -79,35 +78,17 @@ def _command_of_pose(
     return command
 
 
-@dataclasses.dataclass(frozen=True)
-class ExactCompensator:
-    """Adds joint offsets that leave nothing in the components that the joints drive.
+def undriven_components(machine: Machine, remaining: Array) -> tuple[str, ...]:
+    """A sentence on components without a drive, from their errors (n, k), SI.
 
-    parameters  (np,) identified, SI
+    None for a machine that drives all its components.
     """
-
-    kinematics: Kinematics
-    parameters: Array
-    tool: Array = dataclasses.field(default_factory=lambda: NO_TOOL)
-
-    def apply(self, setpoint: Setpoint, conditions: Conditions) -> Setpoint:
-        """The setpoint with further joint offsets. Raises AssemblyError."""
-        command, tool = setpoint.command, self.tool
-        modelled = self.kinematics.inverse(command, setpoint.parameters, tool)[1]
-        needed = compensated_joints(self.kinematics, command, self.parameters, tool)
-        offset = setpoint.joint_offset + needed - modelled
-        return dataclasses.replace(setpoint, joint_offset=offset)
-
-    def remaining(self, command: Array) -> Array:
-        """Errors (n, k) of the pose components that stay, SI. Raises AssemblyError."""
-        joints = compensated_joints(
-            self.kinematics, command, self.parameters, self.tool
-        )
-        return component_errors(
-            self.kinematics, command, joints, self.parameters, self.tool
-        )
-
-    def limits(self, command: Array) -> tuple[str, ...]:
-        """What stays uncorrected over commands (n, n_dof), in sentences."""
-        machine = self.kinematics.machine
-        return undriven_components(machine, self.remaining(command))
+    largest = np.abs(remaining).max(axis=0)
+    parts = [
+        f"{component.name} {quantity(size, component.unit)}"
+        for component, size in zip(machine.components, largest, strict=True)
+        if not component.compensatable
+    ]
+    if not parts:
+        return ()
+    return (f"no joint drives these components, at most: {', '.join(parts)}",)

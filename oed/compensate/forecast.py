@@ -15,7 +15,6 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.base.text import quantity
 from oed.compensate.error_field import ErrorField, Motion
-from oed.compensate.setpoint import Conditions, Setpoint
 from oed.compensate.table import InterpolationTable, grid_nodes
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
@@ -48,10 +47,9 @@ class ForecastCompensator:
         columns = [names.index(name) for name in self.table.axes]
         return self.table.at(command[:, columns])
 
-    def apply(self, setpoint: Setpoint, conditions: Conditions) -> Setpoint:
-        """The setpoint with X' = X - (dX - dX_0)."""
-        command = setpoint.command - self.error(setpoint.command)
-        return dataclasses.replace(setpoint, command=command)
+    def corrected(self, command: Array) -> Array:
+        """Commands (n, n_dof) X' = X - (dX - dX_0) to send for X."""
+        return command - self.error(command)
 
     def limits(self, command: Array) -> tuple[str, ...]:
         """What stays uncorrected, in sentences."""
@@ -101,7 +99,7 @@ def strut_motion(kinematics: Kinematics) -> Motion:
             by_joint = by_joint * per_length[:, None]
         twist = kinematics.frames(x, NO_TOOL)[2] @ by_joint
         slope = kinematics.error_components_jacobian(command)
-        return np.asarray((slope @ twist)[:, driven])
+        return (slope @ twist)[:, driven]
 
     return motion
 

@@ -65,7 +65,7 @@ class FurtherAxes:
         joints = compensated_joints(self.kinematics, command, parameters, tool)
         twist = pose_error(self.kinematics, command, joints, parameters, tool)
         rows = self.rows(command)
-        return np.asarray((rows @ twist[:, :, None])[:, :, 0])
+        return (rows @ twist[:, :, None])[:, :, 0]
 
     def rows(self, command: Array) -> Array:
         """Rows (n, m, 6) that take the offsets from a twist error at commands."""
@@ -83,7 +83,7 @@ class FurtherAxes:
     def twists(self, command: Array, offsets: Array) -> Array:
         """Twist errors (n, 6) that offsets (n, m) are, at commands."""
         inverse = np.linalg.pinv(self.rows(command))
-        return np.asarray((inverse @ offsets[:, :, None])[:, :, 0])
+        return (inverse @ offsets[:, :, None])[:, :, 0]
 
 
 def further_axes(kinematics: Kinematics) -> FurtherAxes:

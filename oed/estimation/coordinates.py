@@ -18,12 +18,11 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import canonical_rows, right_singular
+from oed.estimation.fitter import minimise
+from oed.estimation.readings_problem import ReadingsProblem
 from oed.identifiability import identifiability, information
 from oed.measurement.measurement import Measurement, Series
-from oed.noise.covariance import Noise
-
-#: Gauss-Newton steps to the coordinates of exact readings
-STEPS = 6
+from oed.noise.covariance import Noise, independent_noise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +45,7 @@ class IdentifiableCoordinates:
 
     def from_theta(self, theta: Array) -> Array:
         """Coordinates z (r,) of parameters (n,); null directions are dropped."""
-        return np.asarray(self.dual @ (theta - self.origin))
+        return self.dual @ (theta - self.origin)
 
     def to_theta(self, z: Array) -> Array:
         """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
@@ -114,13 +113,13 @@ class _PriorUnits:
     def directions(self, columns: Array) -> Array:
         """Directions (k, m) of z as changes of the parameters, SI."""
         shaped = columns if self.shape is None else self.shape @ columns
-        return np.asarray(self.scale[:, None] * shaped)
+        return self.scale[:, None] * shaped
 
     def duals(self, columns: Array) -> Array:
         """Slopes (k, m) over the parameters of the shares of directions (k, m) of z."""
         if self.shape is not None:
             columns = np.asarray(np.linalg.solve(self.shape, columns), dtype=float)
-        return np.asarray(columns / self.scale[:, None])
+        return columns / self.scale[:, None]
 
 
 def coordinates_of_readings(
@@ -134,17 +133,18 @@ def coordinates_of_readings(
 
     It is what readings can say of a machine: a lost direction of a millimetre moves
     the machine's own coordinates by micrometres, to second order, and its readings not
-    at all. Gauss-Newton in units of the stated noise. Raises AssemblyError.
+    at all. A fit in units of the stated noise, without a prior.
     """
-    sigma = measurement.sigma(series)
-    z = start
-    for _ in range(STEPS):
-        theta = coordinates.to_theta(z)
-        slopes = measurement.jacobian(series, theta) @ coordinates.basis
-        missing = exact - measurement.readings(series, theta)
-        step = np.linalg.lstsq(slopes / sigma[:, None], missing / sigma, rcond=None)[0]
-        z = z + step
-    return z
+    noise = independent_noise(measurement.sigma(series))
+    problem = ReadingsProblem(
+        measurement,
+        series,
+        noise,
+        exact[None],
+        coordinates.origin[None],
+        coordinates.basis,
+    )
+    return np.asarray(minimise(problem, start[None], weight=0.0).z[0])
 
 
 def _null_space(
@@ -161,7 +161,7 @@ def _null_space(
     names = [measurement.names[k] for k in free]
     scale = 1.0 / lengths[free]
     identified = identifiability.analyse(h, names, scale)
-    return np.asarray(identified.null_space / lengths[free])
+    return identified.null_space / lengths[free]
 
 
 def _split_directions(null_space: Array) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Identification: Gauss-Newton on the exact nonlinear readings, with tolerance priors.
+"""Identification: a fit of the exact nonlinear readings, with tolerance priors.
 
 Minimised is |W (y - f(theta))|^2 + |z|^2 over the identifiable coordinates z (see
 `oed.estimation.coordinates`), where W whitens the noise. Where asked for, the noise law is
@@ -12,12 +12,13 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import optimize
 
 from oed.base.arrays import Array
 from oed.estimation import fit_warnings
 from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
 from oed.estimation.estimate import Estimate, FitStage
+from oed.estimation.fitter import minimise
+from oed.estimation.readings_problem import ReadingsProblem
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_structure import reading_structure
@@ -145,44 +146,33 @@ class _Fit:
 
     def residuals(self, theta: Array) -> Array:
         """y - f(theta) (N,), SI."""
-        return np.asarray(self.y - self.measurement.readings(self.series, theta))
+        return self.y - self.measurement.readings(self.series, theta)
 
     def solve(
         self, noise: Noise, coordinates: IdentifiableCoordinates, theta: Array
     ) -> tuple[Array, int]:
-        """Minimise over z by trust-region Gauss-Newton, from theta (n,).
+        """Minimise over z, from theta (n,).
 
-        Steps to parameters at which the machine cannot be assembled are rejected.
-        Returns z (r,) and the number of evaluations.
+        Returns z (r,) and the number of evaluations of the readings.
         """
-        r = coordinates.basis.shape[1]
-
-        def residual(z: Array) -> Array:
-            y = self.measurement.try_readings(self.series, coordinates.to_theta(z))
-            return np.concatenate([noise.whiten(y - self.y), z])
-
-        def slope(z: Array) -> Array:
-            theta = coordinates.to_theta(z)
-            h = noise.whiten(self.measurement.jacobian(self.series, theta))
-            return np.vstack([h @ coordinates.basis, np.eye(r)])
-
-        solution = optimize.least_squares(
-            residual,
-            coordinates.from_theta(theta),
-            slope,
-            method="trf",
-            xtol=1e-12,
-            ftol=1e-14,
-            gtol=1e-10,
-            max_nfev=self.max_iterations,
+        problem = ReadingsProblem(
+            self.measurement,
+            self.series,
+            noise,
+            self.y[None],
+            coordinates.origin[None],
+            coordinates.basis,
         )
-        if solution.status <= 0:
+        start = coordinates.from_theta(theta)[None]
+        minima = minimise(problem, start, steps=self.max_iterations)
+        if not minima.converged[0]:
+            rms = _rms(minima.residual[0])
             raise IdentificationError(
-                f"the fit did not converge in {self.max_iterations} iterations (cost"
-                f" {solution.cost:.3g}); check units and signs of the readings, or free"
-                " fewer parameters in a stage before"
+                f"the fit did not converge in {self.max_iterations} iterations (the"
+                f" residuals are {rms:.3g} times the noise); check units and signs of the"
+                " readings, or free fewer parameters in a stage before"
             )
-        return solution.x, int(solution.nfev)
+        return minima.z[0], int(minima.evaluations[0])
 
     def covariance(
         self, theta: Array, noise: Noise, tolerance: Array

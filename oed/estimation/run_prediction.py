@@ -85,7 +85,7 @@ def _residuals(
     if estimate.robust_readings is None:
         return estimate.residuals
     predicted = measurement.readings(series, estimate.theta)
-    return np.asarray(estimate.robust_readings - predicted)
+    return estimate.robust_readings - predicted
 
 
 def _predicted(label: tuple[str, str], error: Array, shared: Array) -> LeftOutRun:

@@ -201,7 +201,7 @@ def _within(root: Array, estimate: Array, span: Array) -> tuple[Array, Array]:
 
 def _without(basis: Array, values: Array) -> Array:
     """Values (m,) or (m, q) without their part in an orthonormal basis (m, k)."""
-    return np.asarray(values - basis @ (basis.T @ values))
+    return values - basis @ (basis.T @ values)
 
 
 def combinations(

@@ -262,7 +262,7 @@ def _null_direction(null_space: Array, wanted: Array, of_machine: Mask) -> Array
     direction = factors @ null_space
     deviation = direction[of_machine] - wanted[of_machine]
     if np.linalg.norm(deviation) < MOTION_TOLERANCE:
-        return np.asarray(direction)
+        return direction
     return None
 
 

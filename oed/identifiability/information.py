@@ -60,7 +60,7 @@ def scaled(
 
 def fisher(h: Array) -> Array:
     """Fisher information (n, n) of whitened rows (N, n): M = H^T H."""
-    return np.asarray(h.T @ h)
+    return h.T @ h
 
 
 def prior_information(measurement: Measurement) -> Array:

@@ -127,7 +127,7 @@ def _line(model: BudgetModel, maps: Array, part: Part) -> Line:
 
     def rms(covariance: Array) -> Array:
         # the difference of two large covariances may be negative by its rounding
-        return np.asarray(np.sqrt(np.maximum(mean_variance(maps, covariance), 0.0)))
+        return np.sqrt(np.maximum(mean_variance(maps, covariance), 0.0))
 
     changed = _alternatives(model, part)
     without, halved = (None if change is None else rms(change()) for change in changed)

@@ -91,7 +91,7 @@ class BudgetModel:
     def information(self, factors: Mapping[str, float] | None = None) -> Array:
         """H^T C^-1 H (n, n), with factors on the standard deviations of errors."""
         white = self.readings.whiten(self.slopes, factors or {})
-        return np.asarray(white.T @ white)
+        return white.T @ white
 
     def covariance(
         self,
@@ -115,7 +115,7 @@ class BudgetModel:
         standard = self.structure.standardise(changes)
         score = self.slopes.T @ self.readings.weigh(standard, {})
         change = _posterior(self.information(), None) @ score
-        return np.asarray((self.root @ change)[self.used])
+        return (self.root @ change)[self.used]
 
     def parts(self) -> list[Part]:
         """Parts that add up to `covariance()`; those that are nothing are absent."""
@@ -178,7 +178,7 @@ class BudgetModel:
     def _in_si(self, covariance: Array) -> Array:
         """The used parameters' block (k, k), SI, of a covariance (n, n) of z."""
         rows = self.root[self.used]
-        return np.asarray(rows @ covariance @ rows.T)
+        return rows @ covariance @ rows.T
 
 
 def _posterior(information: Array, known: Mask | None) -> Array:

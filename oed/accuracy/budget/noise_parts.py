@@ -91,7 +91,7 @@ class ReadingErrors:
 
     def between(self, name: str, weighed: Array) -> Array:
         """K^T C_j K (n, n) of one independent error, for K (N, n)."""
-        return np.asarray(weighed.T @ (weighed * self.variances[name][:, None]))
+        return weighed.T @ (weighed * self.variances[name][:, None])
 
 
 def errors_of_readings(

@@ -6,11 +6,9 @@ set-up, for each run, and for the first or last rows. All are judged alike
 
 trial          a session with one mistake undone
 scope          the part of a session that a mistake concerns
-given          the readings as given, with what is predicted of them
-unit           readings in another unit
-deviation      deviations in place of readings, or the reverse
-sign           readings with the sign reversed or lost
-scale          readings that are half of, or twice, what they should be
+given          the readings as given, with what is predicted of them, and which of them
+               one instrument may have taken in several set-ups
+values         readings in another unit, as deviations, with a sign or a factor
 columns        columns of readings exchanged, or axes turned
 order          readings in another order, or of another run
 sorting        readings sorted, or in an unknown order
@@ -22,10 +20,8 @@ program        another program of a fixed length: a circle at another height
 joints         legs numbered otherwise
 reference      readings told against another pose of their run
 zero           wrong zeros inside an instrument, such as a dead length
-instruments    readings that one instrument took in several set-ups
 amounts        offsets, factors, other tools, set-ups that moved, wrong sizes
-change         two parts of a session that fit alone
-contradiction  a run that contradicts all others for a reason unknown
+contradiction  two parts of a session that fit alone, a run that contradicts all others
 """
 
 from __future__ import annotations
@@ -35,21 +31,17 @@ from collections.abc import Iterator, Sequence
 
 from oed.checks.mistakes import (
     amounts,
-    change,
     columns,
     contradiction,
     copied,
-    deviation,
     joints,
     order,
     pose,
     program,
     reference,
-    scale,
     setups,
-    sign,
     sorting,
-    unit,
+    values,
     zero,
 )
 from oed.checks.mistakes.given import Given
@@ -59,10 +51,7 @@ from oed.checks.mistakes.trial import Alternatives, MistakeTrial
 __all__ = ["PHYSICAL", "Alternatives", "Given", "MistakeTrial", "trials", "trials_near"]
 
 _MISTAKES = (
-    unit,
-    deviation,
-    sign,
-    scale,
+    values,
     columns,
     order,
     sorting,
@@ -74,7 +63,6 @@ _MISTAKES = (
     reference,
     zero,
     amounts,
-    change,
     contradiction,
 )
 
@@ -83,7 +71,7 @@ PHYSICAL = ("offset", "run", "factor", "tool", "size", "change", "contradiction"
 
 
 #: mistakes that may concern the first or last rows of a set-up or run
-_OF_ROWS = (unit, deviation, sign, scale, order, zero, amounts)
+_OF_ROWS = (values, order, zero, amounts)
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:

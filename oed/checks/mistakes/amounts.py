@@ -149,7 +149,7 @@ def _tool_slope(given: Given, shift: Callable[[Array], list[SessionReadings]]) -
     session = given.session
     longer = shift(np.array([STEP]))[0].measurement
     y = longer.readings(session.series, longer.nominal)
-    return np.asarray((y - given.predicted) / STEP)
+    return (y - given.predicted) / STEP
 
 
 def _tool_words(names: list[str]) -> Callable[[Array, Array], str]:

@@ -40,7 +40,7 @@ def _permuted(
 ) -> Iterator[MistakeTrial]:
     for order in itertools.permutations(names):
         if order == tuple(names):
-            continue  # signs alone: see `sign`
+            continue  # signs alone: see `values`
         for signs in itertools.product((1.0, -1.0), repeat=len(names)):
             yield from _exchanged(given, scope, names, order, signs, values)
 

@@ -109,7 +109,7 @@ def scaled(k: int, factor: float) -> Change:
     def change(values: Array) -> Array:
         scale = np.ones(values.shape[1])
         scale[k] = factor
-        return np.asarray(values * scale)
+        return values * scale
 
     return change
 
@@ -120,7 +120,7 @@ def shifted(k: int, amount: float) -> Change:
     def change(values: Array) -> Array:
         shift = np.zeros(values.shape[1])
         shift[k] = amount
-        return np.asarray(values + shift)
+        return values + shift
 
     return change
 

@@ -153,4 +153,4 @@ def _at(measurement: Measurement, series: Series, command: Array) -> Series:
 def _first_channel(measurement: Measurement, series: Series) -> Array:
     count = len(measurement.setups[series.setup].instrument.channels)
     y = measurement.readings([series], measurement.nominal)
-    return np.asarray(y[::count])
+    return y[::count]

@@ -128,7 +128,7 @@ def _predicted(given: Given, y: Array, places: Index) -> Array:
     part = slopes[used]
     precision = part.T @ part + np.eye(part.shape[1])
     z = np.linalg.solve(precision, part.T @ white[used])
-    return np.asarray(given.predicted + given.slopes @ z)
+    return given.predicted + given.slopes @ z
 
 
 def _rows(

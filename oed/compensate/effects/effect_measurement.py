@@ -74,7 +74,7 @@ class MeasurementWithEffects(Measurement):
         """Readings (m, N of the series) at poses x (m, poses, nx) and theta (m, n)."""
         y = super()._read_at(series, x, theta)
         change = theta[:, self._size :] @ self._columns[id(series.q)].T
-        return np.asarray(y + change + self._offset[id(series.q)])
+        return y + change + self._offset[id(series.q)]
 
     def _jacobian(self, series: Series, theta: Array) -> Array:
         rows = super()._jacobian(series, theta)

@@ -165,4 +165,4 @@ def _columns(problem: GapProblem, corrected: CorrectedEstimate) -> Array:
                 table[:, k] = signature.columns[:, place[name]]
         parts.append(problem.in_noise_units(table))
     sizes = corrected.measurement.tolerance[corrected.parameters :]
-    return np.asarray(np.hstack(parts) * sizes)
+    return np.hstack(parts) * sizes

@@ -11,7 +11,11 @@ import numpy as np
 
 from oed.base.own_files import write_own
 from oed.base.text import quantity
-from oed.compensate import ParameterCompensator, component_errors
+from oed.compensate import (
+    compensated_joints,
+    component_errors,
+    undriven_components,
+)
 from oed.result import StudyResult, trust
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
@@ -146,7 +150,9 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
     command = regular(kinematics, content.command)
     if not len(command):
         return ()
-    remaining = ParameterCompensator(kinematics, values, values).limits(command)[1:]
+    exact = compensated_joints(kinematics, command, values)
+    errors = component_errors(kinematics, command, exact, values)
+    remaining = undriven_components(content.machine, errors)
     if controller.joints is None:
         return remaining
     written = dataclasses.replace(content, command=command, grid=None)

@@ -8,7 +8,7 @@ import pytest
 from blunder_spatial import prs_poses
 
 from oed.checks.mistakes import Given, zero
-from oed.checks.mistakes.instruments import shared_instruments
+from oed.checks.mistakes.given import shared_instruments
 
 
 @pytest.mark.parametrize(

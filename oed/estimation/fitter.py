@@ -1,0 +1,282 @@
+"""Most probable parameters of many machines at once, by damped Gauss-Newton steps.
+
+Minimised is, for each of m machines,
+
+    |r(z)|^2 + |w z|^2,        r(z) = W (y - f(z)),
+
+W whitening the noise, z the unknowns in units of their prior (w = 1), or of a nearly
+flat one. A step is a full Gauss-Newton step, or one damped until it does not raise the
+sum and is not too long (Levenberg 1944, Marquardt 1963): far from nominal lie minima that
+no machine has. The step d promises to lower the sum by
+d^T (A^T A + w^2) d, A the slopes: the squared distance to the minimum in posterior
+standard deviations. A machine has converged when this distance is below `PRECISION`,
+or below what rounding of the readings leaves; it takes that last step too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Protocol
+
+import numpy as np
+
+from oed.base.arrays import Array, Index, Mask
+from oed.mechanism.kinematics import AssemblyError
+
+#: distance to the minimum, in posterior standard deviations, of the last step
+PRECISION = 1e-7
+#: steps at most
+STEPS = 60
+#: factors on the damping after a step that raises the sum, and after one that does not
+GROWTH, DECAY = 10.0, 0.01
+#: length of the first step, in tolerances and for each unknown, and factor on it after
+#: a step as long as that
+LONGEST, LONGER = 3.0, 4.0
+#: steps tried from a point at most, each more damped
+TRIALS = 16
+#: relative rounding error of readings, and of sums of squares
+READINGS_ROUNDED, SUM_ROUNDED = 1e-15, 1e-12
+#: weight below which a prior is nearly flat
+NEARLY_FLAT = 1e-3
+#: curvature over the largest below which a direction takes no step
+FLAT = 1e-14
+
+
+class LeastSquares(Protocol):
+    """What is minimised, machine by machine; unknowns z (k,), readings N."""
+
+    @property
+    def rounding(self) -> Array:
+        """Rounding errors (m, N) of the whitened residuals."""
+
+    def residuals(self, machines: Index, z: Array) -> Array:
+        """Whitened residuals (s, N) of s machines at z (s, k).
+
+        They are not finite where they cannot be computed.
+        """
+
+    def slopes(self, machines: Index, z: Array) -> Array:
+        """Whitened slopes (s, N, k) of the predicted readings. Raises AssemblyError."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Minima:
+    """Where the sums of m machines are least.
+
+    z            (m, k)
+    residual     (m, N) whitened; not finite where no sum can be computed, or no slopes
+    slopes       (m, N, k) whitened, of the point before the last step
+    converged    (m,) whether the machine's steps ended at a minimum
+    evaluations  (m,) of the residuals
+    """
+
+    z: Array
+    residual: Array
+    slopes: Array
+    converged: Mask
+    evaluations: Index
+
+
+def minimise(
+    problem: LeastSquares,
+    start: Array,
+    *,
+    weight: Array | float = 1.0,
+    precision: float = PRECISION,
+    steps: int = STEPS,
+) -> Minima:
+    """Minima from z `start` (m, k).
+
+    weight     w (k,) of the prior
+    precision  distance to the minimum, in posterior standard deviations, below which a
+               step is the last one
+    steps      at most, for each machine
+
+    A machine whose residuals cannot be computed at the start, or whose slopes cannot
+    be computed at a point, does not converge.
+    """
+    search = _Search(problem, start, np.broadcast_to(weight, start.shape[1:]))
+    active = np.flatnonzero(np.isfinite(search.cost))
+    for _ in range(steps):
+        active = search.step(active, precision)
+        if not active.size:
+            break
+    return search.minima()
+
+
+class _Search:
+    """Points of m machines and their steps."""
+
+    def __init__(self, problem: LeastSquares, start: Array, weight: Array) -> None:
+        count = len(start)
+        every = np.arange(count)
+        self._problem, self._weight = problem, weight
+        self._z = np.array(start, dtype=float)
+        self._residual = problem.residuals(every, self._z)
+        self._slopes = np.zeros((*self._residual.shape, start.shape[1]))
+        self._converged = np.zeros(count, dtype=bool)
+        self._evaluations = np.ones(count, dtype=np.intp)
+        self._damping = np.zeros(count)
+        self._longest = np.full(count, LONGEST * np.sqrt(max(start.shape[1], 1)))
+        self._precision = np.linalg.norm(problem.rounding, axis=1)
+        self.cost = self._costs(self._z, self._residual)
+
+    def minima(self) -> Minima:
+        return Minima(
+            self._z, self._residual, self._slopes, self._converged, self._evaluations
+        )
+
+    def step(self, machines: Index, precision: float) -> Index:
+        """Moves machines by a step each; returns those that need a further one."""
+        machines = self._linearise(machines)
+        if not machines.size:
+            return machines
+        system = _StepSystem.of(
+            self._slopes[machines],
+            self._residual[machines],
+            self._z[machines],
+            self._weight,
+        )
+        near = system.distance() < np.maximum(precision, self._precision[machines])
+        undamped = np.zeros(int(near.sum()))
+        self._finish(machines[near], system.step(near, undamped))
+        return self._descend(machines[~near], system, np.flatnonzero(~near))
+
+    def _linearise(self, machines: Index) -> Index:
+        """Computes slopes; returns the machines that have them."""
+        try:
+            self._slopes[machines] = self._problem.slopes(machines, self._z[machines])
+        except AssemblyError:
+            if len(machines) == 1:
+                self._residual[machines] = np.nan
+                return machines[:0]
+            parts = [self._linearise(machines[k : k + 1]) for k in range(len(machines))]
+            return np.concatenate(parts)
+        return machines
+
+    def _finish(self, machines: Index, step: Array) -> None:
+        """The last step of machines: so short that the readings are linear in it."""
+        change = self._slopes[machines] @ step[:, :, None]
+        self._z[machines] += step
+        self._residual[machines] -= change[:, :, 0]
+        self._converged[machines] = True
+
+    def _descend(self, machines: Index, system: _StepSystem, rows: Index) -> Index:
+        """Moves machines by the least damped step that does not raise their sum.
+
+        rows  (s,) of the machines in the system
+
+        Returns the machines that have one.
+        """
+        waiting = np.arange(len(machines))
+        for _ in range(TRIALS):
+            if not waiting.size:
+                break
+            trying = machines[waiting]
+            step, limited = self._limited_step(trying, system, rows[waiting])
+            lower = self._move(trying, step)
+            self._longest[trying[lower & limited]] *= LONGER
+            self._damping[trying[lower]] *= DECAY
+            waiting = waiting[~lower]
+            least = system.least_damping()[rows[waiting]]
+            self._raise_damping(machines[waiting], least)
+        return np.delete(machines, waiting)
+
+    def _limited_step(
+        self, machines: Index, system: _StepSystem, rows: Index
+    ) -> tuple[Array, Mask]:
+        """Steps (s, k), damped until none is too long, and which were damped for that."""
+        limited = np.zeros(len(machines), dtype=bool)
+        for _ in range(TRIALS):
+            step = system.step(rows, self._damping[machines])
+            far = np.linalg.norm(step[:, self._weight >= NEARLY_FLAT], axis=1)
+            long = far > self._longest[machines]
+            if not long.any():
+                break
+            limited |= long
+            self._raise_damping(machines[long], system.least_damping()[rows[long]])
+        return step, limited
+
+    def _raise_damping(self, machines: Index, least: Array) -> None:
+        raised = np.maximum(self._damping[machines] * GROWTH, least)
+        self._damping[machines] = raised
+
+    def _move(self, machines: Index, step: Array) -> Mask:
+        """Moves machines (s,) where that does not raise their sum; says which."""
+        z = self._z[machines] + step
+        residual = self._problem.residuals(machines, z)
+        cost = self._costs(z, residual)
+        lower = np.asarray(cost <= self.cost[machines] + self._rounding(machines))
+        moved = machines[lower]
+        self._z[moved], self._residual[moved] = z[lower], residual[lower]
+        self.cost[moved] = cost[lower]
+        self._evaluations[machines] += 1
+        return lower
+
+    def _costs(self, z: Array, residual: Array) -> Array:
+        """Sums (s,) of squares; infinite where they cannot be computed."""
+        of_prior = ((self._weight * z) ** 2).sum(axis=1)
+        cost = (residual**2).sum(axis=1) + of_prior
+        return np.where(np.isfinite(cost), cost, np.inf)
+
+    def _rounding(self, machines: Index) -> Array:
+        """Changes (s,) of the sums that rounding alone may cause."""
+        of_readings = (
+            np.abs(self._residual[machines]) * self._problem.rounding[machines]
+        )
+        return np.asarray(
+            2.0 * of_readings.sum(axis=1) + SUM_ROUNDED * self.cost[machines]
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _StepSystem:
+    """Normal equations of s machines, diagonal in orthogonal directions.
+
+    Lengths are in units of the prior. For an unknown whose prior is nearly flat, they are
+    in units of what the readings determine.
+
+    curvature   (s, k) of the directions, ascending
+    directions  (s, k, k) columns
+    descent     (s, k) along the directions
+    """
+
+    curvature: Array
+    directions: Array
+    descent: Array
+
+    @classmethod
+    def of(cls, slopes: Array, residual: Array, z: Array, weight: Array) -> _StepSystem:
+        """The system of slopes (s, N, k) and residuals (s, N) at z (s, k)."""
+        transposed = slopes.swapaxes(1, 2)
+        descent = (transposed @ residual[:, :, None])[:, :, 0] - weight**2 * z
+        normal = transposed @ slopes + np.diag(weight**2)
+        of_readings = np.sqrt(np.einsum("skk->sk", normal))
+        size = np.where(weight < NEARLY_FLAT, of_readings, weight)
+        scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
+        scaled = normal * scale[:, :, None] * scale[:, None, :]
+        curvature, vectors = np.linalg.eigh(scaled)
+        along = (vectors.swapaxes(1, 2) @ (scale * descent)[:, :, None])[:, :, 0]
+        return cls(curvature, scale[:, :, None] * vectors, along)
+
+    def distance(self) -> Array:
+        """Distances (s,) to the minima, in posterior standard deviations."""
+        moves = self._moves(slice(None), np.zeros(len(self.descent)))
+        return np.asarray(np.sqrt((self.descent * moves).sum(axis=1)))
+
+    def least_damping(self) -> Array:
+        """The damping (s,) that halves a step along the flattest direction."""
+        return np.maximum(self.curvature[:, 0], FLAT)
+
+    def step(self, rows: Index | Mask, damping: Array) -> Array:
+        """Steps (s, k) of z of some rows, each with its damping (s,)."""
+        moves = self._moves(rows, damping)
+        return (self.directions[rows] @ moves[:, :, None])[:, :, 0]
+
+    def _moves(self, rows: Index | Mask | slice, damping: Array) -> Array:
+        """Moves (s, k) along the directions; none along flat ones."""
+        curvature, descent = self.curvature[rows], self.descent[rows]
+        flat = curvature <= FLAT * curvature[:, -1:]
+        moves = np.zeros_like(descent)
+        damped = curvature + damping[:, None]
+        return np.divide(descent, damped, out=moves, where=~flat)

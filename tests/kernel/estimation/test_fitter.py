@@ -1,0 +1,121 @@
+"""The fitter: closed forms, scipy as an oracle, and machines that do not disturb others."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from oed.estimation.fitter import Minima, minimise
+from oed.mechanism.kinematics import AssemblyError
+
+
+@dataclasses.dataclass
+class Curve:
+    """Whitened readings y (m, N) of a model f(z) with slopes, machine by machine."""
+
+    y: np.ndarray
+    model: Callable[[np.ndarray], np.ndarray]
+    slope: Callable[[np.ndarray], np.ndarray]
+
+    @property
+    def rounding(self) -> np.ndarray:
+        return 1e-15 * np.abs(self.y)
+
+    def residuals(self, machines: np.ndarray, z: np.ndarray) -> np.ndarray:
+        predicted = np.array([self.model(row) for row in z])
+        return self.y[machines] - predicted
+
+    def slopes(self, machines: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.array([self.slope(row) for row in z])
+
+
+def ridge(weight: np.ndarray) -> tuple[Minima, np.ndarray]:
+    """Minimum of a linear model, and its closed form by the normal equations."""
+    rng = np.random.default_rng(1)
+    a, y = rng.normal(size=(12, 4)), rng.normal(size=(3, 12))
+    problem = Curve(y, lambda z: a @ z, lambda z: a)
+    exact = np.linalg.solve(a.T @ a + np.diag(weight**2), a.T @ y.T).T
+    return minimise(problem, rng.normal(size=(3, 4)), weight=weight), exact
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e-9, 0.0])
+def test_a_linear_model_takes_one_step_to_the_closed_form(weight: float) -> None:
+    minima, exact = ridge(np.array([1.0, 1.0, weight, weight]))
+    assert minima.converged.all()
+    np.testing.assert_allclose(minima.z, exact, rtol=0.0, atol=1e-11)
+    assert (minima.evaluations <= 2).all()
+
+
+def decay(z: np.ndarray) -> np.ndarray:
+    """A decay of unknown size and rate, in units of the noise."""
+    return np.asarray(1e3 * np.exp(z[0] - np.exp(0.5 * z[1]) * np.linspace(0, 2, 20)))
+
+
+def decay_slope(z: np.ndarray) -> np.ndarray:
+    by_rate = -0.5 * np.exp(0.5 * z[1]) * np.linspace(0, 2, 20) * decay(z)
+    return np.column_stack([decay(z), by_rate])
+
+
+def decays(machines: int) -> Curve:
+    rng = np.random.default_rng(2)
+    true = rng.normal(size=(machines, 2))
+    exact = np.array([decay(z) for z in true])
+    return Curve(exact + rng.normal(size=exact.shape), decay, decay_slope)
+
+
+def test_a_curved_model_ends_where_scipy_does() -> None:
+    problem = decays(8)
+    minima = minimise(problem, np.zeros((8, 2)))
+    assert minima.converged.all()
+    for y, z, slopes in zip(problem.y, minima.z, minima.slopes, strict=True):
+        oracle = optimize.least_squares(
+            lambda z, y=y: np.concatenate([y - decay(z), z]),
+            np.zeros(2),
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-13,
+        )
+        sd = np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes + np.eye(2))))
+        assert (np.abs(z - oracle.x) < 1e-5 * sd).all()
+
+
+def test_a_machine_ends_where_it_does_without_others() -> None:
+    together, problem = minimise(decays(5), np.zeros((5, 2))), decays(5)
+    for k in range(5):
+        one = dataclasses.replace(problem, y=problem.y[k : k + 1])
+        assert np.allclose(minimise(one, np.zeros((1, 2))).z[0], together.z[k], 1e-13)
+
+
+def test_the_residual_is_that_of_the_minimum() -> None:
+    problem = decays(4)
+    minima = minimise(problem, np.zeros((4, 2)))
+    exact = problem.residuals(np.arange(4), minima.z)
+    np.testing.assert_allclose(minima.residual, exact, rtol=0.0, atol=1e-9)
+
+
+def test_an_early_end_is_within_its_precision() -> None:
+    near = minimise(decays(6), np.zeros((6, 2)), precision=0.1)
+    end = minimise(decays(6), np.zeros((6, 2)))
+    off = np.linalg.norm((end.slopes @ (near.z - end.z)[:, :, None])[:, :, 0], axis=1)
+    assert (off < 0.1).all()
+    assert (near.evaluations <= end.evaluations).all()
+
+
+def test_machines_without_slopes_or_residuals_do_not_stop_the_others() -> None:
+    problem = decays(3)
+
+    def slope(z: np.ndarray) -> np.ndarray:
+        if z[0] == -0.5:
+            raise AssemblyError("singular", np.zeros(1, dtype=int))
+        return decay_slope(z)
+
+    def model(z: np.ndarray) -> np.ndarray:
+        return np.full(20, np.nan) if z[0] == 9.0 else decay(z)
+
+    start = np.array([[-0.5, 0.0], [0.0, 0.0], [9.0, 0.0]])
+    minima = minimise(dataclasses.replace(problem, model=model, slope=slope), start)
+    assert minima.converged.tolist() == [False, True, False]
+    assert np.isfinite(minima.residual).all(axis=1).tolist() == [False, True, False]
+    assert np.allclose(minima.z[1], minimise(problem, np.zeros((3, 2))).z[1])
