@@ -57,6 +57,7 @@ def design_section(
         order=chosen.order,
         robust=chosen.robust,
         how_many=chosen.how_many,
+        relaxed=chosen.relaxed,
     )
 
 
