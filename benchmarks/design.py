@@ -3,6 +3,7 @@
     python benchmarks/design.py                              # this project and general solvers
     python benchmarks/design.py --install-peers DIR          # one environment for each other package, in DIR
     python benchmarks/design.py --peers DIR [--markdown FILE]
+    python benchmarks/design.py --relaxations                # each relaxation, cvxpy, studies' candidates
     python benchmarks/design.py --large                      # this project alone, up to 200,000 candidates, with memory
 
 Problem A is in `peers/__init__.py`, with the other packages' adapters. Values are
@@ -45,6 +46,7 @@ from typing import TypeVar
 import cvxpy as cp
 import numpy as np
 
+import design_relaxations
 import hexapod
 import peer_runs
 from design_table import Row, format_markdown, format_text, sort
@@ -239,6 +241,7 @@ def parse_arguments() -> argparse.Namespace:
     add("--only", nargs="*", default=[], choices=peer_runs.PEERS, help="packages")
     add("--timeout", type=float, default=120.0, help="seconds for one task or solver")
     add("--markdown", type=Path, metavar="FILE", help="write the best rows there too")
+    add("--relaxations", action="store_true", help="each relaxation beside cvxpy")
     add("--large", action="store_true", help="this project with more candidates")
     return parser.parse_args()
 
@@ -248,6 +251,8 @@ def run(arguments: argparse.Namespace) -> list[Row]:
     relaxation.relax(candidates(), SIZE)  # warm-up
     if arguments.large:
         return run_large()
+    if arguments.relaxations:
+        return design_relaxations.run_relaxations()
     rows = run_problem_a(candidates(), arguments.timeout)
     rows += run_problem_c(arguments.timeout)
     if arguments.peers is None:

@@ -10,7 +10,9 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design import fedorov, tabu
 from oed.design.blocks import information
-from oed.design.criterion import Criterion, Determinant
+from oed.design.criterion import Criterion, Determinant, Variance
+from oed.design.criterion.protocol import is_positive_definite
+from oed.design.row_exchange import RowExchange
 
 
 class PlanEvaluator(Protocol):
@@ -47,8 +49,15 @@ class PlanEvaluator(Protocol):
         """
         ...
 
-    def exchange_all(self, chosen: Index, level: int) -> Index | None:
-        """The plan after all exchanges by a closed formula; None where there is none."""
+    def add_all(self, size: int, level: int, ridge: float) -> Index | None:
+        """The greedy plan by a closed formula; None where there is none."""
+        return None
+
+    def exchange_all(self, chosen: Index, level: int, sweeps: int) -> Index | None:
+        """The plan after all exchanges by a closed formula; None where there is none.
+
+        A formula that goes through the places in turn makes at most so many sweeps.
+        """
         return None
 
     def search_plans(
@@ -105,8 +114,16 @@ class CriterionEvaluator:
         criterion = self.criterion.continuation()[level]
         return criterion.values_after_adding(self._matrix(chosen, ridge), self.blocks)
 
-    def exchange_all(self, chosen: Index, level: int) -> Index | None:
-        """Fedorov's exchange of pairs, for D of single rows."""
+    def add_all(self, size: int, level: int, ridge: float) -> Index | None:
+        """Rank-one updates, for a mean variance of single rows with a prior."""
+        if not self._rows_by_variance:
+            return None
+        return self._row_exchange(ridge).select_greedily(size)
+
+    def exchange_all(self, chosen: Index, level: int, sweeps: int) -> Index | None:
+        """Exchange of single rows: of pairs for D, of each in turn for a mean variance."""
+        if self._rows_by_variance:
+            return self._row_exchange(0.0).exchange(chosen, sweeps)
         if not self._rows_by_determinant:
             return None
         base = self._matrix(chosen, None) - information(self.blocks[chosen])
@@ -129,6 +146,17 @@ class CriterionEvaluator:
         criterion = self.criterion
         of_all = isinstance(criterion, Determinant) and criterion.interest is None
         return of_all and self.blocks.shape[1] == 1
+
+    @property
+    def _rows_by_variance(self) -> bool:
+        """Whether single rows are judged by a mean variance that a prior determines."""
+        single = self.blocks.shape[1] == 1 and isinstance(self.criterion, Variance)
+        return single and is_positive_definite(self.base)
+
+    def _row_exchange(self, ridge: float) -> RowExchange:
+        assert isinstance(self.criterion, Variance)
+        base = self.base + ridge * np.eye(len(self.base))
+        return RowExchange(self.blocks[:, 0], self.criterion.factor, base)
 
     def subset(self, pool: Index) -> CriterionEvaluator:
         """The evaluator over a part of the candidates."""

@@ -20,7 +20,7 @@ from oed.design.criterion import Criterion, Determinant, Variance, named
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
-from oed.design.whitening import EXACT, WhiteCandidates, whiten
+from oed.design.whitening import EXACT, Rounding, WhiteCandidates, whiten
 
 #: rounds of search for each that is asked for, for D of candidates with several rows:
 #: their exchanges end in more local optima
@@ -118,19 +118,13 @@ def choose(
     >>> round(design.efficiency, 3)
     1.0
     """
-    blocks = as_blocks(rows)
-    columns = blocks.shape[2]
+    columns = as_blocks(rows).shape[2]
     rules = Rules(size=size) if rules is None else rules
-    goal = named(criterion, columns) if isinstance(criterion, str) else criterion
-    _check(blocks, rules)
-    of_all = spectrum(blocks, prior)
-    blocks, basis, base, rounding = _estimable(blocks, goal, prior, tolerance, of_all)
-    goal = goal.restrict(basis)
+    problem = pose(rows, rules, criterion, prior, tolerance)
+    blocks, goal, base = problem.blocks, problem.criterion, problem.base
     directions = blocks.shape[2]
-    if prior is None:
-        _check_size(blocks, rules)
     guiding = _guiding_criterion(goal, directions, rules)
-    guide = bound(blocks, guiding, rules, base, rounding=rounding)
+    guide = bound(blocks, guiding, rules, base, rounding=problem.rounding)
     evaluator = CriterionEvaluator(blocks, goal, base)
     starts = _greedy_plans(evaluator, rules, guide.weights)
     if isinstance(goal, Determinant) and blocks.shape[1] > 1:
@@ -153,7 +147,7 @@ def choose(
         value=goal.conventional_value(value, len(best)),
         directions=directions,
         columns=columns,
-        weak=of_all.weak(tolerance),
+        weak=problem.weak,
     )
     upper = None
     if guiding is goal:
@@ -163,6 +157,47 @@ def choose(
     if upper is None:
         return choice
     return choice.with_bound(goal, value, upper.value, upper.duality_gap)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Problem:
+    """Candidates over the directions that they or the prior determine.
+
+    blocks     (C, k, r) candidates over r directions
+    criterion  over these directions
+    base       (r, r) prior information
+    rounding   of blocks and prior information
+    weak       directions left out although candidates or prior see them
+    """
+
+    blocks: Array
+    criterion: Criterion
+    base: Array
+    rounding: Rounding
+    weak: int
+
+
+def pose(
+    rows: Array,
+    rules: Rules,
+    criterion: Criterion | str,
+    prior: Array | None,
+    tolerance: float,
+) -> Problem:
+    """The problem of a choice. Raises ValueError where no plan can keep the rules."""
+    blocks = as_blocks(rows)
+    goal = criterion
+    if isinstance(goal, str):
+        goal = named(goal, blocks.shape[2])
+    _check(blocks, rules)
+    of_all = spectrum(blocks, prior)
+    white = _estimable(blocks, goal, prior, tolerance, of_all)
+    goal = goal.restrict(white.basis)
+    if prior is None:
+        _check_size(white.blocks, rules)
+    return Problem(
+        white.blocks, goal, white.prior, white.rounding, of_all.weak(tolerance)
+    )
 
 
 def _estimable(

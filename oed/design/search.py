@@ -75,6 +75,10 @@ def select_greedily(
     """
     chosen = np.zeros(0, dtype=np.intp)
     level %= evaluator.levels
+    if rules.only_size and rules.size is not None:
+        added = evaluator.add_all(rules.size, level, ridge)
+        if added is not None:
+            return added
     count, allocation = evaluator.count, rules.allocation(chosen, weights)
     while (allowed := rules.completions(chosen, count, allocation)).any():
         values = evaluator.values_after_adding(chosen, level, ridge)
@@ -155,7 +159,7 @@ class _Exchange:
     ) -> Index:
         """Exchanges until none helps, at one level."""
         if self.rules.only_size:
-            exchanged = self.evaluator.exchange_all(chosen, level)
+            exchanged = self.evaluator.exchange_all(chosen, level, sweeps)
             if exchanged is not None:
                 return exchanged
         for _ in range(sweeps):

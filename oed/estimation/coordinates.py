@@ -22,7 +22,7 @@ from oed.estimation.fitter import minimise
 from oed.estimation.readings_problem import ReadingsProblem
 from oed.identifiability import identifiability, information
 from oed.measurement.measurement import Measurement, Series
-from oed.noise.covariance import Noise, independent_noise
+from oed.noise.covariance import Noise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,7 +135,7 @@ def coordinates_of_readings(
     the machine's own coordinates by micrometres, to second order, and its readings not
     at all. A fit in units of the stated noise, without a prior.
     """
-    noise = independent_noise(measurement.sigma(series))
+    noise = Noise(measurement.sigma(series))
     problem = ReadingsProblem(
         measurement,
         series,

@@ -13,12 +13,14 @@ from oed.result.acceptance import (
 from oed.result.budget import BudgetLine, BudgetSection, UnmodelledLine
 from oed.result.corrected import CorrectedSection, EffectEstimate, EffectTable
 from oed.result.design import (
+    CandidateWeight,
     CriterionComparison,
     DesignSection,
     HowManySummary,
     PlannedReading,
     PlanScore,
     PolishSummary,
+    RelaxedSummary,
     RobustSummary,
     WorkingOrder,
 )
@@ -97,6 +99,7 @@ __all__ = [
     "AnswerRecord",
     "BudgetLine",
     "BudgetSection",
+    "CandidateWeight",
     "ChosenRun",
     "ChosenRuns",
     "Claim",
@@ -143,6 +146,7 @@ __all__ = [
     "PredictiveCheckRecord",
     "PromiseRecord",
     "Record",
+    "RelaxedSummary",
     "RivalRecord",
     "RobustSummary",
     "Sd",

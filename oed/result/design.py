@@ -113,6 +113,25 @@ class HowManySummary(Record, frozen=True):
     words: str = ""
 
 
+class CandidateWeight(Record, frozen=True):
+    """Weight of a candidate: a reading, or a run by its first reading."""
+
+    setup: str
+    run: str
+    command: dict[str, float]  # in user units (`z_mm`, ...)
+    weight: float  # share of a reading, 0 to 1
+
+
+class RelaxedSummary(Record, frozen=True):
+    """Optimal weights of the candidates, their criterion's value and its bound."""
+
+    solver: str
+    value: float  # of the criterion at the weights
+    bound: float  # of the criterion for all plans
+    gap: float  # between value and bound, log of an efficiency
+    weights: list[CandidateWeight]  # largest first; the others are 0
+
+
 class DesignSection(Record, frozen=True, kw_only=True):
     """The chosen readings.
 
@@ -150,3 +169,4 @@ class DesignSection(Record, frozen=True, kw_only=True):
     order: WorkingOrder | None = None
     robust: RobustSummary | None = None
     how_many: HowManySummary | None = None
+    relaxed: RelaxedSummary | None = None  # weights, where the plan is of the largest

@@ -92,12 +92,15 @@ class _Place:
         return float(inside + special.rel_entr(1.0 - share, 1.0 - even))
 
 
-def _rank(place: _Place) -> tuple[bool, float, float]:
-    """Places that stand out come first, by how well they confine; others by p-value."""
-    p_value = place.block.p_value
+def _rank(place: _Place) -> tuple[bool, float, float, str]:
+    """Places that stand out come first, by how well they confine; others by p-value.
+
+    p-values are counts of draws, and often equal: the name decides then.
+    """
+    name, p_value = place.block.block, place.block.p_value
     if p_value < STANDS_OUT:
-        return False, -place.confines, p_value
-    return True, p_value, 0.0
+        return False, -place.confines, p_value, name
+    return True, p_value, 0.0, name
 
 
 def _place(name: str, energy: Array, total: Array, even: float) -> _Place:

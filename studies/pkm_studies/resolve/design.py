@@ -11,6 +11,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.design.quotas import QuotaSet
+from oed.design.weights import WEIGHED
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve import grids, lookup, quantities, quotas
@@ -90,6 +91,7 @@ def _check_fields(study: Study, table: DesignTable, place: Place) -> None:
     _check_prior(table, place)
     if table.branch_nodes:
         _check_branching(table, place)
+    _check_method(table, place)
     if table.how_many is not None:
         _check_needs(study, table, "I", place.key("how_many"))
     polish = table.polish
@@ -150,7 +152,15 @@ def _check_branching(table: DesignTable, place: Place) -> None:
         problem = f"branch and bound needs a smooth criterion, not {', '.join(rough)}"
         remedy = f"take one of {', '.join(SMOOTH)}, or leave branch_nodes out"
         raise place.error(problem, remedy, nodes)
-    rules: Mapping[str, bool] = {
+    for name, given in _given_rules(table).items():
+        if given:
+            problem = f"branch and bound does not know the rule {name}"
+            raise place.error(problem, f"leave branch_nodes or {name} out", nodes)
+
+
+def _given_rules(table: DesignTable) -> Mapping[str, bool]:
+    """Rules besides the number of readings, and whether they are given."""
+    return {
         "budget_min": table.budget_min is not None,
         "setups_max": table.setups_max is not None,
         "apart": bool(table.apart),
@@ -158,10 +168,35 @@ def _check_branching(table: DesignTable, place: Place) -> None:
         "equal": table.equal is not None,
         "robust": table.robust is not None,
     }
-    for name, given in rules.items():
+
+
+def _check_method(table: DesignTable, place: Place) -> None:
+    """Raises InputError for fields that do not go with the method."""
+    if table.method == "exchange":
+        if table.solver is not None:
+            raise place.key("solver").error(
+                "only weights have a solver",
+                'write method = "relaxed", or leave solver out',
+                table.solver,
+            )
+        return
+    at = place.key("method")
+    if table.judged_by not in WEIGHED:
+        raise at.error(
+            f"weights are for {', '.join(WEIGHED)}, not {table.judged_by}",
+            f"take one of {', '.join(WEIGHED)}, or leave method out",
+            table.method,
+        )
+    fields = {
+        **_given_rules(table),
+        "branch_nodes": table.branch_nodes > 0,
+        "compare": bool(table.compare),
+        "how_many": table.how_many is not None,
+    }
+    for name, given in fields.items():
         if given:
-            problem = f"branch and bound does not know the rule {name}"
-            raise place.error(problem, f"leave branch_nodes or {name} out", nodes)
+            problem = f"weights do not go with {name}"
+            raise at.error(problem, f"leave method or {name} out", table.method)
 
 
 def _check_needs(study: Study, table: DesignTable, name: str, place: Place) -> None:

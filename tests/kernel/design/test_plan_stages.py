@@ -9,11 +9,11 @@ import pytest
 
 from kernel.plan_catalogues import linear_option, searched, stage_after
 from oed.design.criterion.protocol import pairwise_traces
+from oed.design.row_exchange import LEAST_SHARE, RowExchange
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option
 from oed.design.stages.stage.knowledge import square_roots
 from oed.design.stages.stage.profiled import profile
-from oed.design.stages.stage.row_exchange import LEAST_SHARE, RowExchange
 
 
 def variance(problem: RowExchange, chosen: list[int]) -> float:

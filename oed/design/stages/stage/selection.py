@@ -8,12 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.criterion import Criterion, Variance
+from oed.design.criterion import Criterion
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
 from oed.design.search import improve, select_greedily
 from oed.design.stages.option import Option
-from oed.design.stages.stage.row_exchange import RowExchange
 
 #: capture probability below which a candidate is not worth a look
 HOPELESS = 1e-3
@@ -45,10 +44,6 @@ def select_readings(
     time = option.candidate_seconds[pool]
     designs = []
     if np.ptp(time) == 0.0:  # readings of equal length: their number limits the time
-        if blocks.shape[1] == 1 and isinstance(criterion, Variance):
-            exchange = RowExchange(blocks[:, 0], criterion.factor, base)
-            greedy = exchange.select_greedily(count)
-            return np.sort(pool[exchange.exchange(greedy, sweeps)])
         rules = Rules(size=count)
     else:
         rules = Rules(size=count, budget=seconds, cost=time)

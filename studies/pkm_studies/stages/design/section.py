@@ -62,6 +62,7 @@ def design_section(
         order=chosen.order,
         robust=chosen.robust,
         how_many=chosen.how_many,
+        relaxed=chosen.relaxed,
     )
 
 
@@ -114,6 +115,8 @@ def certificate_text(chosen: ChosenDesign, shared: int = 0) -> str:
     text = _certificate(chosen, what)
     text += _directions(chosen, shared)
     text += _shortfall(chosen)
+    if chosen.relaxed is not None:
+        text += ": the largest of the relaxation's weights"
     if chosen.retained:
         text += f", added to {chosen.retained} retained readings"
     polish = chosen.polish

@@ -18,6 +18,7 @@ from oed.result import (
     HowManySummary,
     KappaMap,
     PolishSummary,
+    RelaxedSummary,
     RobustSummary,
     WorkingOrder,
 )
@@ -25,7 +26,7 @@ from pkm_studies.base.errors import Place
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import Circles
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.design import how_many, order, polish, robust, search
+from pkm_studies.stages.design import how_many, order, polish, relaxed, robust, search
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
@@ -45,7 +46,7 @@ class ChosenDesign:
     candidates            number of candidates
     bound_ignores_setups  whether the bound allows any number of set-ups
     compared              designs for further criteria
-    polish, order, robust, how_many    summaries of these steps, where they ran
+    polish, order, robust, how_many, relaxed    summaries of these steps, where they ran
     """
 
     measurement: Measurement
@@ -61,6 +62,7 @@ class ChosenDesign:
     order: WorkingOrder
     robust: RobustSummary | None
     how_many: HowManySummary | None
+    relaxed: RelaxedSummary | None
 
 
 def select_design(
@@ -77,7 +79,13 @@ def select_design(
     study_criteria = StudyCriteria(resolved, table, request)
     problem = _problem(resolved, study_criteria, place)
     field = "compound" if table.compound else "criterion"
-    choice = _best(problem, study_criteria, table.judged_by, rng, place.key(field))
+    relaxed_summary = None
+    if table.method == "relaxed":
+        choice, relaxed_summary = relaxed.choose_relaxed(
+            problem, study_criteria, place.key("method")
+        )
+    else:
+        choice = _best(problem, study_criteria, table.judged_by, rng, place.key(field))
     if table.branch_nodes:
         criterion = study_criteria.over_candidates(table.judged_by, problem.candidates)
         choice = search.branch_and_bound(
@@ -118,6 +126,7 @@ def select_design(
         order=ordered.summary,
         robust=robust_summary,
         how_many=size_summary,
+        relaxed=relaxed_summary,
     )
 
 

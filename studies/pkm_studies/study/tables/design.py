@@ -165,6 +165,10 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
                    the plan optimal; 0: none. For smooth criteria (D, Ds, A, c, I, O1,
                    O5) and a plain number of readings
     starts         number of search rounds
+    method         "exchange": search among plans; "relaxed": the optimal weights of the
+                   candidates, and the readings of largest weight. For D, A and E, and
+                   a plain number of readings
+    solver         of the weights: "built_in", or "clarabel" or "scs" by cvxpy
     candidates     [[design.candidates]] tables: what can be read
     reference      [[design.reference]] tables: plans to compare with
     limits         [design.limits]: which candidates can be read
@@ -193,6 +197,8 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
     equal: Literal["setup", "run"] | None = None
     branch_nodes: Whole = 0
     starts: Count = 20
+    method: Literal["exchange", "relaxed"] = "exchange"
+    solver: Literal["built_in", "clarabel", "scs"] | None = None
     candidates: list[GridTable] = []
     reference: list[ReferenceTable] = []
     limits: LimitsTable | None = None

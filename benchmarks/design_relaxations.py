@@ -1,0 +1,75 @@
+"""Each relaxation of this project beside cvxpy, on the candidates of three studies.
+
+Values and bounds are log phi (for kappa, -log kappa). The conic forms are those of
+`oed.design.conic`, in coordinates that suit the solver: an efficient use of cvxpy.
+O4 has no conic form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from design_table import Row
+from oed.design import condition, conic, relaxation
+from oed.design.condition import EigenvalueRelaxation
+from oed.design.criterion import named
+from oed.design.relaxation import Relaxation
+from peers import processor_seconds
+from study_candidates import StudyCandidates, of_studies
+
+Answer = Relaxation | EigenvalueRelaxation
+SMOOTH = ("D", "A", "O5")
+
+
+def run_relaxations() -> list[Row]:
+    """Rows of all studies and criteria."""
+    rows = []
+    for study in of_studies():
+        for name, own in _own_methods(study):
+            problem = f"{study.name}, {name} relaxed"
+            rows.append(_row(problem, "this project", own, name, True))
+            if name != "O4":
+                rows.append(_row(problem, "cvxpy + CLARABEL", _conic(study, name)))
+    return rows
+
+
+def _own_methods(
+    study: StudyCandidates,
+) -> Iterator[tuple[str, Callable[[], Answer]]]:
+    blocks, size = study.blocks, study.size
+    columns = blocks.shape[2]
+    for name in SMOOTH:
+        criterion = named(name, columns)
+        yield name, lambda c=criterion: relaxation.relax(blocks, size, criterion=c)
+    yield "E", lambda: condition.e_optimal(blocks, size)
+    yield "kappa", lambda: condition.relax(blocks, size)
+    yield "O4", lambda: condition.o4(blocks, size)
+
+
+def _conic(study: StudyCandidates, name: str) -> Callable[[], Answer]:
+    criterion = named(name, study.blocks.shape[2])
+    return lambda: conic.relax(study.blocks, study.size, criterion)
+
+
+def _row(
+    problem: str,
+    method: str,
+    work: Callable[[], Answer],
+    name: str = "",
+    ours: bool = False,
+) -> Row:
+    """A row of one run; an answer of eigenvalues becomes log phi."""
+    start = processor_seconds()
+    try:
+        optimum = work()
+    except conic.NoConicAnswerError:
+        return Row(problem, method, None, processor_seconds() - start, note="no answer")
+    seconds = processor_seconds() - start
+    value, bound = optimum.value, optimum.bound
+    if isinstance(optimum, EigenvalueRelaxation):
+        sign = -1.0 if name == "kappa" else 1.0
+        value, bound = sign * float(np.log(value)), sign * float(np.log(bound))
+    note = f"duality gap {optimum.duality_gap:.0e}"
+    return Row(problem, method, value, seconds, bound, note, ours)
