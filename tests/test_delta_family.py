@@ -78,7 +78,7 @@ def test_a_study_describes_a_delta_by_its_geometry() -> None:
     nominal = {p.name: p.nominal for p in machine.parameters}
     assert nominal["radius3"] == 0.8
     assert [nominal[f"arm{i}"] for i in (1, 2, 3)] == pytest.approx([2.0, 2.001, 2.002])
-    assert unreachable(machine) is None
+    assert unreachable(Kinematics(machine)) is None
 
 
 def test_another_size_by_nominal_hangs_below_its_carriages() -> None:
@@ -91,7 +91,7 @@ def test_another_size_by_nominal_hangs_below_its_carriages() -> None:
 
 def test_poses_of_the_workspace_out_of_reach_are_named() -> None:
     text = SMALL.replace("radius_mm = 60", "radius_mm = 110")
-    sentence = unreachable(resolved(text).machine)
+    sentence = unreachable(resolved(text).measurement.kinematics)
     assert sentence is not None
     assert "of 27 poses" in sentence
     assert "x = -40 mm" in sentence

@@ -54,8 +54,8 @@ backlash, temperature_rise = (
     coefficients["leg_thermal", "leg 2 rise"],
 )
 assert set(best.effects) == {"backlash", "leg_thermal"}
-assert abs(backlash.mean - 6e-6) < 3.5 * backlash.sd < 1e-6  # m
-assert abs(temperature_rise.mean - 3.0) < 3.5 * temperature_rise.sd < 0.2  # K
+assert abs(backlash.value - 6e-6) < 3.5 * backlash.sd < 1e-6  # m
+assert abs(temperature_rise.value - 3.0) < 3.5 * temperature_rise.sd < 0.2  # K
 assert complete.where[0].block == "leg 3"
 assert rms(complete.before) > 7.0 * 0.5  # the bar's noise is 0.5 um
 assert rms(complete.after) < 0.6
@@ -106,8 +106,8 @@ picture.save(
         ),
         f"{' and '.join(best.effects)}: {best.probability:.0%}",
         (
-            f"play of leg 3: {1e6 * backlash.mean:.2f} um (6), rise of leg 2:"
-            f" {temperature_rise.mean:.2f} K (3)"
+            f"play of leg 3: {1e6 * backlash.value:.2f} um (6), rise of leg 2:"
+            f" {temperature_rise.value:.2f} K (3)"
         ),
         (
             f"without direction: {' and '.join(without_direction.answers[0].effects)}, where:"

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
-from oed.result import AcceptanceSection, StudyResult, VerificationSection
+from oed.result import (
+    AcceptanceSection,
+    PromiseRecord,
+    StudyResult,
+    VerificationSection,
+)
 from pkm_reports import text
 from pkm_reports.blocks import (
     Block,
@@ -58,16 +63,8 @@ def _demands(acceptance: AcceptanceSection) -> Table:
         TableColumn("Component"),
         *number_columns("Promised rms", "Limit", "Uncertainty", "Power"),
     ]
-    rows = [
-        [
-            f"{name} [{text.unit_symbol(d.unit)}]",
-            text.number(d.promised),
-            text.number(d.limit),
-            text.number(d.uncertainty, 2),
-            text.fixed(d.power, 2),
-        ]
-        for name, d in acceptance.components.items()
-    ]
+    demands = acceptance.components.items()
+    rows = [[_component(name, d), *_demand(d)] for name, d in demands]
     caption = (
         "Demands: the rms of the errors measured at the poses below must not exceed the"
         " limit. Uncertainty: of one measured error, one standard deviation."
@@ -82,12 +79,9 @@ def _further_demands(acceptance: AcceptanceSection) -> Table:
     ]
     rows = [
         [
-            f"{name} [{text.unit_symbol(d.unit)}]",
+            _component(name, d),
             "" if d.without is None else text.number(d.without),
-            text.number(d.promised),
-            text.number(d.limit),
-            text.number(d.uncertainty, 2),
-            text.fixed(d.power, 2),
+            *_demand(d),
         ]
         for name, d in acceptance.further.items()
     ]
@@ -96,6 +90,20 @@ def _further_demands(acceptance: AcceptanceSection) -> Table:
         " take the known error back (columns with “offset” of the compensation table)."
     )
     return Table(columns, rows, caption)
+
+
+def _component(name: str, demand: PromiseRecord) -> str:
+    return f"{name} [{text.unit_symbol(demand.unit)}]"
+
+
+def _demand(demand: PromiseRecord) -> list[str]:
+    """Cells of a demand: promised, limit, uncertainty, power."""
+    return [
+        text.number(demand.promised),
+        text.number(demand.limit),
+        text.number(demand.uncertainty, 2),
+        text.fixed(demand.power, 2),
+    ]
 
 
 def _poses(acceptance: AcceptanceSection) -> Table:

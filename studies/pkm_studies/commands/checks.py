@@ -139,7 +139,7 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
     parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
     sentences = [f"sound: {', '.join(parts)}", *resolved.warnings]
     if has_own_numbers(study.machine):
-        sentence = unreachable(resolved.machine)
+        sentence = unreachable(resolved.measurement.kinematics)
         sentences += [sentence] if sentence else []
     return "; ".join(sentences)
 

@@ -9,7 +9,7 @@ import typer
 
 from pkm_studies.base import console
 from pkm_studies.base.user_code import consent
-from pkm_studies.commands.options import AllowCode
+from pkm_studies.commands.options import AllowCode, MachineStudy
 
 DONE, FAILED = 0, 1
 
@@ -50,12 +50,7 @@ def compensate(
         Path | None,
         typer.Option(metavar="FILE", help="File to write [DIR/compensation.*]."),
     ] = None,
-    study: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="STUDY", help="The study, where its machine is a file of yours."
-        ),
-    ] = None,
+    study: MachineStudy = None,
     commands: Commands = None,
     firmware: FirmwareVersion = None,
     force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,

@@ -14,7 +14,7 @@ from pkm_studies.commands.options import (
     Seed,
     StudyPath,
 )
-from pkm_studies.commands.study_file import load
+from pkm_studies.commands.study_file import load_for
 from pkm_studies.stages.outcome import report_outcome
 
 
@@ -32,14 +32,12 @@ def diagnose(
     allow_code: AllowCode = False,
 ) -> int:
     """Find what causes the gap between model and machine: which effect, and where."""
-    from pkm_studies.base import files
     from pkm_studies.notebook import display
 
-    loaded = load(study, allow_code)
-    files.check_writable(out)
+    loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline
 
     given = None if readings is None else [readings]
     with display.progress(quiet=quiet) as progress:
-        result = pipeline.diagnose(loaded, given, out, seed=seed, progress=progress)
-    return report_outcome(result, out, quiet)
+        result = pipeline.diagnose(loaded, given, folder, seed=seed, progress=progress)
+    return report_outcome(result, folder, quiet)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from pkm_studies.base.user_code import consent
-from pkm_studies.commands.options import AllowCode
+from pkm_studies.commands.options import AllowCode, MachineStudy
 from pkm_studies.stages.outcome import DONE, FAILED
 
 
@@ -28,12 +28,7 @@ def history(
             help="Rms errors at which to calibrate again [twice the present ones].",
         ),
     ] = "",
-    study: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="STUDY", help="The study, where its machine is a file of yours."
-        ),
-    ] = None,
+    study: MachineStudy = None,
     allow_code: AllowCode = False,
 ) -> int:
     """Show how a machine drifts over its sessions, and when to calibrate again."""

@@ -14,7 +14,7 @@ from pkm_studies.commands.options import (
     Seed,
     StudyPath,
 )
-from pkm_studies.commands.study_file import load
+from pkm_studies.commands.study_file import load_for
 from pkm_studies.stages.outcome import report_outcome
 
 
@@ -37,20 +37,18 @@ def identify(
     allow_code: AllowCode = False,
 ) -> int:
     """Identify the machine from readings."""
-    from pkm_studies.base import files
     from pkm_studies.notebook import display
 
-    loaded = load(study, allow_code)
-    files.check_writable(out)
+    loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline
 
     with display.progress(quiet=quiet) as progress:
         result = pipeline.run(
             loaded,
-            out,
+            folder,
             seed=seed,
             progress=progress,
             readings=[readings],
             effects=effects.replace(",", " ").split() if effects else (),
         )
-    return report_outcome(result, out, quiet)
+    return report_outcome(result, folder, quiet)

@@ -24,6 +24,12 @@ StudyPath = Annotated[
         show_default=False,
     ),
 ]
+MachineStudy = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="STUDY", help="The study, where its machine is a file of yours."
+    ),
+]
 OutFolder = Annotated[
     Path,
     typer.Option(metavar="DIR", help="Folder for the results.", show_default=False),

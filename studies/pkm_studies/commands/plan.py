@@ -13,7 +13,7 @@ from pkm_studies.commands.options import (
     Seed,
     StudyPath,
 )
-from pkm_studies.commands.study_file import load
+from pkm_studies.commands.study_file import load_for
 from pkm_studies.stages.outcome import report_outcome
 
 
@@ -35,12 +35,9 @@ def plan(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
-    from pkm_studies.base import files
     from pkm_studies.notebook import display
 
-    loaded = load(study, allow_code)
-    folder = out or Path("out") / f"{loaded.name}-plan"
-    files.check_writable(folder)
+    loaded, folder = load_for(study, allow_code, out, "-plan")
     from pkm_studies import pipeline
 
     with display.progress(quiet=quiet) as progress:

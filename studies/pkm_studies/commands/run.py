@@ -13,7 +13,7 @@ from pkm_studies.commands.options import (
     Seed,
     StudyPath,
 )
-from pkm_studies.commands.study_file import load
+from pkm_studies.commands.study_file import load_for
 from pkm_studies.stages.outcome import report_outcome
 
 
@@ -28,12 +28,9 @@ def run(
     allow_code: AllowCode = False,
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
-    from pkm_studies.base import files
     from pkm_studies.notebook import display
 
-    loaded = load(study, allow_code)
-    folder = out or Path("out") / loaded.name
-    files.check_writable(folder)
+    loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline  # only now: errors of input come at once
 
     with display.progress(quiet=quiet) as progress:

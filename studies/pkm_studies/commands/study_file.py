@@ -16,3 +16,18 @@ def load(path: Path, allow_code: bool) -> Study:
     from pkm_studies.study import shipped
 
     return study.load(shipped.study_path(path), consent(allow_code=allow_code))
+
+
+def load_for(
+    path: Path, allow_code: bool, out: Path | None, suffix: str = ""
+) -> tuple[Study, Path]:
+    """The study, and the folder of its results: `out`, else one of the study's name.
+
+    Raises InputError where the folder cannot be written.
+    """
+    from pkm_studies.base import files
+
+    loaded = load(path, allow_code)
+    folder = out or Path("out") / f"{loaded.name}{suffix}"
+    files.check_writable(folder)
+    return loaded, folder

@@ -9,7 +9,7 @@ import typer
 
 from pkm_studies.base import console
 from pkm_studies.base.user_code import Consent, consent
-from pkm_studies.commands.options import AllowCode
+from pkm_studies.commands.options import AllowCode, MachineStudy
 
 DONE, FAILED = 0, 1
 
@@ -44,12 +44,7 @@ def verify(
         float, typer.Option(min=0.1, max=0.999, help="Power that is asked for.")
     ] = 0.9,
     poses: Annotated[int, typer.Option(min=1, max=200, help="Poses at most.")] = 12,
-    study: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="STUDY", help="The study, where its machine is a file of yours."
-        ),
-    ] = None,
+    study: MachineStudy = None,
     allow_code: AllowCode = False,
 ) -> int:
     """Plan the acceptance test of a compensated machine, or judge its readings."""

@@ -78,78 +78,48 @@ class MarlinRules:
 
 
 WIDE, INNER = (0.9, 1.0, 1.1), (0.8, 0.9, 1.0)
-#: release candidates first: the last number of a key says whether it is a release
-ALL_RULES: Final = (
-    MarlinRules(
-        since=(0, 0, 0, 0, 1),
-        b=ROD_TRIM,
-        retreat="exact",
-        positive="no move",
-        has_height=False,
-        reads_to_bed=False,
+#: what each range of versions does otherwise than the one before; release candidates
+#: first: the last number of a key says whether it is a release
+CHANGES: Final[tuple[tuple[tuple[int, ...], dict[str, Any]], ...]] = (
+    (
+        (1, 1, 0, 0, 1),
+        {
+            "b": RADIUS,
+            "positive": "normalised",
+            "has_height": True,
+            "turns_by_z": True,
+            "probe_moves_height": True,
+            "reads_to_bed": True,
+        },
     ),
-    MarlinRules(
-        since=(1, 1, 0, 0, 1),
-        b=RADIUS,
-        retreat="exact",
-        positive="normalised",
-        turns_by_z=True,
-        probe_moves_height=True,
-    ),
-    MarlinRules(
-        since=(1, 1, 2, 0, 1),
-        b=RADIUS,
-        retreat="tenth",
-        positive="normalised",
-        turns_by_z=True,
-        probe_moves_height=True,
-    ),
-    MarlinRules(
-        since=(1, 1, 6, 0, 1),
-        b=RADIUS,
-        retreat="tenth",
-        positive="ignored",
-        probe_moves_height=True,
-    ),
-    MarlinRules(
-        since=(1, 1, 7, 0, 1),
-        b=RADIUS,
-        retreat="tenth",
-        positive="ignored",
-        circles=WIDE,
-    ),
-    MarlinRules(
-        since=(1, 1, 9, 0, 1),
-        b=RADIUS,
-        retreat="steps",
-        positive="ignored",
-        circles=INNER,
-    ),
-    MarlinRules(
-        since=(1, 1, 9, 1, 1),
-        b=RADIUS,
-        retreat="steps",
-        positive="ignored",
-        counts_to_probe=True,
-        circles=INNER,
-    ),
-    MarlinRules(
-        since=(2, 0, 0, 0, 1),
-        b=NOT_READ,
-        retreat="steps",
-        positive="ignored",
-        counts_to_probe=True,
-        circles=INNER,
-    ),
-    MarlinRules(
-        since=(2, 0, 6, 0, 1),
-        b=ROD_TRIM,
-        retreat="dead band",
-        positive="ignored",
-        counts_to_probe=True,
-        circles=INNER,
-    ),
+    ((1, 1, 2, 0, 1), {"retreat": "tenth"}),
+    ((1, 1, 6, 0, 1), {"positive": "ignored", "turns_by_z": False}),
+    ((1, 1, 7, 0, 1), {"probe_moves_height": False, "circles": WIDE}),
+    ((1, 1, 9, 0, 1), {"retreat": "steps", "circles": INNER}),
+    ((1, 1, 9, 1, 1), {"counts_to_probe": True}),
+    ((2, 0, 0, 0, 1), {"b": NOT_READ}),
+    ((2, 0, 6, 0, 1), {"b": ROD_TRIM, "retreat": "dead band"}),
 )
+
+
+def _all_rules() -> tuple[MarlinRules, ...]:
+    """The rules of every range of versions, the oldest first."""
+    rules = [
+        MarlinRules(
+            since=(0, 0, 0, 0, 1),
+            b=ROD_TRIM,
+            retreat="exact",
+            positive="no move",
+            has_height=False,
+            reads_to_bed=False,
+        )
+    ]
+    for since, changes in CHANGES:
+        rules.append(dataclasses.replace(rules[-1], since=since, **changes))
+    return tuple(rules)
+
+
+ALL_RULES: Final = _all_rules()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -83,17 +83,18 @@ def has_own_numbers(table: MachineTable) -> bool:
     return bool(table.geometry or table.nominal or table.workspace or table.travel)
 
 
-def unreachable(machine: Machine) -> str | None:
+def unreachable(kinematics: Kinematics) -> str | None:
     """A sentence on poses of the workspace that cannot be assembled; None without.
 
     Corners, middles of sides and centre are tried.
     """
+    machine = kinematics.machine
     ends = [(c.lower, c.upper) for c in machine.command]
     count = TRIED if TRIED ** len(ends) <= MOST_TRIED else TRIED - 1
     axes = [np.linspace(low, high, count) for low, high in ends]
     command = np.array(list(itertools.product(*axes)))
     try:
-        Kinematics(machine).inverse(command)
+        kinematics.inverse(command)
     except AssemblyError as error:
         values = zip(machine.command, command[error.indices[0]], strict=True)
         first = ", ".join(
