@@ -101,7 +101,14 @@ coefficients = { "leg 2" = -60.0 }
 MACHINES = {"a3_head": A3, "planar_2dof": PLANAR, "linear_delta": DELTA}
 
 
-@pytest.fixture(scope="module", params=list(MACHINES))
+@pytest.fixture(
+    scope="module",
+    params=[
+        "a3_head",
+        "planar_2dof",
+        pytest.param("linear_delta", marks=pytest.mark.slow),
+    ],
+)
 def case(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[StudyResult, dict]:

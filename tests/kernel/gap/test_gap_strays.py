@@ -116,7 +116,8 @@ def test_strays_are_told_and_no_others() -> None:
     assert np.sqrt(np.mean((detected.pseudo_residual - y)[ordinary] ** 2)) < 0.3
 
 
-@pytest.mark.parametrize(("degrees", "seed"), [(3.0, 1), pytest.param(4.0, 2, marks=pytest.mark.slow)]
+@pytest.mark.parametrize(
+    ("degrees", "seed"), [(3.0, 1), pytest.param(4.0, 2, marks=pytest.mark.slow)]
 )
 def test_what_is_left_tells_as_much_as_heavy_tails_allow(
     degrees: float, seed: int
