@@ -55,7 +55,10 @@ def test_readings_in_doubt_are_in_no_figure() -> None:
     rest = goodness_of_estimate(m, series, estimate, doubtful)
     white = estimate.residuals / m.sigma(series)
     assert rest.chi2 == pytest.approx(whole.chi2 - np.sum(white[doubtful] ** 2))
-    assert whole.dof - 2.0 < rest.dof < whole.dof
+    slopes = m.jacobian(series, estimate.theta)[~doubtful] * m.tolerance
+    values = np.linalg.svd(slopes / m.sigma(series)[~doubtful, None], compute_uv=False)
+    determined = float(np.sum(values**2 / (1.0 + values**2)))
+    assert rest.dof == pytest.approx(len(slopes) - determined, abs=1e-6)
     solution = fit(session)
     assert solution is not None
     assert goodness(solution).dof == pytest.approx(whole.dof, abs=0.1)
@@ -106,10 +109,19 @@ def test_a_mistake_that_is_not_far_likelier_explains_nothing() -> None:
     assert len(explain._explanations([left], None, before=np.inf)) == 1
 
 
+def test_of_one_mistake_the_likeliest_form_counts() -> None:
+    one, two = candidate("in um", -102.0), candidate("in um", -100.0)
+    other = candidate("in inch", -101.0)
+    assert explain._distinct([one, other, two]) == [two, other]
+
+
 def test_only_a_specific_mistake_settles_the_search() -> None:
     nothing = candidate("", -400.0)
     assert explain._settles(candidate("in um", -100.0), nothing)
     assert not explain._settles(candidate("in um", -399.0), nothing)
+    assert explain._settles(candidate("in um", -400.0 + explain.HOPELESS), nothing)
+    at_the_limit = candidate("in um", -100.0, ratio=explain.SETTLED)
+    assert explain._settles(at_the_limit, nothing)
     assert not explain._settles(candidate("any", -100.0, kind="size"), nothing)
     assert not explain._settles(candidate("in um", -100.0, ratio=1.6), nothing)
     assert explain._settles(candidate("in um", -1e6), None)
