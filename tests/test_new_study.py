@@ -93,7 +93,7 @@ TURNING = ("a3_head", "hexaglide", "hexapod", "prs_spindle", "prs_spindle_struts
 def _pairs() -> list[Any]:
     """Every machine with every instrument; of families with one position reader.
 
-    By default a third of them: each machine, each instrument.
+    By default a sixth of them: each machine, each instrument.
     """
     place = Place("catalogue")
     pairs = []
@@ -105,9 +105,9 @@ def _pairs() -> list[Any]:
     machines, tools = (list(dict.fromkeys(names)) for names in zip(*pairs, strict=True))
 
     def marks(machine: str, tool: str) -> list[pytest.MarkDecorator]:
-        third = (machines.index(machine) + tools.index(tool)) % 3 == 0
+        sixth = (machines.index(machine) + tools.index(tool)) % 6 == 0
         alone = tool == "camera_known_frame" or (machine, tool) in ONLY
-        return [] if third or alone else [pytest.mark.slow]
+        return [] if sixth or alone else [pytest.mark.slow]
 
     return [pytest.param(*pair, marks=marks(*pair)) for pair in pairs]
 

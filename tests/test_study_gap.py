@@ -23,6 +23,8 @@ FOLDER = Path(__file__).resolve().parent
 
 @pytest.fixture(autouse=True)
 def diagnosis_by_hand(own_folder: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search for effects, and that for mistakes of the file, have tests of their own."""
+    monkeypatch.setattr("oed.checks.check.explain", lambda *args, **options: [])
     monkeypatch.setattr(
         "oed.gap.procedure.diagnose",
         lambda problem, effects, rng: gap_fixture.diagnosis(problem),

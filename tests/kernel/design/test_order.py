@@ -193,7 +193,7 @@ def test_runs_stay_together_in_the_best_order(
     monkeypatch.setattr(order, "EXACT", 12 if exact else 2)
     runs = [[3, 0, 5], [1], [2, 7], [6, 4], [8]]
     excess = []
-    for seed in range(10):
+    for seed in range(5):
         distance, start, _ = problem(seed, 9)
         best = np.inf
         for p in permutations(runs):

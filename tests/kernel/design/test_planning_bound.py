@@ -22,12 +22,19 @@ def bound_of(
 
 
 @pytest.mark.parametrize(
-    "equal_times", [True, pytest.param(False, marks=pytest.mark.slow)]
+    ("equal_times", "seeds"),
+    [
+        (True, range(12)),
+        pytest.param(True, range(12, 30), marks=pytest.mark.slow),
+        pytest.param(False, range(30), marks=pytest.mark.slow),
+    ],
 )
-def test_no_plan_of_thirty_catalogues_is_below_the_bound(equal_times: bool) -> None:
+def test_no_plan_of_many_catalogues_is_below_the_bound(
+    equal_times: bool, seeds: range
+) -> None:
     """All sets of readings, under budgets that bind or not, of two stages or three."""
     gaps, certified = [], 0
-    for seed in range(30):
+    for seed in seeds:
         rng = np.random.default_rng(seed)
         options, goal = catalogues.catalogue(rng, equal_times=equal_times)
         stages = 2 + seed % 2
@@ -39,7 +46,7 @@ def test_no_plan_of_thirty_catalogues_is_below_the_bound(equal_times: bool) -> N
         certified += bound.certified
         assert bound.certified == (gaps[-1] <= 0.05 + 1e-9)
     assert min(gaps) >= 0.0
-    assert certified >= 20
+    assert certified >= len(seeds) * 2 // 3
     assert np.median(gaps) < 0.03
 
 
@@ -68,15 +75,18 @@ def test_a_bound_without_limits_on_numbers_of_readings_is_lower() -> None:
     assert bound.value > 1.1 * bound_of(options, goal, 1e5, best).value
 
 
+@pytest.mark.parametrize(
+    "seeds", [range(4), pytest.param(range(4, 10), marks=pytest.mark.slow)]
+)
 def test_readings_lost_to_the_setup_itself_stay_within_the_bound(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, seeds: range
 ) -> None:
     """A travel as large as what the set-ups' parameters do.
 
     Plans judged by many machines are not below the bound.
     """
     monkeypatch.setattr(stage_module, "FIRST_LOOK_DRAWS", 1000)
-    for seed in range(10):
+    for seed in seeds:
         rng = np.random.default_rng(200 + seed)
         options, goal = catalogues.catalogue(rng)
         short = [dataclasses.replace(option, travel=30.0) for option in options]

@@ -1,8 +1,6 @@
-"""Angles, rotations and formulas of an orientation; what a file says of its columns."""
+"""Angles and rotations of an orientation, against matrices multiplied in their order."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,16 +8,6 @@ import stated_order
 
 from oed.base import orientation
 from oed.base.orientation import Orientation
-from oed.model.instrument import Instrument
-from pkm_models.machines import prs_spindle
-from pkm_studies.base.errors import Place
-from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve import conventions
-
-
-def instrument(name: str) -> Instrument:
-    return catalogue.instrument(name, Path(), Place("catalogue"))
-
 
 ORDERS = [
     orientation.rotation(("x", "a"), ("y", "b"), ("z", "c")),
@@ -51,29 +39,3 @@ def test_a_product_without_an_inverse_says_so() -> None:
     stated = orientation.rotation(("z", "a"), ("x", "b"), ("z", "c"))
     with pytest.raises(ValueError, match="has no inverse"):
         stated.angles(np.eye(3)[None])
-
-
-def test_columns_of_a_file_are_stated_above_its_header() -> None:
-    m = prs_spindle.machine
-    tool = instrument("pose_tracker")
-    header = [
-        "setup",
-        "run",
-        "order",
-        "alpha_deg",
-        "q1_mm",
-        "read_alpha_mrad",
-        "time_s",
-    ]
-    lines = conventions.readings_comments(m, {"t": tool}, header)
-    assert lines[0].startswith("base frame: ")
-    stated = {line.partition(": ")[0] for line in lines}
-    assert {"alpha_deg", "q1_mm", "read_alpha_mrad"} <= stated
-    both = {"a": instrument("ball_bar"), "b": instrument("calliper")}
-    (line,) = [
-        line
-        for line in conventions.readings_comments(m, both, ["length_mm"])
-        if line.startswith("length_mm")
-    ]
-    assert "a: distance from the cup" in line
-    assert "b: distance between the tool points" in line

@@ -1,0 +1,81 @@
+"""Acceptance limits, exact errors and means over machines against closed forms."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from oed.accuracy import maps
+from oed.accuracy.acceptance.plan import Promise, state_limits
+from oed.accuracy.budget.linearisation import variance_over_machines
+from oed.accuracy.budget.model import budget_model
+from oed.accuracy.error_draws import compensated_errors
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import Kinematics
+from oed.model.instrument import mount
+from pkm_models.instruments import relative
+from pkm_models.machines import a3_head, planar_2dof
+
+COMMAND = np.array([[1.1, 0.3, 0.2], [1.2, -2.0, 0.5], [1.25, 1.1, 0.05]])
+
+
+def test_limits_and_power_of_an_even_error_are_those_of_chi_squared(
+    rng: np.random.Generator,
+) -> None:
+    """An error that is the same at all poses, of 2 um, read to 1 um at 6 of 10."""
+    size, uncertainty, count = 2e-6, 1e-6, 6
+    promise = Promise(
+        names=("z",),
+        maps=np.ones((10, 1, 1)),
+        covariances=[np.eye(1)],
+        rms=np.array([size]),
+        uncertainty=np.array([uncertainty]),
+    )
+    plan = state_limits(promise, np.arange(count), rng, miss=1.5, false_alarm=0.1)
+    at_promise, beyond = (
+        stats.ncx2(count, count * (factor * size / uncertainty) ** 2)
+        for factor in (1.0, 1.5)
+    )
+    limit = at_promise.isf(0.1)
+    assert plan.limits[0] == pytest.approx(
+        uncertainty * np.sqrt(limit / count), rel=0.01
+    )
+    assert plan.power[0] == pytest.approx(beyond.sf(limit), abs=0.02)
+    assert plan.false_alarm == pytest.approx(0.1, abs=1e-3)
+
+
+def test_exact_errors_of_small_draws_are_those_of_the_maps(
+    rng: np.random.Generator,
+) -> None:
+    kinematics = Kinematics(a3_head.machine)
+    nominal = a3_head.machine.nominal
+    change = 1e-6 * rng.standard_normal((2, len(nominal)))
+    told = compensated_errors(kinematics, COMMAND, nominal, nominal + change)
+    by_maps = maps.error_maps(kinematics, COMMAND, "home")
+    linear = np.einsum("nkp,mp->mnk", by_maps.remaining, change)
+    raw = np.einsum("nkp,mp->mnk", by_maps.raw, change)
+    assert told == pytest.approx(raw, abs=1e-3 * np.abs(raw).max())
+    assert np.abs(linear).max() <= np.abs(raw).max()
+    nothing = compensated_errors(kinematics, COMMAND, nominal, nominal[None])
+    assert np.abs(nothing).max() < 1e-12
+
+
+def test_machines_near_nominal_have_its_variance(rng: np.random.Generator) -> None:
+    """With a thousandth of the tolerances the mean over machines is that of the slopes."""
+    narrow = [
+        dataclasses.replace(p, tolerance=1e-3 * p.tolerance)
+        for p in planar_2dof.machine.parameters
+    ]
+    machine = planar_2dof.machine.with_parameters(narrow)
+    m = Measurement(machine, [mount(relative.rm5, "ruler")])
+    command = np.array([[-0.5, 0.2], [0.0, 0.2], [0.5, 0.2], [1.0, 0.6]])
+    series = [m.series("ruler", command, run=["a"] * 4)]
+    drawn = variance_over_machines(m, series, command, ["home"], rng)["home"]
+    covariance = budget_model(m, series, m.nominal).covariance()
+    raw = maps.error_maps(m.kinematics, command, "home").raw
+    count = len(machine.parameters)
+    nominal = np.einsum("nkp,pq,nkq->nk", raw, covariance[:count, :count], raw)
+    assert drawn == pytest.approx(nominal, rel=1e-2, abs=1e-3 * nominal.max())

@@ -1,0 +1,241 @@
+"""What a check computes on its way: ranges, copies, outliers, senses, clocks, priors."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from types import SimpleNamespace
+from typing import Any
+
+import blunder_machines as machines
+import numpy as np
+import pandas as pd
+import pytest
+
+from oed.checks import candidates, copies, outlier_sets
+from oed.checks.effects import rivals
+from oed.checks.far_reading import FarReading, alike_readings
+from oed.checks.fit import LeaveOneOut
+from oed.checks.judgement import probability_of_strain
+from oed.checks.large_misfit import fit_of_any_misfit
+from oed.checks.outlier_search import far_readings
+from oed.checks.outliers import find_outliers
+from oed.checks.ranges import predict_ranges
+from oed.checks.senses import contradictions
+from oed.checks.session import SessionReadings
+from oed.checks.times import between, clock, within
+from oed.noise.covariance import Noise
+
+SIGMA = 0.5e-6
+NOBODY = np.empty(0, dtype=np.intp)
+
+
+@pytest.fixture(scope="module")
+def session() -> SessionReadings:
+    return machines.session("a3", machines.readings("a3", 3))
+
+
+def spoiled(session: SessionReadings, errors: dict[int, float]) -> SessionReadings:
+    """With errors, in sigma, of some readings."""
+    y = session.y.copy()
+    for reading, size in errors.items():
+        y[reading] += size * SIGMA
+    return session.with_y(y)
+
+
+# -- ranges and readings that no instrument took ---------------------------------------
+
+
+def test_ranges_are_those_of_drawn_machines(
+    session: SessionReadings, rng: np.random.Generator
+) -> None:
+    ranges = predict_ranges(session, rng)
+    m = session.measurement
+    draws = m.nominal + m.tolerance * rng.standard_normal((400, len(m.nominal)))
+    read = m.readings(session.series, draws)
+    read = read + SIGMA * rng.standard_normal(read.shape)
+    assert ranges.sd == pytest.approx(read.std(axis=0), rel=0.2)
+    assert not ranges.outside(session.y).size
+    far = session.y + np.where(np.arange(len(session)) == 5, 7.0 * ranges.sd, 0.0)
+    assert ranges.outside(far).tolist() == [5]
+    assert (ranges.upper - ranges.lower) == pytest.approx(2 * ranges.factor * ranges.sd)
+
+
+def test_a_rounding_step_is_found(session: SessionReadings) -> None:
+    members = np.arange(len(session))
+    rounded = session.with_y(np.round(session.y, 5))
+    assert copies.resolution(rounded, members) == pytest.approx(1e-5)
+    assert copies.resolution(session, members) == pytest.approx(1e-7)
+    (coarse,) = copies.coarse_columns(rounded)
+    assert (coarse.channel, len(coarse.readings)) == ("length", len(session))
+    assert not copies.coarse_columns(session)
+
+
+def test_equal_readings_at_other_poses_are_copies(session: SessionReadings) -> None:
+    y = session.y.copy()
+    y[20:23] = y[20]
+    (group,) = copies.equal_readings(session.with_y(y))
+    assert group.readings == (20, 21, 22)
+    assert not group.same_pose
+    assert not copies.equal_readings(session)
+
+
+def test_computed_readings_are_those_of_the_nominal_machine(
+    session: SessionReadings, rng: np.random.Generator
+) -> None:
+    ranges = predict_ranges(session, rng)
+    nominal = session.with_y(ranges.nominal)
+    computed = copies.computed_readings(nominal, ranges.nominal, ranges.sd)
+    assert len(computed) == len(session)
+    assert not copies.computed_readings(session, ranges.nominal, ranges.sd).size
+
+
+# -- outliers --------------------------------------------------------------------------
+
+
+def test_the_best_set_is_the_best_of_all(rng: np.random.Generator) -> None:
+    """By brute force over all sets of up to three of nine readings."""
+    slopes = 3.0 * rng.standard_normal((9, 2))
+    covariance = np.eye(9) + slopes @ slopes.T
+    p = np.linalg.inv(covariance)
+    residual = rng.standard_normal(9)
+    residual[[2, 3]] += 9.0
+    values, vectors = np.linalg.eigh(np.eye(9) - p)
+    factor = vectors * np.sqrt(np.maximum(values, 0.0))
+    prediction = LeaveOneOut(p @ residual, np.diag(p).copy(), factor, Noise(np.ones(9)))
+    gradient = p @ residual
+
+    def gain(members: tuple[int, ...]) -> float:
+        k = list(members)
+        solved = np.linalg.solve(p[np.ix_(k, k)], gradient[k])
+        return float(gradient[k] @ solved) - 9.0 * len(k)
+
+    sets = [s for n in (1, 2, 3) for s in itertools.combinations(range(9), n)]
+    reading = np.arange(9, dtype=np.intp)
+    found = outlier_sets.best_set(prediction, reading, [4], limit=3.0)
+    assert tuple(found) == max(sets, key=gain)
+
+
+def test_gross_errors_are_found_and_measured(session: SessionReadings) -> None:
+    wrong = spoiled(session, {7: 60.0, 30: -45.0})
+    found = find_outliers(wrong, NOBODY)
+    assert found is not None
+    assert found.readings == (7, 30)
+    assert found.errors == pytest.approx([60.0 * SIGMA, -45.0 * SIGMA], abs=5 * SIGMA)
+    search = far_readings(wrong, NOBODY, 3, robust=False)
+    assert search is not None
+    assert sorted(search.readings) == [7, 30]
+
+
+def far(reading: int, error: float, pull: float = 20.0) -> FarReading:
+    return FarReading(reading, np.copysign(pull, error), error, reading)
+
+
+def test_neighbours_off_alike_are_no_single_errors(session: SessionReadings) -> None:
+    three = [far(k, 1e-5) for k in (13, 14, 15)]
+    assert alike_readings(session, three) == (13, 14, 15)
+    assert alike_readings(session, three[:2]) == ()
+    mixed = [far(13, 1e-5), far(14, -1e-5), far(15, 1e-5)]
+    assert alike_readings(session, mixed) == ()
+    beyond = [*three, far(40, 1e-5, pull=90.0)]
+    assert alike_readings(session, beyond) == (13, 14, 15)
+
+
+def test_a_large_misfit_is_fitted_at_its_own_scale(session: SessionReadings) -> None:
+    wrong = session.with_y(
+        session.y + 1e-4 * np.sin(7.0 * np.arange(len(session)) ** 2)
+    )
+    fitted = fit_of_any_misfit(wrong, 100.0)
+    assert fitted is not None
+    assert fitted.scale / 2.0 <= fitted.remaining() <= 2.0 * fitted.scale
+    assert fitted.scale > 20.0
+    clean = fit_of_any_misfit(session, 100.0)
+    assert clean is not None
+    assert clean.scale == 1.0
+
+
+# -- judgement, priors, senses ---------------------------------------------------------
+
+
+def test_strained_parameters_are_told_from_noise(rng: np.random.Generator) -> None:
+    """Of residuals from the prior the probability is even; of ten times that it is 0."""
+    slopes = 5.0 * rng.standard_normal((40, 6))
+    usual = [
+        probability_of_strain(
+            slopes, slopes @ rng.standard_normal(6) + rng.standard_normal(40)
+        )
+        for _ in range(60)
+    ]
+    assert 0.3 < np.mean(usual) < 0.7
+    strained = slopes @ (10.0 * rng.standard_normal(6)) + rng.standard_normal(40)
+    assert probability_of_strain(slopes, strained) < 1e-6
+
+
+def test_rivals_of_a_mistake_have_a_drift_and_a_size(session: SessionReadings) -> None:
+    m = session.measurement
+    slopes = m.in_prior_units(m.jacobian(session.series, m.nominal))
+    effects = rivals(session, slopes)
+    assert [r.columns is None for r in effects] == [False, False, True]
+    assert effects[2].slopes(slopes, 3.0, None) == pytest.approx(3.0 * slopes)  # type: ignore[arg-type]
+
+
+def test_kinds_share_the_prior_evenly() -> None:
+    def trial(kind: str, level: str, family: str = "") -> Any:
+        scope = SimpleNamespace(level=level)
+        return SimpleNamespace(kind=kind, scope=scope, family=family, log_prior=0.0)
+
+    every = [
+        trial("unit", "file"),
+        trial("unit", "file"),
+        trial("unit", "run"),
+        trial("sign", "file"),
+    ]
+    shares = np.exp(candidates.log_priors(every)) / candidates.MISTAKEN
+    assert shares == pytest.approx([1 / 8, 1 / 8, 1 / 4, 1 / 2])
+
+
+def test_runs_of_one_path_need_one_sense_of_travel() -> None:
+    rows = machines.readings("a3", 0)
+    one = rows[rows["run"] == "cup 1"].copy()
+    one.attrs = {}
+    both = [one.assign(direction=1.0), one.assign(run="cup 9", direction=-1.0)]
+    rows = pd.concat(both, ignore_index=True)
+    (pair,) = contradictions(machines.session("a3", rows))
+    assert pair.runs == ("cup 1", "cup 9")
+    assert pair.same_order
+    rows["direction"] = 1.0
+    assert not contradictions(machines.session("a3", rows))
+
+
+# -- clocks ----------------------------------------------------------------------------
+
+
+def run(name: str, times: list[float]) -> clock.TimedRun:
+    count = len(times)
+    joints = np.linspace(0.0, 1.0, count)[:, None]
+    return clock.TimedRun("s", name, np.arange(count) + 2, np.array(times), joints)
+
+
+def test_steps_of_a_clock() -> None:
+    one = run("a", [0.0, 10.0, 20.0, 35.0])
+    assert (one.start, one.end, one.cadence, one.least_step) == (0.0, 35.0, 10.0, 10.0)
+    assert one.scaled(60.0, later=5.0).times.tolist() == [5.0, 605.0, 1205.0, 2105.0]
+    assert clock.typical(np.array([-5.0, 2.0, 4.0])) == 3.0
+    assert clock.typical(np.array([-5.0])) == 0.0
+    assert clock.alike(10.0, 15.0)
+    assert not clock.alike(10.0, 15.1)
+
+
+def test_runs_at_one_time_clash() -> None:
+    first = run("a", [10.0 * k for k in range(6)])
+    second = first.scaled(1.0, later=60.0)
+    assert between.first_clash([first, second]) is None
+    elsewhere = dataclasses.replace(first, run="b", joints=first.joints[::-1])
+    clash = between.first_clash([first, elsewhere])
+    assert clash is not None
+    column = clock.TimeColumn("time_s", "s", 1.0)
+    assert column.others["min"] == 60.0
+    assert not within.findings([first], column)
+    backward = run("c", [20.0, 10.0, 0.0])
+    (finding,) = within.findings([backward], column)
+    assert "runs backward" in finding.sentence

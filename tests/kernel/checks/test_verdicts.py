@@ -1,0 +1,143 @@
+"""Verdicts on a fit: its goodness, its outliers, and the odds of mistakes."""
+
+from __future__ import annotations
+
+import blunder_machines as machines
+import numpy as np
+import pytest
+from scipy import stats
+
+from oed.checks import explain, undone
+from oed.checks.fit import fit
+from oed.checks.goodness import goodness, goodness_of, goodness_of_estimate
+from oed.checks.mistakes import Given
+from oed.checks.words import rounded
+from oed.estimation.identification import identify
+
+SIGMA = 0.5e-3  # mm, of the bar
+
+
+@pytest.mark.parametrize("chi2", [1.0, 7.0, 30.0])
+def test_goodness_is_that_of_a_gamma_law_with_mean_and_variance(chi2: float) -> None:
+    weights = np.array([1.0, 1.0, 0.5, 0.25, 0.1] * 3)
+    mean, variance = weights.sum(), 2.0 * weights @ weights
+    law = stats.gamma(a=mean**2 / variance, scale=variance / mean)
+    told = goodness_of(chi2, weights)
+    assert told.dof == pytest.approx(mean)
+    assert told.p_low == pytest.approx(law.cdf(chi2))
+    assert told.p_high == pytest.approx(law.sf(chi2))
+
+
+def test_the_law_is_that_of_drawn_sums(rng: np.random.Generator) -> None:
+    weights = np.linspace(0.2, 1.0, 12)
+    sums = rng.standard_normal((40_000, 12)) ** 2 @ weights
+    for chi2 in np.quantile(sums, [0.1, 0.5, 0.9]):
+        assert goodness_of(chi2, weights).p_low == pytest.approx(
+            np.mean(sums < chi2), abs=0.02
+        )
+
+
+def test_a_fit_without_freedom_says_nothing() -> None:
+    nothing = goodness_of(3.0, np.zeros(4))
+    assert (nothing.dof, nothing.p_low, nothing.p_high) == (0.0, 1.0, 1.0)
+    assert nothing.ratio is None
+
+
+def test_readings_in_doubt_are_in_no_figure() -> None:
+    """Their residuals and their weights leave, and nothing else does."""
+    session = machines.session("a3", machines.readings("a3", 0))
+    m, series = session.measurement, session.series
+    estimate = identify(m, series, session.y)
+    doubtful = np.zeros(len(session), dtype=bool)
+    whole = goodness_of_estimate(m, series, estimate, doubtful)
+    assert whole.chi2 == pytest.approx(estimate.chi2)
+    doubtful[[3, 40]] = True
+    rest = goodness_of_estimate(m, series, estimate, doubtful)
+    white = estimate.residuals / m.sigma(series)
+    assert rest.chi2 == pytest.approx(whole.chi2 - np.sum(white[doubtful] ** 2))
+    slopes = m.jacobian(series, estimate.theta)[~doubtful] * m.tolerance
+    values = np.linalg.svd(slopes / m.sigma(series)[~doubtful, None], compute_uv=False)
+    determined = float(np.sum(values**2 / (1.0 + values**2)))
+    assert rest.dof == pytest.approx(len(slopes) - determined, abs=1e-6)
+    solution = fit(session)
+    assert solution is not None
+    assert goodness(solution).dof == pytest.approx(whole.dof, abs=0.1)
+
+
+def test_one_far_reading_is_no_misfit_of_the_others() -> None:
+    rows = machines.readings("a3", 3)
+    clean = undone.as_given(Given(machines.session("a3", rows)), 1.0)
+    rows.loc[17, "length_mm"] += 50.0 * SIGMA
+    spoiled = undone.as_given(Given(machines.session("a3", rows)), 1.0)
+    rows["length_mm"] += 50.0 * SIGMA * (np.arange(len(rows)) % 2)
+    many = undone.as_given(Given(machines.session("a3", rows)), 1.0)
+    assert clean is not None
+    assert spoiled is not None
+    assert many is not None
+    assert spoiled.ratio == pytest.approx(clean.ratio, rel=0.1)
+    assert many.ratio > 10.0
+    assert spoiled.log_posterior < clean.log_posterior
+
+
+def candidate(
+    what: str, log_posterior: float, kind: str = "unit", ratio: float = 1.0
+) -> undone.Undone:
+    return undone.Undone(kind, what, log_posterior, ratio)
+
+
+def test_mistakes_and_none_share_the_probability() -> None:
+    """By Bayes' rule, with the prior of no mistake."""
+    nothing = candidate("", -400.0, ratio=90.0)
+    one, two = candidate("in um", -100.0), candidate("in inch", -102.0)
+    told = explain._explanations([one, two], nothing, before=90.0)
+    assert [e.what for e in told] == ["in um", "in inch"]
+    odds = np.exp([0.0, -2.0])
+    assert [e.probability for e in told] == pytest.approx(odds / odds.sum())
+    alone = nothing.log_posterior + np.log1p(-explain.MISTAKEN)
+    assert told[0].log_odds == pytest.approx(one.log_posterior - alone)
+
+
+def test_a_mistake_that_is_not_far_likelier_explains_nothing() -> None:
+    nothing = candidate("", -100.0, ratio=90.0)
+    prior = np.log1p(-explain.MISTAKEN)
+    for gain, count in ((-0.1, 0), (0.1, 1)):
+        one = candidate("in um", -100.0 + prior + explain.LOG_ODDS + gain)
+        assert len(explain._explanations([one], nothing, before=90.0)) == count
+    assert explain._explanations([], nothing, before=90.0) == []
+    left = candidate("in um", -10.0, ratio=50.0)
+    assert explain._explanations([left], nothing, before=90.0) == []
+    assert len(explain._explanations([left], None, before=np.inf)) == 1
+
+
+def test_of_one_mistake_the_likeliest_form_counts() -> None:
+    one, two = candidate("in um", -102.0), candidate("in um", -100.0)
+    other = candidate("in inch", -101.0)
+    assert explain._distinct([one, other, two]) == [two, other]
+
+
+def test_only_a_specific_mistake_settles_the_search() -> None:
+    nothing = candidate("", -400.0)
+    assert explain._settles(candidate("in um", -100.0), nothing)
+    assert not explain._settles(candidate("in um", -399.0), nothing)
+    assert explain._settles(candidate("in um", -400.0 + explain.HOPELESS), nothing)
+    at_the_limit = candidate("in um", -100.0, ratio=explain.SETTLED)
+    assert explain._settles(at_the_limit, nothing)
+    assert not explain._settles(candidate("any", -100.0, kind="size"), nothing)
+    assert not explain._settles(candidate("in um", -100.0, ratio=1.6), nothing)
+    assert explain._settles(candidate("in um", -1e6), None)
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "words"),
+    [
+        (12.3456, 0.07, "12.35"),
+        (12.3, 4.0, "12"),
+        (1234567.0, 0.1, "1234567"),
+        (0.5, 0.1, "0.5"),
+        (3.14159, 0.0, "3.142"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_deviation_leaves(
+    value: float, sd: float, words: str
+) -> None:
+    assert rounded(value, sd) == words

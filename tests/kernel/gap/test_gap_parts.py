@@ -1,0 +1,130 @@
+"""Roots, products, folds and conditioning of a diagnosis, against dense matrices."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from kernel import gap_lines
+from kernel import gap_problem as case
+from oed.gap.cause import conditioning
+from oed.gap.cause.folds import FOLDS, Paths
+from oed.gap.cause.remainder import energies
+from oed.gap.cause.wide import WIDE, wide_model
+from oed.gap.data import evidence
+from oed.gap.data.law_evidence import LawEvidence
+from oed.gap.data.metric import Metric
+from oed.gap.data.products import ColumnProducts
+from oed.gap.data.root import inverse_root
+from oed.gap.forms import discrepancy, library
+from oed.noise.law import NoiseLaw
+
+
+def test_a_root_leaves_out_what_readings_do_not_show(rng: np.random.Generator) -> None:
+    columns = rng.standard_normal((20, 3)) * np.array([10.0, 1.0, 1e-4])
+    gram = columns.T @ columns
+    whole = inverse_root(gram, lambda largest: 1e-12 * largest)
+    np.testing.assert_allclose(whole @ whole.T, np.linalg.inv(gram), rtol=1e-6)
+    part = inverse_root(gram, lambda largest: 1e-4 * largest)
+    assert part.shape == (3, 2)
+    values, vectors = np.linalg.eigh(gram)
+    wanted = (vectors[:, 1:] / values[1:]) @ vectors[:, 1:].T
+    np.testing.assert_allclose(part @ part.T, wanted, rtol=1e-8, atol=1e-12)
+
+
+def test_products_are_those_in_the_dense_metric(rng: np.random.Generator) -> None:
+    problem = case.circles(8)
+    problem = problem.with_residual(rng.standard_normal(len(problem)))
+    law = dataclasses.replace(case.law(problem), level=1.0)
+    metric = np.linalg.inv(case.dense(problem, law))
+    effects = rng.standard_normal((len(problem), 4))
+    processes = rng.standard_normal((len(problem), 3))
+    needed = np.array([0, 2])
+    products = ColumnProducts(
+        problem, Metric(problem, law), effects, processes, [np.array([[0, 2]])], needed
+    )
+    np.testing.assert_allclose(
+        products.diagonal, np.diag(effects.T @ metric @ effects), rtol=1e-8
+    )
+    gram = effects[:, needed].T @ metric @ effects[:, needed]
+    np.testing.assert_allclose(products.grams(needed).gram, gram, rtol=1e-8)
+    cross = effects[:, [2]].T @ metric @ processes
+    told = products.with_processes(np.array([2]))
+    np.testing.assert_allclose(told, cross, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        products.process_b, processes.T @ metric @ problem.residual, atol=1e-9
+    )
+    block = processes[:, [0, 2]].T @ metric @ processes[:, [0, 2]]
+    np.testing.assert_allclose(products.blocks[0][0], block, rtol=1e-8)
+    diagonal = np.diag(block)
+    assert energies(diagonal, [np.array([0, 1])])[0] == pytest.approx(diagonal.sum())
+
+
+def test_evidence_of_many_laws_is_that_of_each(rng: np.random.Generator) -> None:
+    problem = case.circles(8)
+    problem = problem.with_residual(2.0 * rng.standard_normal(len(problem)))
+    columns = np.hstack([problem.slopes, rng.standard_normal((len(problem), 2))])
+    laws = [
+        NoiseLaw(run, carried, length, np.full(len(problem), 1.0 - carried**2))
+        for run, carried, length in ((0.0, 0.0, 4.0), (1.5, 0.0, 4.0), (0.5, 0.6, 7.0))
+    ]
+    told = LawEvidence(problem, columns)(laws)
+    wanted = [evidence.log_evidence(problem, law, columns) for law in laws]
+    assert told == pytest.approx(wanted, abs=1e-6)
+
+
+def test_repeats_are_of_one_fold_and_a_path_is_cut_in_fifths() -> None:
+    problem = case.circles(20, (1.10, 1.16), 2)
+    paths = Paths(problem)
+    height = problem.series[0].reading_commands()[:, 0]
+    groups = paths.groups()
+    assert sorted(len(group) for group in groups) == [4, 4]
+    fold, unit = paths.whole()
+    for number in np.unique(fold):
+        assert len(np.unique(height[fold == number])) == 1
+    fold, unit = paths.within()
+    assert np.unique(fold).size == FOLDS
+    psi = problem.series[0].reading_commands()[:, 1]
+    for number in range(FOLDS):
+        assert len(np.unique(psi[fold == number].round(9))) == 20 // FOLDS
+    assert np.unique(unit).size == FOLDS * 8
+
+
+def test_held_out_readings_are_those_of_a_ridge_without_them(
+    rng: np.random.Generator,
+) -> None:
+    h, r = 2.0 * rng.standard_normal((30, 5)), rng.standard_normal(30)
+    information = np.eye(5) + h.T @ h, h.T @ r
+    held, rest = np.arange(30) < 8, np.arange(30) >= 8
+    white = np.column_stack([h, r])[held]
+    mean, log_evidence = conditioning.learn(information, white)
+    precision = np.eye(5) + h[rest].T @ h[rest]
+    wanted = np.linalg.solve(precision, h[rest].T @ r[rest])
+    np.testing.assert_allclose(mean, wanted, atol=1e-10)
+    log_det = np.linalg.slogdet(precision)[1]
+    assert log_evidence == pytest.approx(
+        0.5 * wanted @ precision @ wanted - 0.5 * log_det
+    )
+    # the first three are parameters, the others effects
+    before, after = conditioning.standardise(information, 3, white, r[held])
+    p = h[:, :3]
+    of_rest = np.eye(3) + p[rest].T @ p[rest]
+    error = r[held] - p[held] @ np.linalg.solve(of_rest, p[rest].T @ r[rest])
+    spread = np.eye(8) + p[held] @ np.linalg.solve(of_rest, p[held].T)
+    assert before @ before == pytest.approx(error @ np.linalg.solve(spread, error))
+    wanted_after = r[held] @ np.linalg.solve(spread, r[held])
+    assert after @ after == pytest.approx(wanted_after)
+
+
+def test_the_wide_model_has_every_effect_at_one_size() -> None:
+    problem = gap_lines.readings(1)
+    forms = library.build(problem, gap_lines.EFFECTS)
+    processes = discrepancy.build(problem)
+    columns = wide_model(forms, processes)
+    assert len(columns) == len(problem)
+    broad = [e for e in processes.effects if e != discrepancy.IN_A_RUN]
+    effects = len(forms.effects) + len(broad)
+    energy = (columns**2).sum() / len(columns)
+    assert energy == pytest.approx(effects * WIDE**2)
