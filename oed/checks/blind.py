@@ -23,7 +23,7 @@ from oed.measurement.simulation import draw_parameters
 UNSEEN = 25.0
 #: scale of the noise, in the linear model, beyond which a mistake is not fitted
 FAR = 100.0
-#: kinds that rescale the noise, and are told by it, or that need mistaken readings
+#: kinds that rescale the noise, and show in it, or that need mistaken readings
 SEEN = ("unit", "deviation", "sorting", "disorder", "copied")
 #: factors on readings, and on their noise, that a few readings do not tell
 FACTORS = (0.5, 2.0)

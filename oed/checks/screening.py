@@ -186,7 +186,7 @@ class Screening:
 def scales_of_noise(residual: Array) -> Array:
     """Scales of the noise that residuals (N,), over the stated noise, may have.
 
-    Sums of squares are known to rounding alone: smaller scales cannot be told.
+    Sums of squares are known to rounding alone: smaller scales cannot be resolved.
     """
     largest = 2.0 * float(np.sqrt(np.mean(residual**2))) + 2.0
     least = max(LEAST_SCALE, RESOLVED * largest)

@@ -17,7 +17,7 @@ from oed.dataset.data import consecutive
 from oed.measurement.measurement import Measurement, Series
 from oed.noise.covariance import Noise
 
-#: fine units from which a difference is told in the unit of its column
+#: fine units from which a difference is shown in the unit of its column
 LARGE = 1000.0
 #: columns of `SessionReadings.values`
 VALUE_COLUMNS = ("setup", "run", "order", "row", "channel")

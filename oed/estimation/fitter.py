@@ -95,7 +95,7 @@ def minimise(
     A machine whose residuals cannot be computed at the start, or whose slopes cannot
     be computed at a point, does not converge.
     """
-    search = _Search(problem, start, np.broadcast_to(weight, start.shape[1:]))
+    search = _Steps(problem, start, np.broadcast_to(weight, start.shape[1:]))
     active = np.flatnonzero(np.isfinite(search.cost))
     for _ in range(steps):
         active = search.step(active, precision)
@@ -104,7 +104,7 @@ def minimise(
     return search.minima()
 
 
-class _Search:
+class _Steps:
     """Points of m machines and their steps."""
 
     def __init__(self, problem: LeastSquares, start: Array, weight: Array) -> None:

@@ -202,7 +202,7 @@ class Effect:
     exposed_by           reading that separates it from its rivals
     check                what to check where it is far larger than expected
     nature               what it has in common with others, in words: how a class of many
-                         effects is told
+                         effects is named
     unfit(machine)       why it cannot occur on a machine, in words; None where it can
     common_to_limbs      whether limbs of one design, or set-ups, usually share coefficients
     units                {pattern of coefficients' names: SI unit}, the first that suits;

@@ -2,7 +2,7 @@
 
 A reading's channels may be correlated (a gimbal's angles turned into Cartesian
 coordinates), and the readings of a run may share an error (the reference reading that
-all of them are told against). The covariance is then block diagonal over runs, and kept
+all of them are differences from). The covariance is then block diagonal over runs, and kept
 as a factor in linear time (`oed.noise.factor`).
 """
 

@@ -1,4 +1,4 @@
-"""Readings far off: heavy tails, told from what each reading is predicted to be from
+"""Readings far off: heavy tails, detected from what each reading is predicted to be from
 all others.
 
 An error e of density f, with score s(e) = -f'(e) / f(e) and Fisher information I = E
@@ -30,7 +30,7 @@ DEGREES = (3.0, 4.0, 6.0, 10.0)
 SHARES, WILD = (0.005, 0.01, 0.02, 0.05), (5.0, 10.0)
 #: log likelihood over that of normal errors, from which on tails are heavy
 WORTH = 3.0
-#: turns by which strays are told from what others are predicted to be without them;
+#: turns by which outliers are detected from what others are predicted to be without them;
 #: change at which they end
 TURNS, STILL = 12, 1e-3
 #: weight below which, and pull above which, a reading is named

@@ -14,7 +14,7 @@ from oed.noise.law_noise import factor_of
 from oed.noise.process import Laws
 from oed.noise.structure import ReadingStructure
 
-#: fewest readings among which one can be told to be far off
+#: fewest readings among which one can be recognised as far off
 FEWEST = 8
 
 

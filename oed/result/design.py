@@ -152,7 +152,7 @@ class DesignSection(Record, frozen=True, kw_only=True):
     candidates: int
     plans: list[PlanScore] = []
     words: str = ""  # how good the choice is known to be, as a sentence
-    directions: int = 0  # that the candidates see and the criterion is told over, of `columns` unknowns
+    directions: int = 0  # that the candidates see and the criterion is stated over, of `columns` unknowns
     columns: int = 0
     gap: float | None = (
         None  # what is known of the bound's own slack (log of an efficiency)

@@ -147,7 +147,7 @@ class Spot(Record, frozen=True):
 class GapSection(Record, frozen=True):
     """The diagnosis of one set of readings.
 
-    verdict   none, effect, class (one of several that cannot be told apart), mixture
+    verdict   none, effect, class (one of several that cannot be distinguished), mixture
               (several, or one and an unknown remainder), unknown
     set95     the fewest sets of named effects that hold 95 % of the probability
               together, whatever is beside them

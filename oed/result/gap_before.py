@@ -29,7 +29,7 @@ class SharedRecord(Record, frozen=True):
 
 
 class RivalRecord(Record, frozen=True):
-    """How well an effect can be told from another: sqrt(lambda_k|j), smallest principal
+    """How well an effect can be distinguished from another: sqrt(lambda_k|j), smallest principal
     angle.
     """
 
@@ -73,7 +73,7 @@ class DetectabilityTable(Record, frozen=True):
 
     names, apart, angles_deg   (K), (K x K): row after column is absorbed; detectability
                                on the diagonal
-    classes    groups of visible effects that can not all be told apart;  absorbed:
+    classes    groups of visible effects that can not all be distinguished;  absorbed:
                pairs, the first not from the second
     exact      pairs of which some combinations are the same to these readings
     """

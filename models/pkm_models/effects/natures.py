@@ -1,4 +1,4 @@
-"""What effects have in common: how a class of many is told."""
+"""What effects have in common: the name of a class of many."""
 
 SCALE = "a length or a scale that is off"
 TRAVEL = "an error along the travel or turn of joints"

@@ -27,7 +27,7 @@ SHAPE_SHARE = 0.4
 #: hexapod 2 kN, and payloads go with it
 MASS_RATIOS = (0.3, 1.0, 3.0, 10.0)
 #: distance over which an error along a joint's travel hangs together, of half the
-#: travel read; modes it is told by
+#: travel read; modes that describe it
 CORRELATION_LENGTH, CURVES = 0.5, 10
 #: least part of a joint's whole travel over which its error is a curve of its own
 MIN_TRAVEL_SHARE = 0.25

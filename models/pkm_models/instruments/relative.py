@@ -9,14 +9,14 @@ X_0 the run's reference.
     rm5   rm1 and rm3 at once
 
 One run is one line; its first pose is the reference configuration, which reads 0 by
-definition. All readings of a line are told against the one reference reading, whose own
+definition. All readings of a line are differences from the one reference reading, whose own
 noise they share: Channel.shared = 1.
 
 An interferometer reads along its beam, so that a beam out of line costs a cosine only.
 A micrometer reads across the line: a ruler or square out of line by `tilt` adds tilt
 times the distance travelled. The paper takes its reference planes as perfect, and so
 does this module: the tolerance of `tilt` is 0, that is, held. With `tolerance = {
-tilt_mrad = ... }` a set-up frees it; it cannot be told from a common tilt of both
+tilt_mrad = ... }` a set-up frees it; it cannot be distinguished from a common tilt of both
 guides then.
 
 Noise, one standard deviation: the paper states none. Laser interferometer 1 um (0.5

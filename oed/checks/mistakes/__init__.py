@@ -18,7 +18,7 @@ moved, driven  series at other poses
 pose           commanded poses with wrong signs, columns or offsets
 program        another program of a fixed length: a circle at another height
 joints         legs numbered otherwise
-reference      readings told against another pose of their run
+reference      differences from another pose of their run
 zero           wrong zeros inside an instrument, such as a dead length
 amounts        offsets, factors, other tools, set-ups that moved, wrong sizes
 contradiction  two parts of a session that fit alone, a run that contradicts all others

@@ -1,4 +1,4 @@
-"""Readings told against another pose of their run than its first."""
+"""Readings that are differences from another pose of their run than its first."""
 
 from __future__ import annotations
 
@@ -28,18 +28,16 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     if all(setups[s.setup].instrument.reference != "run" for s in session.series):
         return
     for name, place in PLACES.items():
-        moved = _told_against(given, place)
+        moved = _differences_from(given, place)
         table = pose_table(given, moved)
         if table is None:
             continue
         for scope in given.scopes:
-            sentence = (
-                f"the readings{scope.of} are told against the {name} pose of each run"
-            )
+            sentence = f"the readings{scope.of} are differences from the {name} pose of each run"
             yield moved_trial(given, "reference", scope, sentence, moved, table)
 
 
-def _told_against(given: Given, place: Callable[[int], int]) -> Moved:
+def _differences_from(given: Given, place: Callable[[int], int]) -> Moved:
     setups = given.session.measurement.setups
 
     def moved(series: Series) -> Series | None:

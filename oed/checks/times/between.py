@@ -98,7 +98,7 @@ def _own_clocks(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding | 
         if len(firsts) > 1 and max(starts) - min(starts) <= PAUSE * step:
             sentence = (
                 f"{column.name} begins anew in each {what}, near {column.written(min(starts))}: a drift"
-                " through the session cannot be told from it. Use one clock for all"
+                " through the session cannot be distinguished from it. Use one clock for all"
                 " set-ups: add the time that passed before each, or leave the cells empty."
             )
             return CheckFinding(Severity.REMARK, "time clocks", sentence)

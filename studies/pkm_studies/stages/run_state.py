@@ -85,7 +85,7 @@ class Readings:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TakenReadings(Readings):
+class MeasuredReadings(Readings):
     """Readings with their values.
 
     y           (N,) values, SI
@@ -168,7 +168,7 @@ class Measured(Scheduled):
     checked  what a check of recorded readings says
     """
 
-    readings: TakenReadings
+    readings: MeasuredReadings
     checked: CheckedSession | None = None
 
     @property

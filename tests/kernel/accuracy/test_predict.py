@@ -170,7 +170,7 @@ def test_best_fit_removes_any_rigid_motion() -> None:
 
 def test_zeroing_at_home_removes_a_wrong_place_and_a_wrong_mount() -> None:
     """A shift of the base frame and a turn of the platform's joints about the TCP
-    cannot be told from a wrong zero.
+    cannot be distinguished from a wrong zero.
     """
     maps = prediction.error_maps(A3, a3_plans.workspace(), "home")
     names = [p.name for p in A3.machine.parameters]

@@ -20,21 +20,17 @@ from oed.base.arrays import Array
 from oed.checks.mistakes import (
     Given,
     amounts,
-    change,
     columns,
     contradiction,
     copied,
-    deviation,
     joints,
     order,
     pose,
     program,
     reference,
-    scale,
     setups,
-    sign,
     sorting,
-    unit,
+    values,
     zero,
 )
 from oed.checks.mistakes.trial import MistakeTrial
@@ -42,15 +38,15 @@ from oed.checks.mistakes.trial import MistakeTrial
 BY_NAME = {blunder.name: blunder for blunder in BLUNDERS}
 #: mistakes without amounts, or with those, SI, that were made
 MADE: list[tuple[ModuleType, str, tuple[float, ...]]] = [
-    (unit, "one run in inches", ()),
-    (unit, "angles in rad", ()),
-    (unit, "one display of two in inches", ()),
-    (deviation, "one run in um of deviation", ()),
-    (deviation, "length added to lengths", ()),
-    (sign, "reversed deviations in one run", ()),
-    (sign, "one gauge in two lines' channels, reversed", ()),
-    (scale, "half of the deviations of one run", ()),
-    (scale, "one gauge in two lines' channels, halved", ()),
+    (values, "one run in inches", ()),
+    (values, "angles in rad", ()),
+    (values, "one display of two in inches", ()),
+    (values, "one run in um of deviation", ()),
+    (values, "length added to lengths", ()),
+    (values, "reversed deviations in one run", ()),
+    (values, "one gauge in two lines' channels, reversed", ()),
+    (values, "half of the deviations of one run", ()),
+    (values, "one gauge in two lines' channels, halved", ()),
     (columns, "tracker turned by 90 deg", ()),
     (order, "readings one row late", ()),
     (order, "runs read backward", ()),
@@ -84,21 +80,21 @@ def misfit(given: Given) -> pd.Series:
 
 
 def trials(
-    module: ModuleType, blunder: Blunder, given: Given, values: Array
+    module: ModuleType, blunder: Blunder, given: Given, amounts: Array
 ) -> Iterator[MistakeTrial]:
     """Trials with the words that a check must say."""
     for trial in module.trials(given):
-        known = len(trial.amounts) == len(values)
-        if known and blunder.is_named([trial.words(values, 0.01 * np.abs(values))]):
+        known = len(trial.amounts) == len(amounts)
+        if known and blunder.is_named([trial.words(amounts, 0.01 * np.abs(amounts))]):
             yield trial
 
 
-@pytest.mark.parametrize(("module", "name", "values"), MADE)
+@pytest.mark.parametrize(("module", "name", "made"), MADE)
 def test_a_mistake_undone_leaves_the_readings_without_it(
-    module: ModuleType, name: str, values: tuple[float, ...]
+    module: ModuleType, name: str, made: tuple[float, ...]
 ) -> None:
     """Of readings one row late the last is lost."""
-    blunder, amount = BY_NAME[name], np.array(values)
+    blunder, amount = BY_NAME[name], np.array(made)
     given, right = session(blunder), without_mistake(blunder.machine)
     assert (misfit(given) - right).abs().max() > 1e-5
 
@@ -111,7 +107,7 @@ def test_a_mistake_undone_leaves_the_readings_without_it(
 
 
 def test_readings_against_the_last_pose_refer_to_it() -> None:
-    blunder = BY_NAME["told against the last pose"]
+    blunder = BY_NAME["differences from the last pose"]
     given = session(blunder)
     trial = next(trials(reference, blunder, given, np.zeros(0)))
     (undone,) = trial.undo(trial.amounts)
@@ -144,7 +140,7 @@ def test_readings_of_no_use_are_left_out(
 def test_two_machines_are_divided_at_the_row_of_the_change() -> None:
     blunder = BY_NAME["half from another machine"]
     given = session(blunder)
-    trial = next(trials(change, blunder, given, np.zeros(0)))
+    trial = next(trials(contradiction, blunder, given, np.zeros(0)))
     first, second = trial.undo(trial.amounts)
     assert (first.y == given.session.y[:20]).all()
     assert (second.y == given.session.y[20:]).all()

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from oed.checks import candidates, copies, outlier_sets
-from oed.checks.effects import rivals
+from oed.checks.evidence import rivals
 from oed.checks.far_reading import FarReading, alike_readings
 from oed.checks.fit import LeaveOneOut
 from oed.checks.judgement import probability_of_strain

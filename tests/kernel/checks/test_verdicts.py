@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed.checks import explain, undone
+from oed.checks import explain
 from oed.checks.fit import fit
 from oed.checks.goodness import goodness, goodness_of, goodness_of_estimate
 from oed.checks.mistakes import Given
@@ -66,11 +66,11 @@ def test_readings_in_doubt_are_in_no_figure() -> None:
 
 def test_one_far_reading_is_no_misfit_of_the_others() -> None:
     rows = machines.readings("a3", 3)
-    clean = undone.as_given(Given(machines.session("a3", rows)), 1.0)
+    clean = explain.as_given(Given(machines.session("a3", rows)), 1.0)
     rows.loc[17, "length_mm"] += 50.0 * SIGMA
-    spoiled = undone.as_given(Given(machines.session("a3", rows)), 1.0)
+    spoiled = explain.as_given(Given(machines.session("a3", rows)), 1.0)
     rows["length_mm"] += 50.0 * SIGMA * (np.arange(len(rows)) % 2)
-    many = undone.as_given(Given(machines.session("a3", rows)), 1.0)
+    many = explain.as_given(Given(machines.session("a3", rows)), 1.0)
     assert clean is not None
     assert spoiled is not None
     assert many is not None
@@ -81,8 +81,8 @@ def test_one_far_reading_is_no_misfit_of_the_others() -> None:
 
 def candidate(
     what: str, log_posterior: float, kind: str = "unit", ratio: float = 1.0
-) -> undone.Undone:
-    return undone.Undone(kind, what, log_posterior, ratio)
+) -> explain.Undone:
+    return explain.Undone(kind, what, log_posterior, ratio)
 
 
 def test_mistakes_and_none_share_the_probability() -> None:

@@ -12,7 +12,7 @@ from oed.estimation.run_prediction import predict_runs
 from oed.measurement import simulation
 from oed.measurement.measurement import Measurement, Series
 from oed.posterior.posterior import Posterior
-from oed.posterior.posterior_checks import is_alarming, predictive_checks
+from oed.posterior.posterior_checks import predictive_checks
 
 Problem = tuple[Measurement, list[Series], np.ndarray]
 POINTS, STROKES = 10, (0.02, 0.08, 0.14, 0.2)
@@ -112,7 +112,7 @@ def alarms(y: np.ndarray, seed: int = 0) -> set[str]:
     estimate = identify(M, SERIES, y)
     checks = predictive_checks(M, SERIES, y, estimate, laplace(M, estimate, rng), rng)
     assert set(checks) == {"rms", "largest", "neighbours", "run_means"}
-    return {name for name, check in checks.items() if is_alarming(check)}
+    return {name for name, check in checks.items() if check.alarming}
 
 
 def test_readings_of_the_model_pass_every_check() -> None:

@@ -138,7 +138,6 @@ def test_numbers_that_no_result_has_are_found_anywhere() -> None:
 def test_tables_and_points_have_their_sizes() -> None:
     assert not fields(base.table("t", [[1, 2], [3, 4]], "n", 2, 2))
     assert fields(base.table("t", [[1, 2], [3]], "n", 3, 2)) == ["t", "t[2]"]
-    assert fields(base.equal_widths("t", [[1], [2, 3], [4]])) == ["t[2]"]
     assert fields(base.points("p", [[0, 0, 0], [0, 0]])) == ["p[2]"]
 
 

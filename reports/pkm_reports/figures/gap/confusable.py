@@ -1,4 +1,4 @@
-"""Which effects can be told from which others: a matrix of sqrt(lambda)."""
+"""Which effects can be distinguished from which others: a matrix of sqrt(lambda)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from oed.result import DetectabilityTable
 from pkm_reports import missing, style, text
 from pkm_reports.figures.gap.effects import spoken
 
-#: sqrt(lambda) below which two effects are not told apart, and above which they clearly are
+#: sqrt(lambda) below which two effects are not distinguished, and above which they clearly are
 LIMIT, CLEAR = 5.0, 10.0
-#: colours and legend of: not told apart, barely, clearly
+#: colours and legend of: not distinguished, barely, clearly
 COLOURS: Final = ("#f3c4a5", "#f7ecc8", "#cfe6dd")
 MEANINGS: Final = (
-    f"below {LIMIT:g}: not told apart",
+    f"below {LIMIT:g}: not distinguished",
     f"{LIMIT:g} to {CLEAR:g}: barely",
-    f"above {CLEAR:g}: told apart",
+    f"above {CLEAR:g}: distinguished",
 )
 #: inches of one cell, at most, and from which its number has normal size
 LARGEST_CELL, SMALL_CELL = 0.42, 0.34

@@ -156,7 +156,7 @@ def _separations(chosen: ChosenRuns) -> Block:
     ]
     limit = text.trimmed(confusable.LIMIT)
     caption = (
-        "How well each form of an effect can be told from its rival, in units of the"
+        "How well each form of an effect can be distinguished from its rival, in units of the"
         f" noise; {limit} and more is good. Before: with the readings planned without"
         " the choice of runs. No plan has a smallest value above"
         f" {text.number(chosen.bound)}."

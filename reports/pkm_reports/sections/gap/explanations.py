@@ -47,7 +47,9 @@ def probabilities_caption(gap: GapSection) -> str:
     ]
     classes = gap.answers[0].classes if gap.answers else []
     if any(len(group) > 1 for group in classes):
-        sentences.append("Those in light blue cannot be told from those in blue.")
+        sentences.append(
+            "Those in light blue cannot be distinguished from those in blue."
+        )
     more = len(gap.marginal) - len(effects.shown(gap))
     if more > 0:
         sentences.append(f"The {more} least probable are not shown.")
@@ -61,7 +63,7 @@ def _columns() -> list[TableColumn]:
     return [
         wide_column("Explanation"),
         TableColumn("Probability", number=True),
-        wide_column("Cannot be told from"),
+        wide_column("Cannot be distinguished from"),
     ]
 
 
@@ -94,13 +96,13 @@ def _credible_set(gap: GapSection) -> Table:
     caption = (
         "Credible set: with 95 % probability one of these sets of effects acts, with or"
         " without a remainder of unknown form. The remainder is named where it is more"
-        " likely than not. An effect stands for all that cannot be told from it."
+        " likely than not. An effect stands for all that cannot be distinguished from it."
     )
     return Table(_columns(), rows, caption)
 
 
 def row(answer: AnswerRecord) -> list[str]:
-    """An explanation, its probability, and what cannot be told from it."""
+    """An explanation, its probability, and what cannot be distinguished from it."""
     aliases = [
         spoken(name)
         for group in answer.classes

@@ -11,7 +11,7 @@ from pkm_reports.figures.gap.effects import spoken
 
 
 def blocks(gap: GapSection) -> list[Block]:
-    """Groups of effects that cannot be told apart, then untested effects."""
+    """Groups of effects that cannot be distinguished, then untested effects."""
     groups = [_group(gap, names) for names in gap.confusable if len(names) > 1]
     heading = "These readings cannot tell the effects of a group from one another:"
     return [*headed_list(heading, groups), *_untested(gap)]

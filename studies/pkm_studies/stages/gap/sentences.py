@@ -342,7 +342,7 @@ def _next_steps(gap: GapSection) -> list[str]:
 
 
 def _effects_in_question(gap: GapSection) -> list[str]:
-    """Effects whose tests and remedies are told; none of a class of many."""
+    """Effects whose tests and remedies are reported; none of a class of many."""
     if gap.verdict == "none":
         return []
     classes = gap.answers[0].classes

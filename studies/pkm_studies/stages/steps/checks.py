@@ -8,7 +8,7 @@ import numpy as np
 
 from oed import checks
 from pkm_studies.stages.fit.goodness import check_dataset, goodness_section
-from pkm_studies.stages.run_state import Measured, Stream, TakenReadings
+from pkm_studies.stages.run_state import Measured, MeasuredReadings, Stream
 
 
 def check_readings(state: Measured) -> Measured:
@@ -27,7 +27,9 @@ def check_readings(state: Measured) -> Measured:
     return state.replace(readings=_without(readings, checked))
 
 
-def _without(readings: TakenReadings, checked: checks.CheckedSession) -> TakenReadings:
+def _without(
+    readings: MeasuredReadings, checked: checks.CheckedSession
+) -> MeasuredReadings:
     """The readings that are not set aside, with their covariates."""
     rest = checked.session.without(checked.set_aside)
     covariates = readings.covariates

@@ -17,11 +17,11 @@ from pkm_studies.stages.gap import virtual_readings
 from pkm_studies.stages.run_state import (
     HeldOut,
     Measured,
+    MeasuredReadings,
     Readings,
     RunState,
     Scheduled,
     Stream,
-    TakenReadings,
     promote,
 )
 
@@ -29,7 +29,7 @@ from pkm_studies.stages.run_state import (
 class SimulatedReadings(NamedTuple):
     """Readings of a virtual machine, its parameters (n,), SI, and its acting effects."""
 
-    readings: TakenReadings
+    readings: MeasuredReadings
     truth: Array
     effects: list[dict[str, Any]]
 
@@ -88,13 +88,13 @@ def _stretch_warnings(machine: Machine, data: Dataset) -> list[str]:
     return [f"the stretch of cables is not corrected: there is no column {names}"]
 
 
-def _recorded(state: RunState, data: Dataset) -> TakenReadings:
+def _recorded(state: RunState, data: Dataset) -> MeasuredReadings:
     held_out = state.resolved.held_out_setups
     fitted = state.resolved.fitted_setups
     if not fitted:
         fitted = tuple(name for name in data.setups if name not in held_out)
     fit, predict = data.take(fitted), data.take(held_out)
-    return TakenReadings(
+    return MeasuredReadings(
         series=fit.series,
         y=fit.y,
         covariates=fit.covariates,
@@ -128,7 +128,7 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedRea
         y = simulation.draw_readings(
             measurement, series, truth, state.rng(Stream.NOISE)
         )
-        taken = TakenReadings(series=tuple(series), y=y, truth=truth)
+        taken = MeasuredReadings(series=tuple(series), y=y, truth=truth)
         return SimulatedReadings(taken, truth, [])
     planned = virtual_readings.empty_readings(measurement, series, request)
     exact, effects = virtual_readings.exact_readings(
@@ -137,7 +137,7 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedRea
     errors = simulation.draw_errors(
         measurement, planned.series, state.rng(Stream.NOISE), exact.shape
     )
-    readings = TakenReadings(
+    readings = MeasuredReadings(
         series=planned.series,
         y=exact + errors,
         truth=truth,
