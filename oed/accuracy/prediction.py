@@ -129,7 +129,7 @@ def predict(
              `posterior` is the second moment; normal draws by default
     worth    number of independent draws that these are worth; m by default
     variance (n, k) of the errors that delta causes, where it is known better than by
-             the maps (`oed.accuracy.budget.linearisation`); draws are scaled to it
+             the maps (`oed.accuracy.budget.lines`); draws are scaled to it
 
     >>> import numpy as np
     >>> from oed import Measurement, mount

@@ -18,6 +18,7 @@ from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
+from oed.checks.words import capital
 from oed.result.goodness import without_rows
 from oed.result.trust import GUESS
 
@@ -240,7 +241,7 @@ def _contradiction(session: SessionReadings, one: FarReading) -> str:
     predicted = session.written(channel, session.y[one.value] - one.error)
     sd = session.fine(channel, abs(one.error / one.pull))
     return (
-        f"{_capital(_place(session, one.value))} is {abs(one.pull):.3g} sigma from the"
+        f"{capital(_place(session, one.value))} is {abs(one.pull):.3g} sigma from the"
         f" {predicted} that all other readings predict (sd {sd})"
     )
 
@@ -273,10 +274,6 @@ def _place(session: SessionReadings, value: int) -> str:
     channel, row = (session.values[c].iloc[value] for c in ("channel", "row"))
     written = session.written(str(channel), float(session.y[value]))
     return f"row {row}, column {session.column(str(channel)).name} = {written}"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def _count(rows: Sequence[int]) -> str:

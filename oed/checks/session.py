@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -112,10 +112,6 @@ class SessionReadings:
         if channel is not None:
             mask = mask & (self.values["channel"] == channel).to_numpy()
         return np.asarray(mask)
-
-    def map_series(self, change: Callable[[Series], Series]) -> SessionReadings:
-        """The session with each series changed."""
-        return dataclasses.replace(self, series=tuple(map(change, self.series)))
 
     # -- what a fit needs --------------------------------------------------------------
 

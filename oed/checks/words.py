@@ -1,4 +1,4 @@
-"""Numbers of findings in words."""
+"""Numbers and words of findings."""
 
 from __future__ import annotations
 
@@ -20,3 +20,8 @@ def rounded(value: float, sd: float) -> str:
     places = max(0, min(by_sd, by_size))
     text = f"{value:.{places}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def capital(text: str) -> str:
+    """A text with a capital at its beginning."""
+    return text[:1].upper() + text[1:]

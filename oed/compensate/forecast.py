@@ -72,7 +72,7 @@ def check_forecast(machine: Machine) -> None:
         raise ValueError(
             f"machine {machine.name} is commanded in {', '.join(command)}, and its"
             f" errors are stated in {', '.join(driven)}: a grid of errors cannot be"
-            " subtracted from commands; take the exact compensator"
+            " subtracted from commands; use corrected_commands instead"
         )
 
 

@@ -47,17 +47,14 @@ def assess(
     measurement: Measurement,
     series: Sequence[Series],
     scaling: information.Scaling = "length",
-    theta: Array | None = None,
-    rank_tolerance: float = identifiability.RANK_TOLERANCE,
 ) -> Assessment:
-    """Assess readings at theta (n_parameters,), SI; nominal by default.
+    """Assess readings of the nominal machine.
 
     Parameters of set-ups that `series` does not use are left out. `scaling` holds for
     the rank; shrinkage and covariance always use the tolerances. Raises AssemblyError
     where a pose cannot be assembled or is singular.
     """
-    if theta is None:
-        theta = measurement.nominal
+    theta = measurement.nominal
     free = free_parameters(measurement, series)
     h = information.scaled(measurement, series, theta, scaling)[:, free]
     whitened = information.scaled(measurement, series, theta, "tolerance")[:, free]
@@ -67,7 +64,7 @@ def assess(
     return Assessment(
         measurement=measurement,
         series=tuple(series),
-        identifiability=identifiability.analyse(h, names, scale, rank_tolerance),
+        identifiability=identifiability.analyse(h, names, scale),
         scale=scale,
         shrinkage=np.sqrt(np.diag(covariance)),
         covariance=covariance,

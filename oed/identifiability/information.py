@@ -58,11 +58,6 @@ def scaled(
     return rows
 
 
-def fisher(h: Array) -> Array:
-    """Fisher information (n, n) of whitened rows (N, n): M = H^T H."""
-    return h.T @ h
-
-
 def prior_information(measurement: Measurement) -> Array:
     """Information (k, k) of the prior on the k free parameters, in tolerance units."""
     free = np.flatnonzero(measurement.free)

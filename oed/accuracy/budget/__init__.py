@@ -1,7 +1,12 @@
 """Uncertainty budget: what each source adds to the errors of the compensated machine."""
 
-from oed.accuracy.budget.linearisation import variance_over_machines
-from oed.accuracy.budget.lines import Budget, Line, budget_of, mean_variance
+from oed.accuracy.budget.lines import (
+    Budget,
+    Line,
+    budget_of,
+    mean_variance,
+    variance_over_machines,
+)
 from oed.accuracy.budget.model import BudgetModel, Part, budget_model
 
 __all__ = [

@@ -19,8 +19,8 @@ pose           commanded poses with wrong signs, columns or offsets
 program        another program of a fixed length: a circle at another height
 joints         legs numbered otherwise
 reference      differences from another pose of their run
-zero           wrong zeros inside an instrument, such as a dead length
-amounts        offsets, factors, other tools, set-ups that moved, wrong sizes
+amounts        wrong zeros inside an instrument, such as a dead length, offsets, factors,
+               other tools, set-ups that moved, wrong sizes
 contradiction  two parts of a session that fit alone, a run that contradicts all others
 """
 
@@ -42,7 +42,6 @@ from oed.checks.mistakes import (
     setups,
     sorting,
     values,
-    zero,
 )
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
@@ -61,7 +60,6 @@ _MISTAKES = (
     program,
     joints,
     reference,
-    zero,
     amounts,
     contradiction,
 )
@@ -71,7 +69,7 @@ PHYSICAL = ("offset", "run", "factor", "tool", "size", "change", "contradiction"
 
 
 #: mistakes that may concern the first or last rows of a set-up or run
-_OF_ROWS = (values, order, zero, amounts)
+_OF_ROWS = (values, order, amounts)
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:

@@ -24,6 +24,7 @@ from oed.checks.times.clock import (
     alike,
     are_apart,
 )
+from oed.checks.words import capital
 
 #: times that two runs share from which on they contradict: ends may meet in one
 LEAST_SHARED = 2
@@ -119,8 +120,7 @@ def _clashing(
         f" row {other.rows[j]} ({other.name}) at {column.written(other.times[j])}, with the machine at"
         f" two poses at once. {_remedy(runs, column)}."
     )
-    rows = tuple(int(row) for row in other.rows)
-    return CheckFinding(Severity.ORDER, "time clash", sentence, rows)
+    return CheckFinding(Severity.ORDER, "time clash", sentence, other.rows_from())
 
 
 def _remedy(runs: Sequence[TimedRun], column: TimeColumn) -> str:
@@ -128,7 +128,7 @@ def _remedy(runs: Sequence[TimedRun], column: TimeColumn) -> str:
     for k, unit in _other_units(runs, column):
         changed = _with(runs, k, k + 1, column.others[unit], 0.0)
         if first_clash(changed) is None:
-            name = _capital(runs[k].name)
+            name = capital(runs[k].name)
             return f"{name} is in {unit}, not in {column.unit}: convert its times"
     for k in range(1, len(runs)):
         turns = [turn for turn in LATER if _follows_later(runs, k, turn)]
@@ -162,8 +162,7 @@ def _in_other_unit(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding
             f" in {column.unit}: its steps are {column.written(run.cadence)}, those of other"
             f" runs {column.written(_cadence_of_others(runs, k))}. Convert its times."
         )
-        rows = tuple(int(row) for row in run.rows)
-        return CheckFinding(Severity.REMARK, "time unit", sentence, rows)
+        return CheckFinding(Severity.REMARK, "time unit", sentence, run.rows_from())
     return None
 
 
@@ -201,7 +200,7 @@ def _overlapping(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding |
         if other.start < one.end and not _share_poses(one, other):
             begin, end = other.start, min(one.end, other.end)
             sentence = (
-                f"{_capital(one.name)} and {other.name} overlap in time, by {column.name}"
+                f"{capital(one.name)} and {other.name} overlap in time, by {column.name}"
                 f" from {column.written(begin)} to {column.written(end)}: a run is read"
                 " without a break. Correct the times, or name runs by when they were read."
             )
@@ -230,7 +229,7 @@ def _half_a_day_back(
                     f" {runs[k].rows[0]}). If the runs were taken in the order of the file,"
                     f" add {words} from there on."
                 )
-                rows = tuple(int(r) for run in runs[k:] for r in run.rows)
+                rows = tuple(row for run in runs[k:] for row in run.rows_from())
                 return CheckFinding(Severity.REMARK, "time later", sentence, rows)
     return None
 
@@ -241,7 +240,3 @@ def _with(
     """The runs, those from `first` to before `last` by a factor and later by an amount, s."""
     changed = [run.scaled(factor, later) for run in runs[first:last]]
     return [*runs[:first], *changed, *runs[last:]]
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

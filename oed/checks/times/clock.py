@@ -102,6 +102,10 @@ class TimedRun:
         steps = np.diff(np.unique(self.times))
         return float(steps.min()) if steps.size else 0.0
 
+    def rows_from(self, first: int = 0) -> tuple[int, ...]:
+        """Rows of the file from a reading on."""
+        return tuple(int(row) for row in self.rows[first:])
+
     def scaled(self, factor: float, later: float = 0.0) -> TimedRun:
         """The run with times times a factor, and later by an amount, s."""
         return dataclasses.replace(self, times=factor * self.times + later)

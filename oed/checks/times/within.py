@@ -20,6 +20,7 @@ from oed.checks.times.clock import (
     are_apart,
     typical,
 )
+from oed.checks.words import capital
 
 #: steps of a turn of the clock from which on a jump forward cannot be a step
 FAR = 10.0
@@ -62,7 +63,7 @@ def _constant(run: TimedRun, column: TimeColumn) -> CheckFinding | None:
         f" {run.rows[0]} on), though their poses differ: it is no time of a reading. State"
         " the time of each reading, or leave the cells empty."
     )
-    return CheckFinding(Severity.REMARK, "time constant", sentence, _rows(run, 0))
+    return CheckFinding(Severity.REMARK, "time constant", sentence, run.rows_from())
 
 
 # -- times that go back ----------------------------------------------------------------
@@ -77,7 +78,7 @@ def _backward(run: TimedRun, steps: Array, column: TimeColumn) -> CheckFinding:
         f" {column.written(after)} in row {run.rows[k + 1]}, though order has them one after the"
         f" other. {_cause(run, steps, column)}."
     )
-    return CheckFinding(Severity.ORDER, "time back", sentence, _rows(run, k + 1))
+    return CheckFinding(Severity.ORDER, "time back", sentence, run.rows_from(k + 1))
 
 
 def _cause(run: TimedRun, steps: Array, column: TimeColumn) -> str:
@@ -88,7 +89,7 @@ def _cause(run: TimedRun, steps: Array, column: TimeColumn) -> str:
         return "The whole run is in reversed order: correct order, or its times"
     turn = _turn(steps)
     if turn is not None:
-        return f"{_capital(TURNS[turn])}: add {_hours(turn)} from row {row} on"
+        return f"{capital(TURNS[turn])}: add {_hours(turn)} from row {row} on"
     unit = _other_unit(run.times, first, column)
     if unit is not None:
         return unit.format(row=row, last=run.rows[first - 1])
@@ -165,16 +166,8 @@ def _jump(run: TimedRun, steps: Array, column: TimeColumn) -> CheckFinding | Non
         f"{column.name} jumps in {run.name}: {column.written(run.times[k])} in row {run.rows[k]},"
         f" {column.written(run.times[k + 1])} in row {row}. {remedy}."
     )
-    return CheckFinding(Severity.REMARK, "time jump", sentence, _rows(run, k + 1))
-
-
-def _rows(run: TimedRun, first: int) -> tuple[int, ...]:
-    return tuple(int(row) for row in run.rows[first:])
+    return CheckFinding(Severity.REMARK, "time jump", sentence, run.rows_from(k + 1))
 
 
 def _hours(seconds: float) -> str:
     return f"{seconds / 3600.0:.0f} h"
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

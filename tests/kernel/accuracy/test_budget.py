@@ -154,7 +154,7 @@ def test_variance_over_machines_is_that_about_each_of_them(
 ) -> None:
     """One drawn machine: slopes about it, of a machine that has it as its nominal."""
     m, series = plan
-    monkeypatch.setattr("oed.accuracy.budget.linearisation.MACHINES", 1)
+    monkeypatch.setattr("oed.accuracy.budget.lines.MACHINES", 1)
     command = a3_plans.workspace()[::20]
     got = variance_over_machines(
         m, [series], command, ("home", "best_fit"), np.random.default_rng(4)

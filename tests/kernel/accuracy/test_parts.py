@@ -10,7 +10,7 @@ from scipy import stats
 
 from oed.accuracy import maps
 from oed.accuracy.acceptance.plan import Promise, state_limits
-from oed.accuracy.budget.linearisation import variance_over_machines
+from oed.accuracy.budget.lines import variance_over_machines
 from oed.accuracy.budget.model import budget_model
 from oed.accuracy.error_draws import compensated_errors
 from oed.measurement.measurement import Measurement

@@ -176,7 +176,7 @@ def test_forecast_subtracts_the_error_relative_to_the_reference() -> None:
     assert changed - command == pytest.approx(
         np.array([[-1.5e-5, 0.0], [-3e-5, 0.0]]), abs=1e-15
     )
-    with pytest.raises(ValueError, match="exact compensator"):
+    with pytest.raises(ValueError, match="corrected_commands"):
         forecast_from_nodes(
             Kinematics(hexapod.machine), knots, errors, hexapod.machine.home_command
         )
