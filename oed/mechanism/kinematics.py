@@ -67,14 +67,10 @@ class Kinematics:
         self._skeleton = _skeleton_functions(machine, e)
 
     def with_priors_of(self, machine: Machine) -> Kinematics:
-        """The same mechanism for a machine that differs only in what is known of it.
-
-        Tolerances, bounds and correlations move nothing: all compiled functions are
-        shared. Raises ValueError for another closure, or other nominal numbers.
-        """
+        """The same for other tolerances and bounds. Raises ValueError for more."""
         same = machine.closure is self.machine.closure
         if not same or not np.array_equal(machine.nominal, self.machine.nominal):
-            raise ValueError(f"{machine.name}: the machines differ in their geometry")
+            raise ValueError(f"{machine.name} has another geometry")
         shared = copy.copy(self)
         shared.machine = machine
         return shared

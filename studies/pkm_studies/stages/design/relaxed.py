@@ -28,11 +28,12 @@ def choose_relaxed(
     c, table = problem.candidates, study_criteria.table
     criterion = study_criteria.over_candidates(table.judged_by, c)
     solver = table.solver or "built_in"
-    assert problem.rules.size is not None
+    size = problem.rules.size
+    if size is None:
+        reason = "weights need the number of readings, which a budget leaves open"
+        raise place.error(reason, "give readings, not budget_min", table.method)
     try:
-        weighed = choose_by_weights(
-            c.blocks, problem.rules.size, criterion, c.prior, solver
-        )
+        weighed = choose_by_weights(c.blocks, size, criterion, c.prior, solver)
     except ValueError as error:
         remedy = "leave method out, ask for more readings, or give more candidates"
         raise place.error(str(error), remedy, table.method) from error
