@@ -50,7 +50,6 @@ def test_covariances_are_inverses_of_prior_and_information(
     whole = np.linalg.inv(np.eye(white.shape[1]) + white.T @ white)
     told = information.posterior_covariance(scaled)
     np.testing.assert_allclose(told, whole, atol=1e-9)
-    np.testing.assert_allclose(information.fisher(white), white.T @ white)
     in_si = information.parameter_covariance(delta, heights, delta.nominal)
     outer = np.outer(delta.tolerance, delta.tolerance)
     np.testing.assert_allclose(in_si, whole * outer, atol=1e-9 * outer.max())
