@@ -172,3 +172,17 @@ def test_an_offset_has_the_cause_of_its_scope(name: str, words: str) -> None:
     named = list(trials(amounts, blunder, session(blunder), amount))
     assert named
     assert all(words in t.words(amount, 0.01 * amount) for t in named)
+
+
+@pytest.mark.parametrize(("machine", "count"), [("a3", 1), ("planar", 2)])
+def test_offsets_of_a_file_are_one_family_a_channel(machine: str, count: int) -> None:
+    """Of a family the likeliest alone is fitted: channels must not stand for each other."""
+    given = Given(machines.session(machine, machines.readings(machine, 0)))
+    families = [
+        trial.family
+        for trial in amounts.trials(given)
+        if trial.kind == "offset" and trial.scope.level == "file"
+    ]
+    assert len(families) == len(set(families)) == count
+    if count == 1:
+        assert families == [f"offset {given.file.name}"]

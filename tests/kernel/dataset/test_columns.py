@@ -176,13 +176,15 @@ def test_cables_that_stretch_are_longer_than_paid_out() -> None:
         cable_stiffness=(1e4,) * len(cables_planar.machine.joints),
     )
     m = Measurement(machine, [mount(pose_tracker.position, "tracker")])
-    series = m.series("tracker", machine.home_command[None], run=["a"])
-    tension = np.full((1, len(machine.joints)), 10.0)
+    command = machine.home_command + np.array([[0.0, 0.0], [0.15, -0.1]])
+    series = m.series("tracker", command, run=["a"] * 2)
+    tension = np.array([[10.0] * 4, [40.0, 5.0, 20.0, 10.0]])
     stretched = with_stretch(m, series, tension)
-    nominal = m.machine.nominal
-    base, platform, per_length = m.kinematics.struts(series.start, series.q, nominal)
+    at = stretched.start, stretched.q, m.machine.nominal
+    base, platform, per_length = m.kinematics.struts(*at)
     long = np.linalg.norm(platform - base, axis=-1)
-    # all stretch alike at the middle, where the platform stays
-    wanted = per_length * (long - long / (1.0 + 10.0 / 1e4))
-    np.testing.assert_allclose(stretched.q - series.q, wanted, rtol=1e-9)
+    strain = tension / 1e4
+    wanted = per_length * (long - long / (1.0 + strain))
+    np.testing.assert_allclose(stretched.q - series.q, wanted, atol=1e-9)
+    assert m.kinematics.forward(*at[1:], at[0]) == pytest.approx(at[0], abs=1e-9)
     np.testing.assert_array_equal(with_stretch(m, series, 0.0 * tension).q, series.q)

@@ -14,8 +14,8 @@ from oed.identifiability.remedies import recoveries
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import mount
 from oed.model.machine import CommonTolerance
-from pkm_models.instruments import calliper, height_probe
-from pkm_models.machines import linear_delta
+from pkm_models.instruments import ball_bar, calliper, height_probe
+from pkm_models.machines import a3_head, linear_delta
 
 GRID = np.linspace(-0.06, 0.06, 4)
 POINTS = np.array([[x, y, 0.0] for x in GRID for y in GRID])
@@ -50,7 +50,6 @@ def test_covariances_are_inverses_of_prior_and_information(
     whole = np.linalg.inv(np.eye(white.shape[1]) + white.T @ white)
     told = information.posterior_covariance(scaled)
     np.testing.assert_allclose(told, whole, atol=1e-9)
-    np.testing.assert_allclose(information.fisher(white), white.T @ white)
     in_si = information.parameter_covariance(delta, heights, delta.nominal)
     outer = np.outer(delta.tolerance, delta.tolerance)
     np.testing.assert_allclose(in_si, whole * outer, atol=1e-9 * outer.max())
@@ -100,6 +99,18 @@ def test_heights_leave_the_common_size_to_the_calliper(
     assert bool(of_distances) == (recovered > 0)
     kinds = [finding.kind for finding in explain(assessment, alternatives)]
     assert "lost" in kinds
+
+
+def test_a_longer_tool_recovers_what_one_circle_loses() -> None:
+    bar = mount(ball_bar.instrument, "cup", teach=(1.286, 0.0, 0.0))
+    m = Measurement(a3_head.machine, [bar])
+    psi = np.linspace(-3.0, 3.0, 15)
+    command = np.column_stack([np.full(15, 1.15), psi, np.full(15, 0.4)])
+    one = assess(m, [m.series("cup", command)])
+    (phrase,) = [p for p in recoveries(one, {}) if p.startswith("a second tool")]
+    assert phrase.startswith("a second tool, 100 mm longer, in a set-up of its own")
+    lost = len(one.names) - one.identifiability.rank
+    assert phrase.endswith((f"of {lost} lost directions", "all lost directions"))
 
 
 def test_a_combination_begins_with_its_pivot() -> None:

@@ -17,6 +17,7 @@ from oed.mechanism.inverse import AssemblyError, InverseKinematics
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_slopes import PoseAdjoints
 from oed.model.expressions import machine_expressions
+from oed.model.machine import Machine
 from pkm_models.machines import a3_head, linear_delta
 
 A3 = Kinematics(a3_head.machine)
@@ -112,14 +113,29 @@ def test_what_is_out_of_reach_is_listed_with_its_command() -> None:
     assert error.value.first == pytest.approx(command[1])
 
 
+def short_arms() -> Machine:
+    """A delta whose arms reach nowhere, home neither."""
+    machine = linear_delta.machine
+    return machine.with_parameters(
+        [
+            dataclasses.replace(p, nominal=0.1) if p.name.startswith("arm") else p
+            for p in machine.parameters
+        ]
+    )
+
+
+def test_where_home_fails_as_well_the_commands_are_listed() -> None:
+    command = np.array([[0.01, 0.0, 0.05], [0.0, 0.02, 0.05]])
+    with pytest.raises(AssemblyError, match="out of reach") as error:
+        Kinematics(short_arms()).inverse(command)
+    assert error.value.indices.tolist() == [0, 1]
+    assert error.value.first == pytest.approx(command[0])
+
+
 def test_a_machine_that_assembles_has_no_open_equation() -> None:
     machine = linear_delta.machine
     closest = closest_closure(machine, np.array([0.01, 0.02, 0.05]))
     assert closest.still_open == ()
     assert closest.nearest.tool == pytest.approx([0.01, 0.02, 0.05], abs=1e-9)
-    short = [
-        dataclasses.replace(p, nominal=0.1) if p.name.startswith("arm") else p
-        for p in machine.parameters
-    ]
-    broken = closest_closure(machine.with_parameters(short), np.array([0.0, 0.0, 0.05]))
+    broken = closest_closure(short_arms(), np.array([0.0, 0.0, 0.05]))
     assert broken.still_open == (0, 1, 2)

@@ -23,6 +23,22 @@ def test_travel_after_a_reversal_is_in_proportion_to_the_expected_size(
     assert with_expected_size(effect, "K", 1.0).constants == effect.constants
 
 
+@pytest.mark.parametrize("machine", ["a3_head", "linear_delta"])
+def test_joints_displace_the_tool_as_far_as_they_can(machine: str) -> None:
+    """What they do to the tool is a projection: 1 m along what they reach, else nothing."""
+    (state, *_) = effects_sample.session(machine).states
+    moved = state.twist[:, :3] @ state.joints_per_displacement
+    np.testing.assert_allclose(moved @ moved, moved, atol=1e-9)
+    np.testing.assert_allclose(moved, np.swapaxes(moved, 1, 2), atol=1e-9)
+    up = state.displacing_joints(2, np.full(len(state), 1e-3))
+    rise = sum(state.twist[:, 2, i] * change for i, change in up.items())
+    assert rise == pytest.approx(1e-3 * moved[:, 2, 2])
+    along = np.einsum("mi,mij,mj->m", state.axis, moved, state.axis)
+    motion = np.einsum("mi,mij->mj", state.axis, state.twist[:, :3])
+    extended = np.einsum("mj,mj->m", motion, state.joints_per_extension)
+    assert extended == pytest.approx(along)
+
+
 @pytest.mark.parametrize("effect", [friction.effect, servo_lag.effect])
 def test_forms_over_the_rate_are_those_of_the_same_session_at_another_feed(
     effect: Effect,

@@ -115,6 +115,40 @@ def test_a_contradiction_is_named_by_its_field(change: Change, field: str) -> No
     assert any(field in breach.field for breach in relations.breaches(result))
 
 
+def verdict(unit: str) -> dict[str, object]:
+    sizes = dict.fromkeys(("rms", "max", "limit", "promised"), 1.0)
+    return {**sizes, "unit": unit, "passed": True}
+
+
+def positioning(unit: str) -> dict[str, object]:
+    sizes = dict.fromkeys(("accuracy", "systematic", "repeatability"), 1.0)
+    missing = dict.fromkeys(("mean", "reversal"))
+    return {"targets": 5, "approaches": 5, **sizes, **missing, "unit": unit}
+
+
+@pytest.mark.parametrize(
+    ("name", "shown", "field"),
+    [
+        ("z", "um", None),
+        ("z", "furlong", "verification.positioning.z.unit"),
+        ("y", "um", "verification.positioning"),
+    ],
+)
+def test_positioning_is_of_the_components_in_a_known_unit(
+    name: str, shown: str, field: str | None
+) -> None:
+    plain = whole()
+    plain["verification"] = {
+        "passed": True,
+        "readings": 9,
+        "components": {"z": verdict("um")},
+        "positioning": {name: positioning(shown)},
+    }
+    result = report_fixture.result_of(plain)
+    found = [breach.field for breach in relations.breaches(result)]
+    assert found == ([] if field is None else [field])
+
+
 @pytest.mark.parametrize(("change", "field"), OTHER_TYPES)
 def test_another_type_is_refused_by_its_field(change: Change, field: str) -> None:
     plain = whole()
