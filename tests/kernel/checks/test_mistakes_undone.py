@@ -31,7 +31,6 @@ from oed.checks.mistakes import (
     setups,
     sorting,
     values,
-    zero,
 )
 from oed.checks.mistakes.trial import MistakeTrial
 
@@ -56,7 +55,7 @@ MADE: list[tuple[ModuleType, str, tuple[float, ...]]] = [
     (pose, "tilts exchanged", ()),
     (pose, "one circle starts 17 deg late", (np.deg2rad(17.0),)),
     (joints, "two legs exchanged", ()),
-    (zero, "zeroed again in one run", (0.2e-3,)),
+    (amounts, "zeroed again in one run", (0.2e-3,)),
     (amounts, "the bar zeroed again at row 32", (0.2e-3,)),
     (amounts, "scale of the bar", (0.01,)),
     (amounts, "one gauge in two lines' channels, 25 % large", (0.25,)),
