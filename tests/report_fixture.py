@@ -22,8 +22,8 @@ from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import Axes3D
 
 from oed.result import StudyResult
-from pkm_reports import document
-from pkm_reports import html as html_writer
+from pkm_reports.page import document
+from pkm_reports.page import html as html_writer
 
 TEXT = """schema = 1
 title = "A3 head with a double ball bar"  # <tags> & $pecial \\ characters

@@ -14,8 +14,8 @@ import pytest
 from oed.mechanism.closest_closure import closest_closure
 from oed.model.machine import Machine
 from pkm_models.machines import cable_robot, hexapod, tripod_passive_leg
-from pkm_reports import style
 from pkm_reports.figures import closure as figures
+from pkm_reports.page import style
 from pkm_studies.base.errors import Place
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue

@@ -21,9 +21,10 @@ from report_fixture import result_of, shown_text, text_of
 
 from oed.base import own_files
 from oed.result import StudyResult
-from pkm_reports import document, sections, write_report
-from pkm_reports import html as html_writer
-from pkm_reports import pdf as pdf_writer
+from pkm_reports import sections, write_report
+from pkm_reports.page import document
+from pkm_reports.page import html as html_writer
+from pkm_reports.page import pdf as pdf_writer
 from pkm_studies.stages import result_folder
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'

@@ -10,8 +10,8 @@ import report_fixture_plan
 from report_fixture import result_of
 
 from oed.result import StudyResult
-from pkm_reports import text
-from pkm_reports.blocks import Facts, Items, Notice, Paragraph, Table
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Facts, Items, Notice, Paragraph, Table
 from pkm_reports.sections.answer import accuracy, causes, parts, unknown, warnings
 
 

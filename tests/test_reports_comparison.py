@@ -12,8 +12,9 @@ from msgspec.structs import replace
 from report_fixture import result_of, text_of
 
 from oed.result import StudyResult
-from pkm_reports import text, write_comparison
+from pkm_reports import write_comparison
 from pkm_reports.comparison import accuracy, content, glance, parameters
+from pkm_reports.page import text
 from pkm_studies.commands import cli
 from pkm_studies.results import stored_result
 

@@ -20,9 +20,9 @@ from oed.result import (
     RobustSummary,
     StudyResult,
 )
-from pkm_reports import document, style
-from pkm_reports import pdf as pdf_writer
 from pkm_reports.figures import criteria, path, robust
+from pkm_reports.page import document, style
+from pkm_reports.page import pdf as pdf_writer
 from pkm_reports.sections import plan
 from pkm_reports.sections.design import chapter
 

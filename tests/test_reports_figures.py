@@ -13,9 +13,6 @@ from matplotlib.figure import Figure
 from report_fixture import check_inside, result_of
 
 from oed.result import Drawing
-from pkm_reports import document, style
-from pkm_reports import html as html_writer
-from pkm_reports import pdf as pdf_writer
 from pkm_reports.figures import (
     accuracy,
     budget,
@@ -33,6 +30,9 @@ from pkm_reports.figures import (
     singular_values,
     workspace,
 )
+from pkm_reports.page import document, style
+from pkm_reports.page import html as html_writer
+from pkm_reports.page import pdf as pdf_writer
 
 
 def _empty_figures() -> list[Callable[[], Figure]]:

@@ -16,13 +16,14 @@ from report_fixture import check_inside, result_of, text_of
 
 from oed.gap.data import problem
 from oed.result import AnswerRecord, GapSection, StudyResult, Trace
-from pkm_reports import document, missing, sections, style, text, write_report
-from pkm_reports import html as html_writer
-from pkm_reports import pdf as pdf_writer
+from pkm_reports import sections, write_report
 from pkm_reports.figures.gap import effects as gap_effects
 from pkm_reports.figures.gap import map as gap_map
 from pkm_reports.figures.gap import polar as gap_polar
 from pkm_reports.figures.gap import trace as gap_trace
+from pkm_reports.page import document, missing, style, text
+from pkm_reports.page import html as html_writer
+from pkm_reports.page import pdf as pdf_writer
 from pkm_reports.sections.gap import coefficients, explanations
 from pkm_studies.base.progress import Silent
 from pkm_studies.stages.gap.section import gap_section

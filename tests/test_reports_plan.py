@@ -18,11 +18,12 @@ from msgspec.structs import replace
 from report_fixture import check_box, result_of, shown_text
 
 from oed.result import PlannedReading, PlanSection, StudyResult
-from pkm_reports import document, sections, sheet, style, write_sheet
-from pkm_reports import html as html_writer
-from pkm_reports import pdf as pdf_writer
-from pkm_reports.blocks import Paragraph, Picture
+from pkm_reports import sections, write_sheet
 from pkm_reports.figures import pareto, stage_accuracy, timeline
+from pkm_reports.page import document, sheet, style
+from pkm_reports.page import html as html_writer
+from pkm_reports.page import pdf as pdf_writer
+from pkm_reports.page.blocks import Paragraph, Picture
 from pkm_reports.sections.stages import chapter
 
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e \x00 {{ 1 }} </script>'

@@ -21,8 +21,9 @@ from oed.gap.before import detect, runs
 from oed.noise.law import stated_law
 from oed.result import DetectabilityTable
 from pkm_models.effects import encoder_scale, gravity
-from pkm_reports import sections, style
+from pkm_reports import sections
 from pkm_reports.figures.gap import confusable
+from pkm_reports.page import style
 from pkm_studies import pipeline, study
 from pkm_studies.base.errors import InputError
 from pkm_studies.resolve.resolved import resolve

@@ -12,7 +12,7 @@ import sample
 from report_fixture import result_of
 
 from oed.result import StudyResult
-from pkm_reports.blocks import Table
+from pkm_reports.page.blocks import Table
 from pkm_reports.sections.answer import accuracy
 from pkm_studies.commands import cli
 from pkm_studies.sessions import next_reading as advice

@@ -9,7 +9,7 @@ bytes of HTML.
 """
 
 from pkm_reports.comparison import write_comparison
+from pkm_reports.page.sheet import write_sheet
 from pkm_reports.report import write_report
-from pkm_reports.sheet import write_sheet
 
 __all__ = ["write_comparison", "write_report", "write_sheet"]

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from oed.base.own_files import write_own
 from oed.result import StudyResult
-from pkm_reports import document
-from pkm_reports import html as html_writer
-from pkm_reports import pdf as pdf_writer
-from pkm_reports.document import Document
+from pkm_reports.page import document
+from pkm_reports.page import html as html_writer
+from pkm_reports.page import pdf as pdf_writer
+from pkm_reports.page.document import Document
 
 
 def write_report(

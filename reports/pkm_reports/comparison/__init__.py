@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from oed.result import StudyResult
-from pkm_reports import document
-from pkm_reports.blocks import Block, Items, Section
 from pkm_reports.comparison import accuracy, causes, glance, parameters, plans
-from pkm_reports.document import Content
+from pkm_reports.page import document
+from pkm_reports.page.blocks import Block, Items, Section
+from pkm_reports.page.document import Content
 from pkm_reports.report import write_document
 
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Mapping
 
 from oed.result import StudyResult
-from pkm_reports import missing, text
-from pkm_reports.blocks import Block, Picture, Table, TableColumn, number_columns
 from pkm_reports.comparison.glance import rms_by_component
 from pkm_reports.figures import side_by_side
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import Block, Picture, Table, TableColumn, number_columns
 from pkm_reports.sections.answer import accuracy as answer_accuracy
 
 

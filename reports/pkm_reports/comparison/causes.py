@@ -5,8 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from oed.result import GapSection, StudyResult
-from pkm_reports import text
-from pkm_reports.blocks import Block, Table, TableColumn, number_columns, wide_column
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
+    Block,
+    Table,
+    TableColumn,
+    number_columns,
+    wide_column,
+)
 from pkm_reports.sections.gap import explanations
 
 

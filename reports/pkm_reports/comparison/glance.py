@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from oed.result import StudyResult
-from pkm_reports import text
-from pkm_reports.blocks import Block, Items, Paragraph, Table, TableColumn
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Items, Paragraph, Table, TableColumn
 from pkm_reports.sections.answer import accuracy as answer_accuracy
 from pkm_reports.sections.answer import measure
 

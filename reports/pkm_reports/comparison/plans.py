@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from oed.result import DesignSection, Drawing, StudyResult
-from pkm_reports import text
-from pkm_reports.blocks import Block, Picture, Table, TableColumn, number_columns
 from pkm_reports.figures import overview
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Picture, Table, TableColumn, number_columns
 
 
 def blocks(results: Mapping[str, StudyResult]) -> list[Block]:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from oed.base.arrays import Array
 from oed.result import ComponentAccuracy, PredictionSection, SpreadRecord
-from pkm_reports import style, text
+from pkm_reports.page import style, text
 
 Components = Mapping[str, ComponentAccuracy]
 State = Literal["before", "after", "known"]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from oed.base.arrays import Array
 from oed.result import ComponentAccuracy
-from pkm_reports import missing, style
+from pkm_reports.page import missing, style
 
 #: percent from which a share is written into its bar
 WRITTEN: Final = 7.0

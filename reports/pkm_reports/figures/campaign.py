@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 
-from pkm_reports import style
+from pkm_reports.page import style
 
 #: what 95 % intervals should hold
 NOMINAL = 0.95

@@ -16,8 +16,8 @@ from matplotlib.lines import Line2D
 from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.closest_closure import ClosestClosure, MachineShape
-from pkm_reports import style, text
 from pkm_reports.figures import scene
+from pkm_reports.page import style, text
 
 #: inches
 WIDTH: Final = 9.0

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from oed.base.arrays import Array
 from oed.result import PosteriorSection
-from pkm_reports import missing, style
+from pkm_reports.page import missing, style
 
 Limits = tuple[float, float]
 MOST: Final = 6

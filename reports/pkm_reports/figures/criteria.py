@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from oed.base.arrays import Array
 from oed.result import CriterionComparison, DesignSection
-from pkm_reports import missing, style, text
-from pkm_reports.missing import or_nan
+from pkm_reports.page import missing, style, text
+from pkm_reports.page.missing import or_nan
 
 #: phi is this power of the stored number: O1 and O5 are stored as square roots
 POWER: Final = {

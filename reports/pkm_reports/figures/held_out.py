@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from oed.result import HeldOutSection
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 
 def draw(sets: Sequence[HeldOutSection]) -> Figure:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from oed.base.arrays import Array
 from oed.result import HowManySummary
 from oed.result.record import Number
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 MOST_COLUMNS: Final = 3
 MOST_TICKS: Final = 5

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from oed.base.arrays import Array
 from oed.result import KappaMap
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 #: kappa above so many times the smallest leaves the panel, so that the minimum shows
 CUT: Final = 30.0

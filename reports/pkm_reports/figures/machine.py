@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from oed.base import units
 from oed.base.arrays import Array
 from oed.result import Drawing, DrawingLabel
-from pkm_reports import style
 from pkm_reports.figures import scene
 from pkm_reports.figures.scene import Box, Rectangle
+from pkm_reports.page import style
 
 LINES: Final = {
     "machine": {"color": style.INK, "lw": 1.8},

@@ -7,8 +7,8 @@ from typing import Any, Final
 from matplotlib.figure import Figure
 
 from oed.result import Drawing
-from pkm_reports import style
 from pkm_reports.figures import machine
+from pkm_reports.page import style
 
 #: inches: readable at the width of a telephone
 WIDTH, HEIGHT = 3.4, 3.0

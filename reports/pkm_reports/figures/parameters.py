@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed.result import ParameterEstimate
-from pkm_reports import style, text
-from pkm_reports.missing import or_nan
+from pkm_reports.page import style, text
+from pkm_reports.page.missing import or_nan
 
 COLOURS: Final = {
     "seen": style.BLUE,

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 
 from oed.base.arrays import Array
 from oed.result import AlternativePlan, PlanSection, SequenceRecord
-from pkm_reports import missing, style, text
-from pkm_reports.missing import or_nan
+from pkm_reports.page import missing, style, text
+from pkm_reports.page.missing import or_nan
 
 #: sequences shown by name; more are in the table only
 MOST: Final = 6

@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.result import PlannedReading
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 #: where a number may stand about its place, in its own widths and heights
 OFFSETS: Final = np.array(

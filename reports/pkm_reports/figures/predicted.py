@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed.result import PlanScore
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 MOST: Final = 8
 

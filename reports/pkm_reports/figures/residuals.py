@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from oed.base.arrays import Array
 from oed.result import EstimateSection
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 #: readings from which marks are small
 MANY: Final = 60

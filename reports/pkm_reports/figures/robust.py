@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from oed.base.arrays import Array
 from oed.result import RobustSummary
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 #: factor between the limits from which the axis is logarithmic
 WIDE = 8.0

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pkm_reports import style, text
+from pkm_reports.page import style, text
 
 #: share of the distance between two components that their bars take
 BROAD = 0.8

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from oed.base.arrays import Array
 from oed.result import PlanSection, StageRecord
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 REALISED: Final = "realised, virtual machines"
 WANTED: Final = "wanted"

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed.result import PlanSection, StageRecord
-from pkm_reports import missing, style, text
-from pkm_reports.missing import or_nan
+from pkm_reports.page import missing, style, text
+from pkm_reports.page.missing import or_nan
 
 #: shares of the axis: bars that end after the first have their words inside or before
 LATE, ROOM_BEFORE = 0.62, 0.38

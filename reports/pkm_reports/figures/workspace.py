@@ -13,8 +13,8 @@ from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
 from oed.base.arrays import Array
 from oed.result import PredictionSection
-from pkm_reports import missing, style, text
 from pkm_reports.figures.map_layout import MapLayout, choose_layout
+from pkm_reports.page import missing, style, text
 
 MOST_ROWS: Final = 3
 #: decimals to which commands are compared

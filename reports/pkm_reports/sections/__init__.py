@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import StudyResult
-from pkm_reports.blocks import Chapter, Section
+from pkm_reports.page.blocks import Chapter, Section
 from pkm_reports.sections import (
     acceptance,
     accuracy,

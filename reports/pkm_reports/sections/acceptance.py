@@ -10,8 +10,8 @@ from oed.result import (
     StudyResult,
     VerificationSection,
 )
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Paragraph,

@@ -15,8 +15,9 @@ from oed.result import (
     SpreadRecord,
     StudyResult,
 )
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.figures import accuracy, budget, map_layout, workspace
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Paragraph,
@@ -25,7 +26,6 @@ from pkm_reports.blocks import (
     TableColumn,
     number_columns,
 )
-from pkm_reports.figures import accuracy, budget, map_layout, workspace
 from pkm_reports.sections import accuracy_ranges
 from pkm_reports.sections import budget as budget_lines
 

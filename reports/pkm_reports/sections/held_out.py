@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import HeldOutSection, StudyResult
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.figures import held_out
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Picture,
@@ -16,7 +17,6 @@ from pkm_reports.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.figures import held_out
 
 LEAST_COVERAGE: Final = 0.85
 CAPTION: Final = (

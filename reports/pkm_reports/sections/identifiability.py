@@ -11,8 +11,9 @@ from oed.result import (
     IdentifiabilitySection,
     StudyResult,
 )
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.figures import singular_values
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Paragraph,
@@ -23,7 +24,6 @@ from pkm_reports.blocks import (
     transposed,
     wide_column,
 )
-from pkm_reports.figures import singular_values
 
 #: lost directions of a variant beyond which they are counted, not described
 MANY: Final = 8

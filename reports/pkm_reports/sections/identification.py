@@ -16,8 +16,9 @@ from oed.result import (
     StudyResult,
     trust,
 )
-from pkm_reports import missing, text
-from pkm_reports.blocks import (
+from pkm_reports.figures import parameters, residuals
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Notice,
@@ -28,8 +29,7 @@ from pkm_reports.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.figures import parameters, residuals
-from pkm_reports.missing import or_nan
+from pkm_reports.page.missing import or_nan
 from pkm_reports.sections import noise
 
 Estimates = Mapping[str, ParameterEstimate]

@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from oed.result import KappaMap, StudyResult
-from pkm_reports import missing, text
-from pkm_reports.blocks import (
+from pkm_reports.figures import kappa
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Picture,
@@ -17,7 +18,6 @@ from pkm_reports.blocks import (
     number_columns,
     transposed,
 )
-from pkm_reports.figures import kappa
 
 MOST_COLUMNS: Final = 8
 

@@ -15,8 +15,9 @@ from oed.result import (
     PlanSection,
     StudyResult,
 )
-from pkm_reports import missing, text
-from pkm_reports.blocks import (
+from pkm_reports.figures import machine
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Paragraph,
@@ -29,7 +30,6 @@ from pkm_reports.blocks import (
     transposed,
     wide_column,
 )
-from pkm_reports.figures import machine
 from pkm_reports.sections import machine as machine_table
 from pkm_reports.sections import working_order
 from pkm_reports.sections.stages.chapter import has_schedule

@@ -10,8 +10,9 @@ import numpy as np
 
 from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord, StudyResult
 from oed.result.record import Number
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.figures import corner
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Notice,
@@ -23,8 +24,7 @@ from pkm_reports.blocks import (
     transposed,
     wide_column,
 )
-from pkm_reports.figures import corner
-from pkm_reports.missing import or_nan
+from pkm_reports.page.missing import or_nan
 
 LARGEST_RHAT: Final = 1.01
 SMALLEST_ESS: Final = 1000.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from oed.result import DesignSection, PlannedReading, WorkingOrder
-from pkm_reports import text
-from pkm_reports.blocks import Block, Items, Paragraph, Picture
 from pkm_reports.figures import path
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Items, Paragraph, Picture
 
 
 def blocks(design: DesignSection) -> list[Block]:

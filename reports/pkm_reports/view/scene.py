@@ -11,9 +11,9 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.result import Drawing, GapSection, PredictionSection, StudyResult
-from pkm_reports import text
 from pkm_reports.figures.machine import points_mm
-from pkm_reports.missing import or_nan
+from pkm_reports.page import text
+from pkm_reports.page.missing import or_nan
 from pkm_reports.view.circles import Circle, circles
 
 #: decimals of places, mm

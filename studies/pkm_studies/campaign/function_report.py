@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pkm_reports import text
-from pkm_reports.blocks import Section, Table, TableColumn, number_columns
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Section, Table, TableColumn, number_columns
 from pkm_studies.campaign.tables import Campaign
 
 Rows = list[dict[str, Any]]

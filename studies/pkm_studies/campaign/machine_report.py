@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.figures import campaign as figures
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Picture,
     Section,
@@ -14,7 +15,6 @@ from pkm_reports.blocks import (
     TableColumn,
     number_columns,
 )
-from pkm_reports.figures import campaign as figures
 from pkm_studies.campaign.tables import Campaign
 
 Rows = list[dict[str, Any]]

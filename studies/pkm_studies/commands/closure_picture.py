@@ -51,8 +51,8 @@ def _machine(path: Path, consent: Consent) -> Machine:
 
 
 def _save(machine: Machine, closure: ClosestClosure, words: str, picture: Path) -> None:
-    from pkm_reports import style
     from pkm_reports.figures import closure as figures
+    from pkm_reports.page import style
 
     title = f"{machine.name} {words.partition(':')[0]}"
     with style.applied():

@@ -13,8 +13,8 @@ from matplotlib.patches import Patch, Rectangle
 
 from oed.base.arrays import Array
 from oed.result import DetectabilityTable
-from pkm_reports import missing, style, text
 from pkm_reports.figures.gap.effects import spoken
+from pkm_reports.page import missing, style, text
 
 #: sqrt(lambda) below which two effects are not distinguished, and above which they clearly are
 LIMIT, CLEAR = 5.0, 10.0

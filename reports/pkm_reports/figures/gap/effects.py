@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from oed.base.arrays import Array
 from oed.result import GapSection
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 MOST: Final = 10
 #: probability above which only "more than" is written, never certainty

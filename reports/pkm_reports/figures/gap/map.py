@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from oed.base.arrays import Array
 from oed.result import Spot
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 #: two axes of the base frame to look along: across and up
 View = tuple[int, int]

@@ -12,8 +12,8 @@ from matplotlib.ticker import FixedLocator
 
 from oed.base.arrays import Array
 from oed.result import Trace
-from pkm_reports import missing, style, text
 from pkm_reports.figures.gap import trace as gap_trace
+from pkm_reports.page import missing, style, text
 
 MOST: Final = 3
 #: the largest residual as a share of the drawn radius, and the outer radius

@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from oed.base.arrays import Array
 from oed.result import Trace
 from oed.result.record import Number
-from pkm_reports import missing, style, text
+from pkm_reports.page import missing, style, text
 
 MOST: Final = 9
 MOST_COLUMNS: Final = 3

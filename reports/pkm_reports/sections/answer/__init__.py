@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from oed.result import StudyResult
-from pkm_reports.blocks import Block, Section
+from pkm_reports.page.blocks import Block, Section
 from pkm_reports.sections.answer import (
     accuracy,
     causes,

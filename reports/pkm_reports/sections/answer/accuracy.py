@@ -13,8 +13,8 @@ from oed.result import (
     SpreadRecord,
     StudyResult,
 )
-from pkm_reports import missing, text
-from pkm_reports.blocks import (
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
     Block,
     Notice,
     Paragraph,

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import CorrectedSection, EffectEstimate, GapSection, StudyResult
-from pkm_reports import missing, text
-from pkm_reports.blocks import (
+from pkm_reports.figures.gap import effects
+from pkm_reports.figures.gap.effects import spoken
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
     Block,
     Paragraph,
     Table,
@@ -16,8 +18,6 @@ from pkm_reports.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.figures.gap import effects
-from pkm_reports.figures.gap.effects import spoken
 from pkm_reports.sections.gap import explanations
 
 #: causes that are listed, and coefficients that stand for the size of one

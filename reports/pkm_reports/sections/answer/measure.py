@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import Drawing, SetupInfo, StudyResult
-from pkm_reports import text
-from pkm_reports.blocks import Block, Facts, Picture
 from pkm_reports.figures import overview
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Facts, Picture
 from pkm_reports.sections.stages.chapter import has_schedule
 
 #: set-ups and stages named one by one

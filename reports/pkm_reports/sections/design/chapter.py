@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from oed.result import DesignSection, StudyResult
-from pkm_reports.blocks import Block, Chapter
+from pkm_reports.page.blocks import Block, Chapter
 from pkm_reports.sections.design import (
     certificate,
     criteria,

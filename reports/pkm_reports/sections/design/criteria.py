@@ -8,8 +8,9 @@ from typing import Final
 import numpy as np
 
 from oed.result import CriterionComparison, DesignSection
-from pkm_reports import missing, text
-from pkm_reports.blocks import (
+from pkm_reports.figures import criteria
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
     Block,
     Paragraph,
     Picture,
@@ -17,7 +18,6 @@ from pkm_reports.blocks import (
     TableColumn,
     number_columns,
 )
-from pkm_reports.figures import criteria
 from pkm_reports.sections.design.certificate import criterion_value
 
 #: criteria from which the values by the others have a table of their own

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from oed.result import DesignSection, HowManySummary
-from pkm_reports import text
-from pkm_reports.blocks import Block, Paragraph, Picture
 from pkm_reports.figures import how_many
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Paragraph, Picture
 
 
 def blocks(design: DesignSection) -> list[Block]:

@@ -6,8 +6,9 @@ import math
 from collections.abc import Sequence
 
 from oed.result import DesignSection, PlanScore
-from pkm_reports import missing, text
-from pkm_reports.blocks import (
+from pkm_reports.figures import predicted
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
     Block,
     Picture,
     Table,
@@ -15,7 +16,6 @@ from pkm_reports.blocks import (
     transposed,
     wide_column,
 )
-from pkm_reports.figures import predicted
 from pkm_reports.sections.design.certificate import criterion_value
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from oed.result import DesignSection
-from pkm_reports import text
-from pkm_reports.blocks import Block, Paragraph, Table, TableColumn, wide_column
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Paragraph, Table, TableColumn, wide_column
 from pkm_reports.sections.design.certificate import criterion_value
 
 

@@ -6,10 +6,10 @@ import math
 from typing import Final
 
 from oed.result import DesignSection, RobustSummary
-from pkm_reports import text
-from pkm_reports.blocks import Block, Paragraph, Picture
 from pkm_reports.figures import robust
-from pkm_reports.missing import or_nan
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Paragraph, Picture
+from pkm_reports.page.missing import or_nan
 
 RISKS: Final = {"mean": "the mean over all", "worst": "the worst"}
 

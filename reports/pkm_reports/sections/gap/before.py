@@ -17,8 +17,10 @@ from oed.result import (
     StudyResult,
 )
 from oed.result.record import Number
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.figures.gap import confusable
+from pkm_reports.figures.gap.effects import spoken
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Items,
@@ -29,8 +31,6 @@ from pkm_reports.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.figures.gap import confusable
-from pkm_reports.figures.gap.effects import spoken
 
 #: rows of the table of imitated combinations
 MOST: Final = 16

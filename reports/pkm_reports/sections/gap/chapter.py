@@ -6,9 +6,16 @@ from collections.abc import Mapping
 from typing import Final
 
 from oed.result import GapSection, StudyResult
-from pkm_reports import missing, text
-from pkm_reports.blocks import Block, Chapter, Items, Paragraph, Picture, headed_list
 from pkm_reports.figures.gap import effects
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
+    Block,
+    Chapter,
+    Items,
+    Paragraph,
+    Picture,
+    headed_list,
+)
 from pkm_reports.sections.gap import (
     closure,
     coefficients,

@@ -6,9 +6,9 @@ from typing import Final
 
 from oed.result import ClosureRecord, GapSection
 from oed.result.record import Number
-from pkm_reports import text
-from pkm_reports.blocks import Block, Table, number_columns, wide_column
-from pkm_reports.missing import or_nan
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Table, number_columns, wide_column
+from pkm_reports.page.missing import or_nan
 
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
 #: shares beyond which an end of an interval is not written in figures

@@ -7,15 +7,15 @@ from typing import Final
 
 from oed.base import units
 from oed.result import CoefficientRecord, GapSection
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.figures.gap.effects import spoken
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Table,
     TableColumn,
     number_columns,
     wide_column,
 )
-from pkm_reports.figures.gap.effects import spoken
 
 MOST: Final = 12
 

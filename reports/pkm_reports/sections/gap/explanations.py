@@ -7,16 +7,16 @@ from typing import Final
 
 from oed.gap.cause import answers
 from oed.result import AnswerRecord, GapSection
-from pkm_reports import text
-from pkm_reports.blocks import (
+from pkm_reports.figures.gap import effects
+from pkm_reports.figures.gap.effects import spoken
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
     Block,
     Table,
     TableColumn,
     number_columns,
     wide_column,
 )
-from pkm_reports.figures.gap import effects
-from pkm_reports.figures.gap.effects import spoken
 
 MOST_ANSWERS: Final = 6
 #: members from which a class is counted, not represented by one of its names

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from oed.result import GapSection
-from pkm_reports import text
-from pkm_reports.blocks import Block, Table, TableColumn, headed_list, wide_column
 from pkm_reports.figures.gap.effects import spoken
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Table, TableColumn, headed_list, wide_column
 
 
 def blocks(gap: GapSection) -> list[Block]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from oed.result import GapSection, Trace
-from pkm_reports import text
-from pkm_reports.blocks import Block, Picture
 from pkm_reports.figures.gap import map as gap_map
 from pkm_reports.figures.gap import polar as gap_polar
 from pkm_reports.figures.gap import trace as gap_trace
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Picture
 
 
 def blocks(gap: GapSection) -> list[Block]:

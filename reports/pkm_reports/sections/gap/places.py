@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import GapSection, PlaceRecord
-from pkm_reports import text
-from pkm_reports.blocks import Block, Table, number_columns, wide_column
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Table, number_columns, wide_column
 
 MOST: Final = 8
 #: probability of an even share below which a place stands out

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 from oed.result import PlanSection
-from pkm_reports import text
-from pkm_reports.blocks import Block, Table, headed_list, number_columns, wide_column
 from pkm_reports.figures import pareto
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
+    Block,
+    Table,
+    headed_list,
+    number_columns,
+    wide_column,
+)
 from pkm_reports.sections.stages import wording
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from oed.result import PlanSection
-from pkm_reports import text
 from pkm_reports.figures import pareto
+from pkm_reports.page import text
 from pkm_reports.sections.stages import wording
 
 #: minutes below which no time is said to remain

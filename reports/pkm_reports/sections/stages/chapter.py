@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import PlanSection, StudyResult
-from pkm_reports.blocks import Block, Chapter, Picture
 from pkm_reports.figures import pareto, stage_accuracy, timeline
+from pkm_reports.page.blocks import Block, Chapter, Picture
 from pkm_reports.sections.stages import (
     alternatives,
     captions,

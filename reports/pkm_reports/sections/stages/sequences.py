@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from oed.result import AlternativePlan, PlanSection, SequenceRecord
-from pkm_reports import missing, text
-from pkm_reports.blocks import (
+from pkm_reports.figures import stage_accuracy
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
     Block,
     Items,
     Table,
@@ -14,7 +15,6 @@ from pkm_reports.blocks import (
     transposed,
     wide_column,
 )
-from pkm_reports.figures import stage_accuracy
 from pkm_reports.sections.stages import wording
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from oed.result import PlanSection
-from pkm_reports import missing, text
-from pkm_reports.blocks import Block, Paragraph
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import Block, Paragraph
 
 
 def blocks(plan: PlanSection) -> list[Block]:

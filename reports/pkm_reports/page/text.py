@@ -10,7 +10,7 @@ from typing import Final
 from oed.base import text as toolkit_text
 from oed.base import units
 from oed.result.record import Number
-from pkm_reports.missing import finite, or_nan
+from pkm_reports.page.missing import finite, or_nan
 
 MISSING: Final = "–"
 MINUS: Final = "\N{MINUS SIGN}"

@@ -14,7 +14,7 @@ from typing import Final
 
 import jinja2
 
-from pkm_reports.document import Document
+from pkm_reports.page.document import Document
 from pkm_reports.view import scene
 
 #: parts of the script, in order

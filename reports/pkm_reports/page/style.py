@@ -26,7 +26,7 @@ from matplotlib.ticker import (
 )
 
 from oed.base.text import shorten
-from pkm_reports import text
+from pkm_reports.page import text
 
 #: inches; the text width of an A4 page, so that figures keep their letter size in print
 WIDTH: Final = 6.7

@@ -11,8 +11,9 @@ import string
 from collections.abc import Iterator, Sequence
 
 from oed.result import StudyResult
-from pkm_reports import sections, style, text
-from pkm_reports.blocks import (
+from pkm_reports import sections
+from pkm_reports.page import style, text
+from pkm_reports.page.blocks import (
     Block,
     Code,
     Facts,

@@ -13,8 +13,8 @@ import msgspec
 from oed.base.own_files import write_own
 from oed.base.text import shorten
 from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
-from pkm_reports import missing, pdf, text
-from pkm_reports.document import footer
+from pkm_reports.page import missing, pdf, text
+from pkm_reports.page.document import footer
 
 #: rows on the sheet; all readings are in poses.csv
 MOST_ROWS: Final = 120

@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 import typst
 
-from pkm_reports.document import Document
-from pkm_reports.style import Image
+from pkm_reports.page.document import Document
+from pkm_reports.page.style import Image
 
 POINTS_PER_INCH = 72.0
 
