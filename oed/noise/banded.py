@@ -39,14 +39,19 @@ class ChainFactor:
         decay   (N,) what stays of what is carried in the reading before; 0 for the first
         single  (N,) variances of what is not carried
         fresh   (N,) variances of what joins it: a^2 (1 - d^2)
+
+        Raises LinAlgError where the covariance is not positive definite.
         """
         self._decay = decay[1:]
         related = self._decay * single[:-1]
         variance = single + fresh
         variance[1:] += self._decay * related
-        self._variance, self._slope, _ = lapack.dpttrf(
-            variance, -related, overwrite_d=True, overwrite_e=True
-        )
+        self._variance, self._slope = variance, -related
+        if len(related):  # LAPACK takes no single reading
+            factor = lapack.dpttrf(variance, -related)
+            self._variance, self._slope, failed = factor
+            if failed:
+                raise np.linalg.LinAlgError("the noise has no positive variance")
 
     @property
     def log_variances(self) -> Array:
@@ -59,6 +64,8 @@ class ChainFactor:
         differences[0] = values[0]
         np.multiply(values[:-1], -self._decay[:, None], out=differences[1:])
         differences[1:] += values[1:]
+        if not len(self._slope):
+            return differences, differences / self._variance[:, None]
         solved, _ = lapack.dpttrs(self._variance, self._slope, differences)
         return differences, np.asarray(solved)
 

@@ -17,7 +17,7 @@ from oed.gap.cause.conditioning import RunNoise
 from oed.gap.data import evidence
 from oed.gap.data.law_evidence import LawEvidence
 from oed.gap.data.problem import GapProblem
-from oed.noise.banded import ROWS, BandedFactor
+from oed.noise.banded import ROWS, BandedFactor, ChainFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import with_columns
 from oed.noise.runs import Runs
@@ -72,6 +72,26 @@ def test_a_banded_root_is_choleskys(
     assert_allclose(
         factor.precision_diagonal(), np.diag(np.linalg.inv(dense)), rtol=1e-10
     )
+
+
+@pytest.mark.parametrize("size", [1, 2, 40])
+def test_halves_of_chains_have_the_precisions_products(
+    size: int, rng: np.random.Generator
+) -> None:
+    before, decay, fresh = chains(size, 1, rng)
+    decay[:: size // 3 + 1] = 0.0  # several chains, one after the other
+    single = rng.uniform(0.1, 1.0, size)
+    dense = np.diag(single) + carried(before, decay, fresh)
+    values = rng.standard_normal((size, 3))
+    factor = ChainFactor(decay, single, fresh)
+    differences, solved = factor.halves(values)
+    assert_allclose(
+        differences.T @ solved, values.T @ np.linalg.solve(dense, values), rtol=1e-9
+    )
+    log_det = np.linalg.slogdet(dense)[1]
+    assert factor.log_variances.sum() == pytest.approx(log_det)
+    with pytest.raises(np.linalg.LinAlgError):
+        ChainFactor(np.full(2, 0.5), np.zeros(2), np.zeros(2))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
