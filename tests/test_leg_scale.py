@@ -81,7 +81,7 @@ def test_both_sections_have_one_estimate(result: StudyResult) -> None:
     assert abs(leg.value - wanted) < 2.0 * sd
     for c in gap.coefficients:
         other = corrected.effects[f"{c.effect}: {c.name}"]
-        assert (c.value, c.sd) == (pytest.approx(1e-6 * other.value), 1e-6 * other.sd)
+        assert (c.value, c.sd) == pytest.approx((1e-6 * other.value, 1e-6 * other.sd))
     assert all(
         after < 0.05 * before
         for before, after in zip(
