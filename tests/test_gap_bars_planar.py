@@ -112,11 +112,11 @@ def planar(seed: int) -> Planar:
     theta = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     series, rows = lines(m, ("fitted", FITTED), ("unseen", UNSEEN))
     states = states_of.states(m, tuple(series), rows, theta)
-    root = m.noise(series).root
+    noise = m.noise(series)
     y = exact_readings(
         m, series, theta, states, [(effect_of(n), c, f) for n, c, f in ACTING]
     )
-    y = y + root @ rng.standard_normal(root.shape[1])
+    y = y + noise.draw(rng, y.shape)
     count = rows["setup"].map(READS).to_numpy()
     held = np.repeat(rows["run"].str.startswith("unseen").to_numpy(), count)
     fitted, known = lines(m, ("fitted", FITTED))

@@ -126,9 +126,9 @@ def test_laser_ball_bar_noise_is_that_of_its_gimbal(rng: np.random.Generator) ->
     Their R, theta and phi are disturbed at A and at B.
     """
     m, series = measured(FULL, laser_ball_bar.instrument)
-    root = m.noise([series]).root
-    assert root is not None
-    covariance = (root @ root.T).toarray()
+    noise_of_readings = m.noise([series])
+    root = noise_of_readings.correlate(np.eye(len(noise_of_readings.sigma)))
+    covariance = root.T @ root
     tip, rot, _ = oracle.nominal(*poses().T)
     k, many = 14, 20_000
     noise = NOISE * rng.standard_normal((many, 2, 3))
