@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from oed.base.arrays import Array
 from oed.measurement.setup_readings import SetupReadings
 from oed.model.instrument import Setup
 from oed.model.series import Series
-from oed.noise.covariance import FactoredNoise, Noise
+from oed.noise.covariance import FactoredNoise, Noise, block_noise
 from oed.noise.factor import Errors, LinearFactor
+
+#: readings of a run, all channels counted, up to which its covariance is written out
+DENSE_MOST = 500
 
 
 def stated_noise(readings: SetupReadings, series: Series) -> Noise:
@@ -21,20 +24,28 @@ def stated_noise(readings: SetupReadings, series: Series) -> Noise:
     correlated within each run.
     """
     setup, shared = readings.setup, run_errors(readings, series)
-    alone = not shared.size and setup.statement.carried_share == 0.0
+    channels, statement = len(setup.sigma), setup.statement
+    alone = not shared.size and statement.carried_share == 0.0
     if setup.instrument.sources is None and alone:
         return Noise(np.tile(setup.sigma, len(series)))
-    return _related_noise(setup, reading_covariances(readings, series), series, shared)
+    separate = reading_covariances(readings, series)
+    longest = np.unique(series.run, return_counts=True)[1].max()
+    if longest * channels > DENSE_MOST:
+        return _factored(setup, separate, series, shared)
+    places, covariances = [], []
+    for run in dict.fromkeys(series.run):
+        members = np.flatnonzero(series.run == run)
+        place = members[:, None] * channels + np.arange(channels)
+        errors = shared[members].reshape(place.size, -1)
+        covariances.append(_single(setup, separate[members]) + errors @ errors.T)
+        places.append(place.ravel())
+    return block_noise(covariances, places)
 
 
-def _related_noise(
+def _factored(
     setup: Setup, separate: Array, series: Series, errors_of_runs: Array
 ) -> FactoredNoise:
-    """Noise of readings that are related within runs.
-
-    separate        (n, c, c) covariance of each reading without its run's errors
-    errors_of_runs  (n, c, k) slopes over these
-    """
+    """The same noise by a factor in linear time."""
     channels, share = len(setup.sigma), setup.statement.carried_share
     run = np.unique(series.run, return_inverse=True)[1]
     reading = np.argsort(run, kind="stable")
@@ -60,6 +71,23 @@ def _related_noise(
     )
     variance = np.square(roots).sum(axis=2).ravel() + np.square(shared).sum(axis=1)
     return FactoredNoise(np.sqrt(variance), factor=LinearFactor(errors))
+
+
+def _single(setup: Setup, separate: Array) -> Array:
+    """Covariance (n c, n c) of a run's n readings of c channels without what all share.
+
+    separate  (n, c, c) of each reading
+    """
+    share = setup.statement.carried_share
+    if share == 0.0:
+        return np.asarray(linalg.block_diag(*separate))
+    place = np.arange(len(separate))
+    distance = np.abs(place[:, None] - place)
+    along = share * np.exp(-distance / setup.statement.reach_median)
+    along += (1.0 - share) * np.eye(len(place))
+    root = np.linalg.cholesky(separate)
+    covariance = np.einsum("ij,iac,jbc->iajb", along, root, root, optimize=True)
+    return np.asarray(covariance.reshape(len(place) * root.shape[1], -1))
 
 
 def reading_covariances(readings: SetupReadings, series: Series) -> Array:

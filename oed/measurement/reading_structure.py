@@ -11,6 +11,7 @@ from scipy import sparse
 from oed.base.arrays import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_noise import reading_covariances, run_errors
+from oed.noise.covariance import block_noise
 from oed.noise.stated import StatedErrors
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import (
@@ -163,8 +164,10 @@ def _places(run: Index) -> Index:
 
 def _decoupling(covariances: Array) -> sparse.csr_array:
     """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
-    inverses = np.linalg.inv(np.linalg.cholesky(covariances))
-    whitening = sparse.csr_array(sparse.block_diag(list(inverses)))
+    places = np.arange(covariances.shape[0] * covariances.shape[1])
+    noise = block_noise(covariances, places.reshape(covariances.shape[:2]))
+    assert noise.whitening is not None
+    whitening = noise.whitening.copy()
     whitening.eliminate_zeros()
     return whitening
 

@@ -2,8 +2,9 @@
 
 A reading's channels may be correlated (a gimbal's angles turned into Cartesian
 coordinates), and the readings of a run may share an error (the reference reading that
-all of them are differences from). The covariance is then block diagonal over runs, and kept
-as a factor in linear time (`oed.noise.factor`).
+all of them are differences from). The covariance is block diagonal over runs; W with W
+Sigma W^T = 1 is kept as a sparse matrix, so that whitening costs what the blocks cost,
+and that of long runs as a factor in linear time.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from scipy import sparse
 
 from oed.base.arrays import Array, Index
 from oed.noise.factor import LinearFactor
@@ -19,24 +21,33 @@ from oed.noise.factor import LinearFactor
 
 @dataclasses.dataclass(frozen=True)
 class Noise:
-    """Independent noise of N readings, SI; noises of other classes relate them.
+    """Noise of N readings, SI.
 
     sigma  (N,) marginal standard deviations
+    white  (N, N) sparse W with W Sigma W^T = 1;  root (N, N) sparse R with R R^T =
+           Sigma
+    None for both where all readings are independent.
     """
 
     sigma: Array
+    whitening: sparse.csr_array | None = None
+    root: sparse.csr_array | None = None
 
     @property
     def is_independent(self) -> bool:
-        """Whether all readings are independent."""
-        return type(self) is Noise
+        """Whether all readings are independent; noises of other classes relate them."""
+        return type(self) is Noise and self.whitening is None
 
     def whiten(self, values: Array) -> Array:
-        """Whitened values W Y, for Y (N,) or (N, n), with readings first."""
+        """Whitened values: (N,), (N, n), with readings first."""
+        if self.whitening is not None:
+            return np.asarray(self.whitening @ values)
         return values / self.sigma.reshape(-1, *[1] * (values.ndim - 1))
 
     def whiten_back(self, values: Array) -> Array:
         """W^T Y, for Y (N,) or (N, n)."""
+        if self.whitening is not None:
+            return np.asarray(self.whitening.T @ values)
         return values / self.sigma.reshape(-1, *[1] * (values.ndim - 1))
 
     def precision(self, values: Array) -> Array:
@@ -45,7 +56,9 @@ class Noise:
 
     def precision_diagonal(self) -> Array:
         """Diagonal (N,) of Sigma^-1."""
-        return 1.0 / self.sigma**2
+        if self.whitening is not None:
+            return np.asarray(self.whitening.power(2).sum(axis=0)).ravel()
+        return np.asarray(1.0 / self.sigma**2)
 
     def whiten_last(self, values: Array) -> Array:
         """Whitened values (..., N), with readings last."""
@@ -54,7 +67,15 @@ class Noise:
 
     def scaled(self, factor: Array) -> Noise:
         """The same noise times a factor (N,), equal within each run."""
-        return Noise(self.sigma * factor)
+        if self.whitening is None or self.root is None:
+            return Noise(self.sigma * factor)
+        white, root = (
+            self.whitening @ sparse.diags_array(1.0 / factor),
+            sparse.diags_array(factor) @ self.root,
+        )
+        return Noise(
+            self.sigma * factor, sparse.csr_array(white), sparse.csr_array(root)
+        )
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
         """Draws (..., N)."""
@@ -62,7 +83,9 @@ class Noise:
 
     def correlate(self, white: Array) -> Array:
         """Errors (..., N) of white ones."""
-        return self.sigma * white
+        if self.root is None:
+            return self.sigma * white
+        return np.asarray((self.root @ white.T).T)
 
 
 def as_noise(noise: Noise | Array) -> Noise:
@@ -70,19 +93,58 @@ def as_noise(noise: Noise | Array) -> Noise:
     return noise if isinstance(noise, Noise) else Noise(np.asarray(noise, dtype=float))
 
 
+def block_noise(
+    covariances: Sequence[Array] | Array, places: Sequence[Index] | Index
+) -> Noise:
+    """Noise with dense covariance blocks at index sets `places`, which together cover
+    all readings.
+    """
+    n = sum(len(p) for p in places)
+    sigma = np.zeros(n)
+    rows, columns = [], []
+    white: list[Array] = []
+    root: list[Array] = []
+    for covariance, place in zip(covariances, places, strict=True):
+        factor = np.linalg.cholesky(covariance)
+        sigma[place] = np.sqrt(np.diag(covariance))
+        rows.append(np.repeat(place, len(place)))
+        columns.append(np.tile(place, len(place)))
+        white.append(np.asarray(np.linalg.inv(factor), dtype=float).ravel())
+        root.append(np.asarray(factor, dtype=float).ravel())
+    at = (np.concatenate(rows), np.concatenate(columns))
+
+    def as_matrix(values: list[Array]) -> sparse.csr_array:
+        return sparse.csr_array(
+            sparse.coo_array((np.concatenate(values), at), shape=(n, n))
+        )
+
+    return Noise(sigma, as_matrix(white), as_matrix(root))
+
+
 def concatenate_noise(parts: Sequence[Noise]) -> Noise:
     """Noise of readings one after the other."""
-    if len(parts) == 1:
-        return parts[0]
+    if any(isinstance(p, FactoredNoise) for p in parts):
+        return SeveralNoises(np.concatenate([p.sigma for p in parts]), parts=parts)
     sigma = np.concatenate([p.sigma for p in parts])
-    if all(p.is_independent for p in parts):
+    if all(p.whitening is None for p in parts):
         return Noise(sigma)
-    return SeveralNoises(sigma, parts=parts)
+    white = [
+        p.whitening if p.whitening is not None else sparse.diags_array(1.0 / p.sigma)
+        for p in parts
+    ]
+    root = [
+        p.root if p.root is not None else sparse.diags_array(p.sigma) for p in parts
+    ]
+    return Noise(
+        sigma,
+        sparse.csr_array(sparse.block_diag(white)),
+        sparse.csr_array(sparse.block_diag(root)),
+    )
 
 
 @dataclasses.dataclass(frozen=True)
 class FactoredNoise(Noise):
-    """Noise of readings in runs, by a factor in linear time; SI.
+    """Noise of readings in long runs, by a factor in linear time; SI.
 
     factor  of the covariance
     """
@@ -121,7 +183,7 @@ class FactoredNoise(Noise):
 
 @dataclasses.dataclass(frozen=True)
 class SeveralNoises(Noise):
-    """Noise of readings one after the other, of which some are related."""
+    """Noise of readings one after the other, of which some are in long runs."""
 
     parts: Sequence[Noise] = dataclasses.field(kw_only=True)
 

@@ -16,7 +16,7 @@ from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.instrument import Channel, Cost, Instrument, mount
 from oed.model.machine import Parameter
-from oed.noise.factor import DenseFactor
+from oed.noise import covariance as noise
 from pkm_models.instruments import ball_bar, calliper, height_probe
 from pkm_models.machines import a3_head, linear_delta
 
@@ -257,7 +257,7 @@ def test_whitening(rng: np.random.Generator) -> None:
         rng.standard_normal((6, 3)),
         rng.uniform(1, 2, 6),
     )
-    white = DenseFactor([np.arange(6)], [covariance]).whiten(rows)
+    white = noise.block_noise([covariance], [np.arange(6)]).whiten(rows)
     assert white.T @ white == pytest.approx(
         rows.T @ np.linalg.inv(covariance) @ rows, rel=1e-10
     )

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from oracles import a3_geometry as a3
 from reference import tian_2016 as paper
-from scipy import linalg, stats
+from scipy import stats
 
 from kernel import a3_plans
 from kernel.dense_noise import dense_covariance
@@ -21,10 +21,11 @@ from oed.design import candidates
 from oed.estimation.identification import identify
 from oed.gap.data import laws as gap_laws
 from oed.gap.data.problem import assemble
-from oed.measurement import simulation
+from oed.measurement import reading_noise, simulation
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_structure import reading_structure
 from oed.noise import prior
+from oed.noise.covariance import SeveralNoises
 from oed.noise.outliers import Precision, StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -100,8 +101,8 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
     series = circles(m)
     exact = expected(series, run)
     noise = m.noise([series])
-    errors = noise.correlate(np.eye(24))
-    covariance = errors.T @ errors
+    assert noise.root is not None
+    covariance = (noise.root @ noise.root.T).toarray()
     assert covariance == pytest.approx(exact, rel=1e-9, abs=1e-9 * SIGMA**2)
     assert noise.sigma == pytest.approx(np.sqrt(np.diag(exact)))
     structure = reading_structure(m, [series], m.nominal)
@@ -117,26 +118,28 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
 
 
 @pytest.mark.parametrize("run", [0.0, RUN])
-def test_the_stated_noise_of_series_is_that_of_dense_covariances(run: float) -> None:
+def test_the_stated_noise_of_long_runs_is_that_of_short_ones(
+    run: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The factor in linear time against the covariances of runs, written out."""
     levels = frozenset({"length"}) if run else frozenset()
     m = stating(dataclasses.replace(STATED, levels=levels), run)
     series, rng = circles(m), np.random.default_rng(4)
-    noise = m.noise([series, series])
-    exact = linalg.block_diag(*2 * [expected(series, run)])
+    short = m.noise([series, series])
+    monkeypatch.setattr(reading_noise, "DENSE_MOST", 4)
+    long = m.noise([series, series])
+    assert isinstance(long, SeveralNoises)
     factor = np.repeat(rng.uniform(0.5, 2.0, 6), 8)
-    scaled = exact * np.outer(factor, factor)
-    for one, dense in ((noise, exact), (noise.scaled(factor), scaled)):
-        inverse, values = np.linalg.inv(dense), rng.standard_normal((48, 2))
-        assert one.sigma == pytest.approx(np.sqrt(np.diag(dense)))
-        assert one.precision(values) == pytest.approx(inverse @ values, rel=1e-9)
-        assert one.precision_diagonal() == pytest.approx(np.diag(inverse))
-        white = one.whiten(values)
-        assert white.T @ white == pytest.approx(values.T @ inverse @ values)
-        assert one.whiten_last(values.T) == pytest.approx(white.T)
-        draws = one.draw(np.random.default_rng(1), (3, 48))
-        normal = np.random.default_rng(1).standard_normal((3, 48))
-        exactly = normal @ np.linalg.cholesky(dense).T
-        assert draws == pytest.approx(exactly, rel=1e-9, abs=1e-9 * SIGMA)
+    for one, other in ((short, long), (short.scaled(factor), long.scaled(factor))):
+        values = rng.standard_normal((48, 2))
+        assert other.sigma == pytest.approx(one.sigma)
+        assert other.precision(values) == pytest.approx(one.precision(values))
+        assert other.precision_diagonal() == pytest.approx(one.precision_diagonal())
+        white = other.whiten(values)
+        assert white.T @ white == pytest.approx(values.T @ one.precision(values))
+        assert other.whiten_last(values.T) == pytest.approx(white.T)
+        draws = [n.draw(np.random.default_rng(1), (3, 48)) for n in (one, other)]
+        assert draws[1] == pytest.approx(draws[0], rel=1e-9, abs=1e-9 * SIGMA)
 
 
 def test_designs_take_the_seating_as_unknowns_of_each_run() -> None:
