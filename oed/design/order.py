@@ -2,22 +2,36 @@
 
 Poses, or runs that stay together (a circle), are visited once each. Lengths may differ
 there and back; inf forbids a move. A run that may be taken in both directions is two
-states, of which one is visited. Paths of few runs are exact, others are searched
-(`oed.design.path_search`).
+states, of which one is visited.
+
+The shortest path over few runs comes from dynamic programming over subsets (Held and
+Karp 1962, J. SIAM 10, 196-210). Others are searched. The search starts from nearest
+neighbours. It takes the best reversal of a stretch (2-opt; Croes 1958, Oper. Res. 6,
+791-812) or shift of up to three neighbours (Or-opt; Or 1976), until none helps. It does
+so again after random double bridges (Martin, Otto and Felten 1991, Complex Syst. 5,
+299-326), half of them turned, that leave the path not much longer. Prefix sums in both
+directions give the lengths of reversals, so lengths need not be symmetric.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.path_search import RunStates, search_path, shortest_path
 
 #: most runs that are ordered exactly: 2^12 subsets
 EXACT = 12
+#: neighbouring runs that are shifted together, at the most
+SHIFTED = 3
+#: share of the largest length below which a gain counts as none
+GAIN = 1e-9
+#: a path longer by this share is still a start for the next change
+WORSE = 0.01
+#: change of length, and the path after it
+PathChange = tuple[float, Callable[[], Index]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -124,3 +138,212 @@ def _check(
         raise ValueError(
             f"runs must hold each of the poses 0 to {n - 1} once, and none may be empty"
         )
+
+
+# -- the shortest path -----------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RunStates:
+    """Runs in their directions; state 0 is where the machine starts and ends.
+
+    cost     (S, S) from leaving one state to having passed the next
+    flip     (S,) the same run in the other direction, or itself
+    run      (S,) number of the run
+    members  (S) poses of each state
+    """
+
+    cost: Array
+    flip: Index
+    run: Index
+    members: list[Index]
+
+    @classmethod
+    def of(
+        cls,
+        distance: Array,
+        start: Array | None,
+        finish: Array | None,
+        runs: list[list[int]],
+        reversible: bool,
+    ) -> RunStates:
+        """States of runs of poses; arguments as for `order.order_poses`."""
+        members, numbers, flip = [np.zeros(0, np.intp)], [-1], [0]
+        for number, run in enumerate(runs):
+            forwards = len(members)
+            if reversible and len(run) > 1:
+                directions, flipped = [run, run[::-1]], [forwards + 1, forwards]
+            else:
+                directions, flipped = [run], [forwards]
+            flip += flipped
+            members += [np.array(poses, dtype=np.intp) for poses in directions]
+            numbers += [number] * len(directions)
+        cost = _state_costs(distance, start, finish, members)
+        return cls(cost, np.array(flip), np.array(numbers), members)
+
+    def length(self, tour: Index) -> float:
+        """Length of a path of states, given without state 0."""
+        closed = np.concatenate([[0], tour, [0]])
+        return float(self.cost[closed[:-1], closed[1:]].sum())
+
+
+def _state_costs(
+    distance: Array, start: Array | None, finish: Array | None, members: list[Index]
+) -> Array:
+    states = members[1:]
+    entry = np.array([poses[0] for poses in states])
+    leave = np.array([poses[-1] for poses in states])
+    inner = np.array([distance[poses[:-1], poses[1:]].sum() for poses in states])
+    cost = np.zeros((len(members), len(members)))
+    cost[0, 1:] = (0.0 if start is None else start[entry]) + inner
+    cost[1:, 0] = 0.0 if finish is None else finish[leave]
+    cost[1:, 1:] = distance[np.ix_(leave, entry)] + inner
+    return cost
+
+
+def shortest_path(states: RunStates) -> Index:
+    """The shortest path, one state of each run."""
+    cost, bit = states.cost[1:, 1:], 1 << states.run[1:]
+    full = (1 << (states.run[-1] + 1)) - 1
+    best = np.full((full + 1, len(cost)), np.inf)
+    before = np.full((full + 1, len(cost)), -1)
+    best[bit, np.arange(len(cost))] = states.cost[0, 1:]
+    for subset in range(1, full):
+        free = np.flatnonzero((subset & bit) == 0)
+        lengths = best[subset][:, None] + cost[:, free]
+        last = lengths.argmin(axis=0)
+        best[subset | bit[free], free] = lengths[last, np.arange(free.size)]
+        before[subset | bit[free], free] = last
+    total = best[full] + states.cost[1:, 0]
+    if not np.isfinite(total.min()):
+        # no path is allowed: any one shows it, by its length
+        return 1 + np.unique(states.run[1:], return_index=True)[1]
+    state, subset, tour = int(total.argmin()), full, []
+    while state >= 0:
+        tour.append(state + 1)
+        state, subset = int(before[subset, state]), int(subset ^ bit[state])
+    return np.array(tour[::-1], dtype=np.intp)
+
+
+def search_path(states: RunStates, rng: np.random.Generator, kicks: int) -> Index:
+    """Nearest neighbours, improved, then changed at random and improved again."""
+    finite = states.cost[np.isfinite(states.cost)]
+    largest = float(finite.max(initial=0.0))
+    count = int(states.run[-1]) + 1
+    # one forbidden move costs more than any path without
+    penalty = (count + 1) * largest + 1.0
+    cost = np.where(np.isfinite(states.cost), states.cost, penalty)
+    priced = dataclasses.replace(states, cost=cost)
+    tolerance = GAIN * max(largest, 1e-300)
+    current = best = _improve(_nearest_neighbours(priced), priced, tolerance)
+    for _ in range(kicks):
+        changed = _improve(_double_bridge(current, states, rng), priced, tolerance)
+        if priced.length(changed) < priced.length(current) * (1.0 + WORSE):
+            current = changed
+        if priced.length(current) < priced.length(best) - tolerance:
+            best = current
+    return best
+
+
+def _double_bridge(tour: Index, states: RunStates, rng: np.random.Generator) -> Index:
+    """The path with two neighbouring parts exchanged, the first one perhaps turned."""
+    cuts = rng.choice(np.arange(len(tour) + 1), 3, replace=False)
+    a, b, c = np.sort(cuts)
+    part = tour[a:b]
+    if rng.random() >= 0.5:
+        part = states.flip[part][::-1]
+    return np.concatenate([tour[:a], tour[b:c], part, tour[c:]])
+
+
+def _nearest_neighbours(states: RunStates) -> Index:
+    """The shortest path that always goes to the nearest state, over all first states."""
+    firsts = range(1, len(states.run))
+    tours = [_nearest_neighbours_from(states, first) for first in firsts]
+    return min(tours, key=states.length)
+
+
+def _nearest_neighbours_from(states: RunStates, first: int) -> Index:
+    tour = [first]
+    remaining = states.run != states.run[first]
+    remaining[0] = False
+    while remaining.any():
+        costs = np.where(remaining, states.cost[tour[-1]], np.inf)
+        tour.append(int(costs.argmin()))
+        remaining &= states.run != states.run[tour[-1]]
+    return np.array(tour, dtype=np.intp)
+
+
+def _improve(tour: Index, states: RunStates, tolerance: float) -> Index:
+    """The best reversal or shift, until none helps."""
+    while True:
+        closed = np.concatenate([[0], tour, [0]])
+        changes = [_best_reversal(closed, states)]
+        for size in range(1, min(SHIFTED, len(tour) - 1) + 1):
+            changes.append(_best_shift(closed, states, size))
+        delta, changed = min(changes, key=lambda change: change[0])
+        if delta > -tolerance:
+            return tour
+        tour = changed()
+
+
+def _prefix_lengths(closed: Index, states: RunStates) -> tuple[Array, Array]:
+    """Length up to each place (n + 2,) of the closed path, forwards and backwards.
+
+    Backwards every run is flipped.
+    """
+    flipped = states.flip[closed]
+    forwards = np.cumsum(states.cost[closed[:-1], closed[1:]])
+    backwards = np.cumsum(states.cost[flipped[1:], flipped[:-1]])
+    return np.append(0.0, forwards), np.append(0.0, backwards)
+
+
+def _best_reversal(closed: Index, states: RunStates) -> PathChange:
+    """The best reversal of the places i to j."""
+    cost, flipped = states.cost, states.flip[closed]
+    forwards, backwards = _prefix_lengths(closed, states)
+    into = cost[np.ix_(closed[:-2], flipped[1:-1])]
+    out = cost[np.ix_(flipped[1:-1], closed[2:])]
+    inside = backwards[None, 1:-1] - backwards[1:-1, None]
+    removed = forwards[None, 2:] - forwards[:-2, None]
+    delta = into + out + inside - removed
+    delta[np.tril_indices(len(delta), -1)] = np.inf
+    i, j = np.unravel_index(int(delta.argmin()), delta.shape)
+    tour = closed[1:-1]
+
+    def reverse() -> Index:
+        turned = states.flip[tour[i : j + 1]][::-1]
+        return np.concatenate([tour[:i], turned, tour[j + 1 :]])
+
+    return float(delta[i, j]), reverse
+
+
+def _best_shift(closed: Index, states: RunStates, size: int) -> PathChange:
+    """The best shift of `size` neighbours to another place, in either direction."""
+    cost, flipped = states.cost, states.flip[closed]
+    forwards, backwards = _prefix_lengths(closed, states)
+    i = np.arange(1, len(closed) - size)  # first place of the neighbours
+    j = i + size - 1  # their last place
+    k = np.arange(len(closed) - 1)  # they go between the places k and k + 1
+    step = cost[closed[:-1], closed[1:]]
+    removed = cost[closed[i - 1], closed[j + 1]] - step[i - 1] - step[j]
+    turned = (backwards[j] - backwards[i]) - (forwards[j] - forwards[i])
+    into_first = cost[np.ix_(closed[k], closed[i])].T
+    same_direction = into_first + cost[np.ix_(closed[j], closed[k + 1])]
+    into_last = cost[np.ix_(closed[k], flipped[j])].T
+    out_of_first = cost[np.ix_(flipped[i], closed[k + 1])]
+    other_direction = into_last + out_of_first + turned[:, None]
+    delta = np.minimum(same_direction, other_direction)
+    delta = delta + removed[:, None] - step[None, :]
+    overlaps = (k[None, :] >= i[:, None] - 1) & (k[None, :] <= j[:, None])
+    delta[overlaps] = np.inf
+    a, b = np.unravel_index(int(delta.argmin()), delta.shape)
+
+    def shift() -> Index:
+        part = closed[i[a] : j[a] + 1]
+        if same_direction[a, b] > other_direction[a, b]:
+            part = states.flip[part][::-1]
+        others = np.delete(closed, np.s_[i[a] : j[a] + 1])
+        place = k[b] + 1 if k[b] < i[a] else k[b] + 1 - size
+        return np.insert(others, place, part)[1:-1]
+
+    return float(delta[a, b]), shift

@@ -6,18 +6,17 @@ absorbed what it can (`oed.gap.before.detect`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse import csgraph
 
 from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import canonical_rows, first_largest
+from oed.base.linear_algebra import canonical_rows, eigenvectors, first_largest
 from oed.gap.before.combinations import in_words
 from oed.gap.before.forms import Form
 from oed.gap.before.power import needed_lambda
-from oed.gap.data.root import inverse_root
 from oed.result.gap_before import RivalRecord, SharedRecord
 
 #: sqrt(lambda_k|j) below which the two cannot be distinguished
@@ -138,3 +137,17 @@ def indistinguishable(
         groups.setdefault(int(number), []).append(name)
     classes = [members for members in groups.values() if len(members) > 1]
     return classes, [[names[k], names[j]] for k, j in np.argwhere(close)]
+
+
+# -- root ------------------------------------------------------------------------------
+
+
+def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
+    """R (k, m) with R R^T the pseudo-inverse of a Gram matrix (k, k).
+
+    Directions of less energy than `least`, a function of the largest energy, are left
+    out.
+    """
+    values, vectors = eigenvectors(gram)
+    visible = values > least(float(values.max(initial=0.0)))
+    return np.asarray(vectors[:, visible] / np.sqrt(values[visible]))

@@ -12,17 +12,19 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from oed.base.arrays import Array
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
-from oed.gap.cause.wide import wide_model
-from oed.gap.data import laws, noise
+from oed.gap.data import laws
 from oed.gap.data.laws import LawPosterior
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy, waves
 from oed.gap.forms import library as libraries
+from oed.gap.forms.discrepancy import IN_A_RUN
 from oed.gap.forms.library import Library
 from oed.model.effect import Effect
+from oed.noise import outliers as outlier_search
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Outliers
 
@@ -32,6 +34,9 @@ LOUD = 2.0
 Forms = tuple[tuple[int, ...], int | None]
 #: hypotheses of each first search that are evaluated under all laws
 CANDIDATES = 14
+#: least root mean square of each effect and process in the wide model, in units of the
+#: noise
+WIDE = 0.7
 
 
 def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
@@ -43,7 +48,7 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     columns = wide_model(library, processes)
     wide = laws.posterior(problem, columns)
     outliers = _outliers(problem, library, processes, wide.mode)
-    clean = noise.without_outliers(problem, outliers)
+    clean = without_outliers(problem, outliers)
     if outliers is not None:
         plain, wide = laws.posterior(clean, nothing), laws.posterior(clean, columns)
     unknown = waves.add(processes, clean, wide.mode)
@@ -79,7 +84,7 @@ def searches_under(
     outliers = _outliers(problem, library, processes, law)
     results = []
     for removed in (None, outliers) if outliers is not None else (None,):
-        clean = noise.without_outliers(problem, removed)
+        clean = without_outliers(problem, removed)
         unknown = waves.add(processes, clean, law)
         results.append(
             Search(clean, library, unknown, law, 0.0, removed, given=problem)
@@ -96,15 +101,15 @@ def _outliers(
     steps. The more probable explanation counts.
     """
     columns = wide_model(library, processes)
-    outliers = noise.detect_outliers(problem, law, columns)
+    outliers = detect_outliers(problem, law, columns)
     if outliers is None:
         return None
     gap = _best_gap(Search(problem, library, processes, law, 0.0))
     forms = gap.columns(library, processes)
-    fewer = noise.detect_outliers(problem, law, np.hstack([columns, forms]))
+    fewer = detect_outliers(problem, law, np.hstack([columns, forms]))
 
     def score(removed: Outliers | None) -> float:
-        clean = noise.without_outliers(problem, removed)
+        clean = without_outliers(problem, removed)
         return Search(clean, library, processes, law, 0.0, removed).run()[0].score
 
     return max((outliers, fewer), key=score)
@@ -142,3 +147,45 @@ def _add_best_gaps(
         if forms not in posteriors:
             columns = gap.columns(search.library, search.processes)
             posteriors[forms] = laws.posterior(problem, columns)
+
+
+# -- the wide model --------------------------------------------------------------------
+
+
+def wide_model(library: Library, processes: Library) -> Array:
+    """Columns (N, k) of the middle form of every effect and of the broad processes."""
+    columns = [_middle_form(library, effect) for effect in library.effects]
+    broad = [effect for effect in processes.effects if effect != IN_A_RUN]
+    columns += [_middle_form(processes, effect) for effect in broad]
+    return np.hstack(columns)
+
+
+def _middle_form(library: Library, effect: str) -> Array:
+    """The middle of an effect's widest forms, of the least root mean square."""
+    forms = [library.atoms[k].columns for k in library.atoms_of(effect)]
+    widest = max(len(form) for form in forms)
+    full = [form for form in forms if len(form) == widest]
+    columns = library.columns[:, full[len(full) // 2]]
+    rms = np.sqrt((columns**2).sum() / len(columns))
+    return np.asarray(columns * (WIDE / rms))
+
+
+# -- outliers --------------------------------------------------------------------------
+
+
+def detect_outliers(
+    problem: GapProblem, law: NoiseLaw, columns: Array
+) -> Outliers | None:
+    """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model."""
+    held = np.hstack([problem.slopes, columns])
+    precision = outlier_search.with_columns(law.factor(problem), held)
+    return outlier_search.detect(
+        problem.residual, precision, statement=problem.statement
+    )
+
+
+def without_outliers(problem: GapProblem, removed: Outliers | None) -> GapProblem:
+    """The problem with pseudo-residuals in place of the outliers, if there are any."""
+    if removed is None:
+        return problem
+    return problem.with_residual(removed.pseudo_residual)

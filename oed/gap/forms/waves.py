@@ -13,13 +13,12 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import signal
+from scipy import signal, special
 
 from oed.base import units
 from oed.base.arrays import Array
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.tail import log_tail
 from oed.gap.forms import carriers
 from oed.gap.forms import discrepancy as discrepancies
 from oed.gap.forms.carriers import JOINTS, Carrier
@@ -262,3 +261,21 @@ def _grams(forms: Array) -> Array:
             products = np.einsum("nk,nk->k", forms[:, i], forms[:, j])
             grams[:, i, j] = grams[:, j, i] = products
     return grams
+
+
+# -- tail of the chi-square ------------------------------------------------------------
+
+
+def log_tail(energy: Array, rank: Array | float) -> Array:
+    """Log of the chi-square's upper tail; 0 for rank 0.
+
+    Its asymptote stands in where the tail underflows.
+    """
+    a = np.maximum(rank, 1e-9) / 2.0
+    x = np.maximum(energy, 0.0) / 2.0
+    tail = special.gammaincc(a, x)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correction = np.log1p((a - 1.0) / x)
+        asymptote = -x + (a - 1.0) * np.log(x) - special.gammaln(a) + correction
+        value = np.where(tail > 1e-280, np.log(tail), asymptote)
+    return np.where(np.asarray(rank) == 0, 0.0, value)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from oracles import planar_geometry as planar
 
 from kernel.orders import along, plane, problem, shortest
-from oed.design import move_times, order, path_search
+from oed.design import move_times, order
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import Protocol, mount
 from pkm_models.instruments import height_probe
@@ -124,7 +124,7 @@ def test_the_best_reversal_and_shift_are_those_of_all(seed: int) -> None:
     """
     runs = [[3, 0, 5], [1], [2, 7], [6, 4], [8], [9, 10], [11]]
     distance, start, finish = problem(seed, 12)
-    states = path_search.RunStates.of(distance, start, finish, runs, True)
+    states = order.RunStates.of(distance, start, finish, runs, True)
     tour = np.random.default_rng(seed).permutation([1, 3, 4, 6, 8, 9, 11])
     assert states.run[tour].tolist() != list(range(7))
     length, closed = states.length(tour), np.concatenate([[0], tour, [0]])
@@ -136,7 +136,7 @@ def test_the_best_reversal_and_shift_are_those_of_all(seed: int) -> None:
         assert all(sorted(states.run[p]) == list(range(7)) for p in paths)
         return min(states.length(p) for p in paths) - length
 
-    delta, changed = path_search._best_reversal(closed, states)
+    delta, changed = order._best_reversal(closed, states)
     stretches = [(i, j) for i in range(7) for j in range(i + 1, 8)]
     assert delta == pytest.approx(
         gain([np.r_[tour[:i], turned(tour[i:j]), tour[j:]] for i, j in stretches])
@@ -148,7 +148,7 @@ def test_the_best_reversal_and_shift_are_those_of_all(seed: int) -> None:
             part, rest = tour[i : i + size], np.delete(tour, np.s_[i : i + size])
             for k in (k for k in range(len(rest) + 1) if k != i):
                 paths += [np.r_[rest[:k], p, rest[k:]] for p in (part, turned(part))]
-        delta, changed = path_search._best_shift(closed, states, size)
+        delta, changed = order._best_shift(closed, states, size)
         assert delta == pytest.approx(gain(paths))
         assert states.length(changed()) - length == pytest.approx(delta)
 

@@ -14,8 +14,8 @@ from scipy.optimize import linprog
 from oed.design import certificate, condition, exchange, relaxation
 from oed.design.blocks import information
 from oed.design.criterion import Determinant
+from oed.design.criterion.power import trace_after_adding
 from oed.design.objective import CriterionObjective
-from oed.design.power_series import trace_after_adding
 
 
 def candidates(

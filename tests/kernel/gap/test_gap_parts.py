@@ -9,15 +9,15 @@ import pytest
 
 from kernel import gap_lines
 from kernel import gap_problem as case
-from oed.gap.cause import conditioning
+from oed.gap.before.confusion import inverse_root
+from oed.gap.cause import closure
 from oed.gap.cause.folds import FOLDS, Paths
 from oed.gap.cause.remainder import energies
-from oed.gap.cause.wide import WIDE, wide_model
+from oed.gap.cause.searches import WIDE, wide_model
 from oed.gap.data import evidence
-from oed.gap.data.law_evidence import LawEvidence
+from oed.gap.data.laws import LawEvidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.products import ColumnProducts
-from oed.gap.data.root import inverse_root
 from oed.gap.forms import discrepancy, library
 from oed.noise.law import NoiseLaw
 
@@ -99,7 +99,7 @@ def test_held_out_readings_are_those_of_a_ridge_without_them(
     information = np.eye(5) + h.T @ h, h.T @ r
     held, rest = np.arange(30) < 8, np.arange(30) >= 8
     white = np.column_stack([h, r])[held]
-    mean, log_evidence = conditioning.learn(information, white)
+    mean, log_evidence = closure.learn(information, white)
     precision = np.eye(5) + h[rest].T @ h[rest]
     wanted = np.linalg.solve(precision, h[rest].T @ r[rest])
     np.testing.assert_allclose(mean, wanted, atol=1e-10)
@@ -108,7 +108,7 @@ def test_held_out_readings_are_those_of_a_ridge_without_them(
         0.5 * wanted @ precision @ wanted - 0.5 * log_det
     )
     # the first three are parameters, the others effects
-    before, after = conditioning.standardise(information, 3, white, r[held])
+    before, after = closure.standardise(information, 3, white, r[held])
     p = h[:, :3]
     of_rest = np.eye(3) + p[rest].T @ p[rest]
     error = r[held] - p[held] @ np.linalg.solve(of_rest, p[rest].T @ r[rest])

@@ -13,7 +13,7 @@ from scipy import integrate, stats
 
 from kernel.gap_lines import EFFECTS, SLIP, planted, readings, white_lines
 from oed.gap import procedure as diagnosing
-from oed.gap.data import noise
+from oed.gap.cause.searches import detect_outliers
 from oed.gap.data.problem import GapProblem
 from oed.noise import outliers
 from oed.noise.law import describe, stated_law
@@ -95,7 +95,7 @@ def test_normal_readings_have_no_strays() -> None:
     twenty.
     """
     detected = [
-        noise.detect_outliers(p, stated_law(p), np.zeros((len(p), 0)))
+        detect_outliers(p, stated_law(p), np.zeros((len(p), 0)))
         for p in (white_lines(k, 5, 31) for k in range(12))
     ]
     assert sum(f is not None for f in detected) <= 1
@@ -107,7 +107,7 @@ def test_strays_are_told_and_no_others() -> None:
     far = rng.choice(len(problem), 12, replace=False)
     y = problem.residual.copy()
     y[far] += 12.0 * rng.choice([-1.0, 1.0], 12)
-    detected = noise.detect_outliers(
+    detected = detect_outliers(
         problem.with_residual(y), stated_law(problem), np.zeros((len(problem), 0))
     )
     assert detected is not None
@@ -129,7 +129,7 @@ def test_what_is_left_tells_as_much_as_heavy_tails_allow(
     rng, means, plain_means = np.random.default_rng(seed), [], []
     for _ in range(150):
         y = rng.standard_t(degrees, len(problem))
-        detected = noise.detect_outliers(
+        detected = detect_outliers(
             problem.with_residual(y), stated_law(problem), np.zeros((len(problem), 0))
         )
         means.append(np.mean(y if detected is None else detected.pseudo_residual))
@@ -148,14 +148,11 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
         len(problem)
     )
     assert (
-        noise.detect_outliers(problem.with_residual(y), stated_law(problem), columns)
-        is None
+        detect_outliers(problem.with_residual(y), stated_law(problem), columns) is None
     )
     far = rng.choice(len(problem), 9, replace=False)
     y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
-    detected = noise.detect_outliers(
-        problem.with_residual(y), stated_law(problem), columns
-    )
+    detected = detect_outliers(problem.with_residual(y), stated_law(problem), columns)
     assert detected is not None
     moved = np.abs(detected.pseudo_residual - y)
     assert moved[far].min() > 5.0
@@ -177,7 +174,7 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     far = np.arange(20, len(problem), 60)
     spoilt = y.copy()
     spoilt[far] += 20.0
-    detected = noise.detect_outliers(
+    detected = detect_outliers(
         problem.with_residual(spoilt), law, np.zeros((len(problem), 0))
     )
     assert detected is not None

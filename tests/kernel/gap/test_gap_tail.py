@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import special, stats
 
-from oed.gap.data.tail import log_tail
+from oed.gap.forms.waves import log_tail
 
 
 @pytest.mark.parametrize("rank", [1.0, 2.0, 5.0, 14.0])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from oed.gap.data.motion import Motion, motion
-from oed.gap.data.phase import phase_along_runs
+from oed.gap.data.state import phase_along_runs
 
 NOWHERE = np.empty(0, dtype=np.intp)
 ANGLE = 2.0 * np.pi * np.arange(24) / 24

@@ -13,9 +13,9 @@ from scipy import linalg, sparse
 from kernel import gap_problem as case
 from kernel.gap_lines import readings
 from oed.base.arrays import Array, Index
-from oed.gap.cause.conditioning import RunNoise
+from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
-from oed.gap.data.law_evidence import LawEvidence
+from oed.gap.data.laws import LawEvidence
 from oed.gap.data.problem import GapProblem
 from oed.noise.banded import ROWS, BandedFactor
 from oed.noise.law import NoiseLaw

@@ -6,7 +6,7 @@ with the highest bound is then solved as a relaxation, which gives a new line, t
 there. This goes on until no combination can be better than the loss allows.
 
 A machine out of the travel of every reading of every option in T stays as it is,
-whatever is mounted first. Their share bounds the goal from below (`uncaptured`).
+whatever is mounted first. Their share bounds the goal from below (`bound_uncaptured`).
 Other losses of readings, and the linearisation residual, only make plans worse and are
 left out.
 """
@@ -20,11 +20,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array, Index, Mask
 from oed.design.stages.bound.combination_bound import CombinationBound
-from oed.design.stages.bound.uncaptured import bound_uncaptured
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option
+from oed.design.stages.stage.travel import is_captured
 
 #: largest number of combinations that are bounded
 COMBINATIONS = 200_000
@@ -32,6 +32,14 @@ COMBINATIONS = 200_000
 PROMISING = 4
 #: gain of a line in log phi below which a relaxation has reached its own tolerance
 STUCK = 1e-9
+#: machines drawn
+MACHINES = 4000
+#: standard errors by which the estimate is lowered
+SAFETY = 4.0
+#: combinations which are treated at once
+CHUNK = 1000
+#: smallest value, so that its logarithm exists
+TINY = 1e-300
 
 
 @dataclasses.dataclass(frozen=True)
@@ -128,3 +136,56 @@ def _combinations(mounting: Array, budget: float, stages: int) -> Index:
         padding = ((0, 0), (0, stages - size))
         tables.append(np.pad(table, padding, constant_values=-1))
     return np.concatenate(tables)
+
+
+# -- machines that no reading captures -------------------------------------------------
+
+
+def bound_uncaptured(
+    options: Sequence[Option],
+    goal: Goal,
+    information: Array,
+    combinations: Index,
+    rng: np.random.Generator,
+) -> Array:
+    """Goal value (T,) at the least of each combination (T, stages) of options.
+
+    It is estimated from drawn machines and lowered by four standard errors. It is next
+    to 0 where every machine is captured.
+
+    information  (n, n) about the machine before
+    """
+    root = np.linalg.cholesky(np.linalg.inv(information))
+    errors = rng.standard_normal((MACHINES, len(information))) @ root.T
+    uncaptured = _uncaptured(options, errors, rng)
+    squared = [np.sum((errors @ factor.T) ** 2, axis=1) for factor in goal.factors]
+    squares = np.stack(squared, axis=1)
+    least = np.zeros(len(combinations))
+    everything = np.arange(len(combinations))
+    for part in np.array_split(everything, max(len(combinations) // CHUNK, 1)):
+        excluded = uncaptured[combinations[part]].all(axis=1).astype(float)
+        mean = excluded @ squares / MACHINES
+        variance = np.maximum(excluded @ squares**2 / MACHINES - mean**2, 0.0)
+        standard_error = np.sqrt(variance / MACHINES)
+        lowered = np.maximum(mean - SAFETY * standard_error, 0.0)
+        least[part] = goal.combine(np.sqrt(lowered))
+    return np.maximum(least, TINY)
+
+
+def _uncaptured(
+    options: Sequence[Option], errors: Array, rng: np.random.Generator
+) -> Mask:
+    """Which machines no candidate of an option captures: (options + 1, machines).
+
+    The last row stands for "no option" and excludes no machine.
+    """
+    uncaptured = np.zeros((len(options) + 1, len(errors)), dtype=bool)
+    uncaptured[-1] = True
+    for k, option in enumerate(options):
+        if option.travel is None:
+            continue
+        setup_errors = rng.standard_normal((len(errors), option.setup_columns))
+        everything = np.arange(len(option.candidates))
+        captured = is_captured(option, everything, errors, setup_errors)
+        uncaptured[k] = ~captured.any(axis=1)
+    return uncaptured
