@@ -130,14 +130,12 @@ class Candidates:
         budget: float | None = None,
         most_setups: int | None = None,
         apart: Array | None = None,
-        mounting: bool = True,
     ) -> Rules:
         """Rules over these candidates.
 
-        apart     (d,) least distance along each command coordinate, SI; two readings of
-                  a set-up are too near where their commands over `apart` are nearer
-                  than 1 in the norm
-        mounting  whether the time to mount set-ups counts
+        apart  (d,) least distance along each command coordinate, SI; two readings of a
+               set-up are too near where their commands over `apart` are nearer than 1
+               in the norm
         """
         position = None
         if apart is not None:
@@ -148,7 +146,7 @@ class Candidates:
             budget=budget,
             cost=self.cost if by_time else None,
             setup=self.setup,
-            setup_cost=self.setup_cost if by_time and mounting else None,
+            setup_cost=self.setup_cost if by_time else None,
             most_setups=most_setups,
             position=position,
             min_distance=0.0 if apart is None else 1.0,

@@ -1,43 +1,26 @@
-"""Distance of machine and bar to obstacles, at poses and along moves.
+"""Distance of machine and bar to obstacles, at poses.
 
 Everything is a capsule (`oed.design.segments`); a sphere is one of no length. The
 machine's skeleton moves with capsules along its lines, and the bar reaches from its cup
 to the tool point. Clearance is the least distance between the segments less both radii,
 negative in collision.
-
-A move is looked at in intervals. Within one, no point of a segment moves farther than
-the segment's ends. Let the clearances of a segment be c_0 and c_1 at both ends of the
-interval, let its ends move by at most d, and let the way be nearly straight. Then its
-clearance in between is at least (c_0 + c_1 - d) / 2. Intervals where this is not enough
-are halved.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base.arrays import Array
 from oed.design.segments import Capsule, segment_distance
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism.kinematics import Kinematics
 from oed.model.expressions import symbols
-
-#: moves commands (n, n_dof) to where an instrument guides the tool, and says where (n,)
-#: it can
-Guide = Callable[[Array], tuple[Array, Mask]]
-#: intervals of a move at first
-INTERVALS = 8
-#: a step of the ends (m) below which an undecided interval counts as blocked
-RESOLUTION = 1e-5
-#: share of a move below which it does so too
-SHORTEST = 1e-6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -169,66 +152,6 @@ class Clearance:
         others = without_bar[series.index].min(axis=1)
         return np.asarray(np.minimum(with_bar, others))
 
-    def free_moves(
-        self, before: Array, after: Array, guide: Guide | None = None
-    ) -> Mask:
-        """Which straight moves in command space keep the margin (k,).
-
-        The moves go from `before` (k, n_dof) to `after`. `guide` moves commands to
-        where an instrument guides the tool, and says where it can; for a bar of fixed
-        length that is `functools.partial(measurement.hold, setup, coordinate=...)`.
-        Moves through poses out of reach or in another assembly mode are blocked. Moves
-        that exceed the margin by less than `RESOLUTION` may be.
-        """
-        sample = partial(self._sample, before, after, guide)
-        margin = self._surroundings.margin
-        blocked = np.zeros(len(before), dtype=bool)
-        moves, places = np.arange(len(before)), np.linspace(0.0, 1.0, INTERVALS + 1)
-        samples = [sample(moves, np.full(len(moves), place)) for place in places]
-        for s in samples:
-            blocked[s.blocked_moves(margin)] = True
-        near_end, far_end = _Samples.join(samples[:-1]), _Samples.join(samples[1:])
-        while True:
-            step = np.linalg.norm(far_end.ends - near_end.ends, axis=-1).max(axis=2)
-            lowest = 0.5 * (near_end.clearance + far_end.clearance - step).min(axis=1)
-            undecided = (lowest < margin) & ~blocked[near_end.move]
-            # a way with a jump in it never gets short steps
-            short = far_end.place - near_end.place < SHORTEST
-            finest = undecided & ((step.max(axis=1) < RESOLUTION) | short)
-            blocked[near_end.move[finest]] = True
-            remaining = np.flatnonzero(undecided & ~blocked[near_end.move])
-            if not remaining.size:
-                return ~blocked
-            near_end, far_end = near_end.subset(remaining), far_end.subset(remaining)
-            middle = sample(near_end.move, 0.5 * (near_end.place + far_end.place))
-            blocked[middle.blocked_moves(margin)] = True
-            near_end, far_end = (
-                _Samples.join([near_end, middle]),
-                _Samples.join([middle, far_end]),
-            )
-
-    def _sample(
-        self,
-        before: Array,
-        after: Array,
-        guide: Guide | None,
-        move: Index,
-        place: Array,
-    ) -> _Samples:
-        """Segments and clearances at places along moves."""
-        command = before[move] + place[:, None] * (after[move] - before[move])
-        guided = np.ones(len(command), dtype=bool)
-        if guide is not None:
-            command, guided = guide(command)
-        x, q, reached = reachable_poses(
-            self._measurement.kinematics, command, self._tool
-        )
-        ends, radii = self._moving_segments(x, q)
-        clearance = self._segment_clearances(ends, radii)
-        clearance = np.where((guided & reached)[:, None], clearance, -np.inf)
-        ends = np.where(reached[:, None, None, None], ends, 0.0)
-        return _Samples(move, place, ends, clearance)
-
     def _moving_segments(
         self, x: Array, q: Array, bar: bool = True
     ) -> tuple[Array, Array]:
@@ -256,56 +179,3 @@ class Clearance:
             distance = segment_distance(moving[:, :, 0], moving[:, :, 1], start, end)
             clearances = np.minimum(clearances, distance - radii - obstacle.radius)
         return clearances
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Samples:
-    """Samples along moves.
-
-    move       (n,) number of the move
-    place      (n,) share of the move, 0 to 1
-    ends       (n, k, 2, 3) ends of the moving segments
-    clearance  (n, k) of the moving segments
-    """
-
-    move: Index
-    place: Array
-    ends: Array
-    clearance: Array
-
-    def blocked_moves(self, margin: float) -> Index:
-        """Moves with a sample nearer than the margin."""
-        return np.asarray(self.move[self.clearance.min(axis=1) < margin])
-
-    def subset(self, rows: Index) -> _Samples:
-        return _Samples(
-            self.move[rows], self.place[rows], self.ends[rows], self.clearance[rows]
-        )
-
-    @classmethod
-    def join(cls, parts: Sequence[_Samples]) -> _Samples:
-        return cls(
-            np.concatenate([part.move for part in parts]),
-            np.concatenate([part.place for part in parts]),
-            np.concatenate([part.ends for part in parts]),
-            np.concatenate([part.clearance for part in parts]),
-        )
-
-
-def reachable_poses(
-    kinematics: Kinematics, command: Array, tool: Array
-) -> tuple[Array, Array, Mask]:
-    """Poses (n, nx), joints (n, nq), and which commands (n, n_dof) can be reached.
-
-    NaN where a command cannot be reached.
-    """
-    reached = np.arange(len(command))
-    x = np.full((len(command), len(kinematics.machine.pose)), np.nan)
-    q = np.full((len(command), len(kinematics.machine.joints)), np.nan)
-    while reached.size:
-        try:
-            x[reached], q[reached] = kinematics.inverse(command[reached], None, tool)
-            break
-        except AssemblyError as error:
-            reached = np.delete(reached, error.indices)
-    return x, q, np.isin(np.arange(len(command)), reached)

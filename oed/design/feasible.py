@@ -146,18 +146,16 @@ def within_travel(
     covariance: Array,
     travel: float,
     held: float | None = None,
-    at: Array | None = None,
 ) -> Array:
     """Probability (N,) that a reading's first channel stays within `travel`.
 
-    The machine is drawn from N(at, covariance); first order in theta, SI.
+    The machine is drawn from N(nominal, covariance); first order in theta, SI.
 
     covariance  (n_theta, n_theta)
     travel      about the value held
     held        that value; by default what the instrument holds by design
-    at          (n_theta,), nominal by default
     """
-    theta = measurement.nominal if at is None else at
+    theta = measurement.nominal
     if covariance.shape != (len(theta), len(theta)):
         raise ValueError(
             f"the covariance must be {len(theta)} x {len(theta)}, not of shape"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.distance import cdist
 
-from oed.base.arrays import Array, Mask
+from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import Setup
 
@@ -41,45 +41,13 @@ def travel_between(
     return travel_times(joints, joints, speeds)
 
 
-def travel_from(
-    measurement: Measurement,
-    series: Series,
-    speeds: ArrayLike,
-    command: ArrayLike | None = None,
+def travel_from_home(
+    measurement: Measurement, series: Series, speeds: ArrayLike
 ) -> Array:
-    """Seconds (n,) from a command (n_dof,), home by default, to the poses of a series."""
-    if command is None:  # home is defined for the reference tool
-        _, q = measurement.kinematics.inverse(measurement.machine.home_command)
-    else:
-        tool = np.array(measurement.setups[series.setup].tool)
-        commands = np.asarray(command, dtype=float)[None]
-        _, q = measurement.kinematics.inverse(commands, None, tool)
-    return np.asarray(travel_times(q, series.q[series.index[:, 0]], speeds)[0])
-
-
-def free_moves(command: Array, clear: Callable[[Array, Array], Mask]) -> Mask:
-    """Which moves (n, n) between commands (n, n_dof) are free of collisions.
-
-    `clear(before, after)` decides k moves at once and is assumed to hold both ways
-    (`oed.design.clearance.Clearance.free_moves`).
-    """
-    i, j = np.triu_indices(len(command), 1)
-    free = np.eye(len(command), dtype=bool)
-    free[i, j] = free[j, i] = clear(command[i], command[j])
-    return free
-
-
-def via_retract(
-    direct: Array, free: Mask, out: Array, back: Array
-) -> tuple[Array, Mask]:
-    """Lengths (n, m) of moves where those that are not free go by a retract pose.
-
-    out (n,) is the length from each pose to the retract pose, back (m,) from there; inf
-    where that is not free. The second value (n, m) marks moves by the retract pose. A
-    move that is free neither way has length inf.
-    """
-    length = np.where(free, direct, out[:, None] + back[None, :])
-    return length, np.asarray(~free & np.isfinite(length))
+    """Seconds (n,) from home to the poses of a series; home has the reference tool."""
+    _, q = measurement.kinematics.inverse(measurement.machine.home_command)
+    times = travel_times(q, series.q[series.index[:, 0]], speeds)
+    return np.asarray(times[0])
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

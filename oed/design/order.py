@@ -90,7 +90,7 @@ def order_poses(
         problem = "there is no path" if exact else "no path was found"
         raise ValueError(
             f"{problem} through all {len(members)} runs or poses without a forbidden"
-            " move: give a retract pose, or leave out poses that cannot be reached"
+            " move: leave out poses that cannot be reached"
         )
     indices = np.concatenate([states.members[s] for s in tour])
     first_step = 0.0 if start is None else float(start[indices[0]])

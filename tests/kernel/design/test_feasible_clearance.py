@@ -1,25 +1,20 @@
 """Clearance of struts, bar and surroundings, and moves between poses."""
 
 import dataclasses
-from functools import partial
 
 import numpy as np
 import pytest
-from oracles import a3_geometry as a3
 from oracles import planar_geometry as planar
 from scipy.optimize import minimize
 
 from kernel import a3_plans
-from kernel.bar_series import CUP, bar, places, planar_series, tips
+from kernel.bar_series import CUP, bar, planar_series, tips
 from kernel.cases import CASES
 from oed.design import feasible
 from oed.design.clearance import Clearance, Surroundings
 from oed.design.feasible import ReadingLimits
 from oed.design.segments import Capsule, point_distance, segment_distance, sphere
-from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments import ball_bar
 from pkm_models.machines import planar_2dof
 
 
@@ -172,77 +167,3 @@ def test_incomplete_surroundings_are_refused() -> None:
                 obstacles=(sphere((0.0, 0.0, 0.0), 0.1),), links=0.01, ignore=(4,)
             ),
         )
-
-
-def test_free_moves_are_those_of_dense_sampling(rng: np.random.Generator) -> None:
-    """Straight moves of the planar platform past a sphere, struts by the oracle at 1001
-    places of each.
-    """
-    m = bar()
-    centre, margin = np.array([0.05, 0.3, 0.7]), 0.01
-    about = Surroundings(
-        obstacles=(sphere(tuple(centre), 0.15),),
-        links=0.02,
-        margin=margin,
-        ignore=(0, 2),
-    )
-    before, after = places(rng, 60), places(rng, 60)
-    t = np.linspace(0, 1, 1001)[:, None]
-    way = before[:, None] + t * (after - before)[:, None]
-    ends = struts(way.reshape(-1, 2))
-    along = (
-        point_distance(centre, ends[..., 0, :], ends[..., 1, :])
-        .min(axis=1)
-        .reshape(60, -1)
-        .min(axis=1)
-    )
-    least = along - 0.15 - 0.02
-    assert (np.abs(least - margin) > 5e-4).all()
-    free = Clearance(m, "bar", about).free_moves(before, after)
-    assert (free == (least >= margin)).all()
-    assert 5 < free.sum() < 55
-    assert (free == Clearance(m, "bar", about).free_moves(after, before)).all()
-
-
-def test_a_guided_move_follows_its_instrument() -> None:
-    """From stroke 0 to 200 mm the bar bends the way outwards: its ball is halfway where
-    a straight move is not.
-    """
-    m = a3_plans.measurement()
-    ends = a3_plans.bar_commands(m, np.array([0.0, 0.2]), np.zeros(2))
-    middle = ends.mean(axis=0, keepdims=True)
-    guide = partial(commands_at_fixed_reading, m, "cup", coordinate="theta")
-    cup = np.array([0.0, 0.0, a3.Z_TEACH])
-    straight, guided = (
-        a3.forward(np.zeros(24), a3.inverse_nominal(*c[0])).tip
-        for c in (middle, guide(middle)[0])
-    )
-    assert np.linalg.norm(straight - cup) < 0.299
-    assert np.linalg.norm(guided - cup) == pytest.approx(0.3)
-    for where, expected in (
-        (guided, [True, False]),
-        (straight, [False, False]),
-        (cup * 0.9, [True, True]),
-    ):
-        clearance = Clearance(
-            m, "cup", Surroundings(obstacles=(sphere(tuple(where), 2e-4),), bar=1e-6)
-        )
-        assert [
-            bool(clearance.free_moves(ends[:1], ends[1:], guide=way)[0])
-            for way in (None, guide)
-        ] == expected
-    short = Measurement(
-        m.machine, [mount(ball_bar.instrument, "cup", teach=(1.286, 0, 0), length=0.05)]
-    )
-    assert not clearance.free_moves(
-        ends[:1],
-        ends[1:],
-        guide=partial(commands_at_fixed_reading, short, "cup", coordinate="theta"),
-    ).any()
-
-
-def test_moves_out_of_reach_are_blocked() -> None:
-    m = Measurement(planar_2dof.machine, list(bar().setups.values()))
-    about = Surroundings(obstacles=(sphere((9.0, 9.0, 9.0), 0.1),), links=0.01)
-    moves = np.array([[0.0, 0.1], [0.0, 0.1]]), np.array([[1.0, 0.5], [1.7, 0.5]])
-    assert Clearance(m, "bar", about).free_moves(*moves).tolist() == [True, False]

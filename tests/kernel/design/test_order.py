@@ -250,13 +250,8 @@ def test_travel_is_the_slowest_joints(rng: np.random.Generator) -> None:
         np.array(expected), abs=1e-9
     )
     home = planar.inverse(np.zeros(2))
-    assert move_times.travel_from(m, series, speeds) == pytest.approx(
+    assert move_times.travel_from_home(m, series, speeds) == pytest.approx(
         (np.abs(q - home) / speeds).max(axis=1), abs=1e-9
-    )
-    there = planar.inverse(np.array([1.0, 1.0]))
-    from_there = move_times.travel_from(m, series, speeds, [1.0, 1.0])
-    assert from_there == pytest.approx(
-        (np.abs(q - there) / speeds).max(axis=1), abs=1e-9
     )
     assert move_times.travel_times(command, command[:3], 2.0).shape == (12, 3)
     with pytest.raises(ValueError, match="speeds must be positive"):

@@ -1,4 +1,4 @@
-"""Orders with retract poses, reference readings and set-ups."""
+"""Orders with reference readings and set-ups."""
 
 from collections.abc import Callable
 from itertools import combinations, pairwise, product
@@ -8,61 +8,8 @@ import pytest
 
 from kernel.orders import plane, problem, shortest
 from oed.design import move_times, order, schedule
-from oed.design.clearance import Clearance, Surroundings
-from oed.design.segments import sphere
-from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, calliper
-from pkm_models.machines import planar_2dof
-
-
-def test_a_wall_between_two_groups_is_gone_round_by_the_retract_pose(
-    rng: np.random.Generator,
-) -> None:
-    """A sphere between the groups blocks every straight move across; high above it
-    there is room.
-    """
-    at = {"at_x": 0.0, "at_y": 0.0, "at_z": -1.0}
-    m = Measurement(planar_2dof.machine, [mount(ball_bar.free_cup, "bar", **at)])
-    groups = np.vstack(
-        [rng.uniform([s - 0.1, 0.45], [s + 0.1, 0.55], (8, 2)) for s in (-0.7, 0.7)]
-    )
-    command = groups[rng.permutation(16)]
-    on_left = command[:, 0] < 0
-    about = Surroundings(
-        obstacles=(sphere((0.0, 0.0, 0.5), 0.15),), links=0.02, ignore=(0, 2)
-    )
-    clear = Clearance(m, "bar", about).free_moves
-    free = move_times.free_moves(command, clear)
-    assert (free == (on_left[:, None] == on_left)).all()
-    direct = move_times.travel_between(m, m.series("bar", command), 0.1)
-    with pytest.raises(ValueError, match="give a retract pose"):
-        order.order_poses(np.where(free, direct, np.inf), rng)
-    retract = np.array([0.0, 1.4])
-    reached = clear(command, np.broadcast_to(retract, command.shape))
-    assert reached.all()
-    legs = np.where(
-        reached,
-        move_times.travel_from(m, m.series("bar", command), 0.1, retract),
-        np.inf,
-    )
-    distance, via = move_times.via_retract(direct, free, legs, legs)
-    path = order.order_poses(distance, rng)
-    i, j = path.indices[:-1], path.indices[1:]
-    assert via[i, j].sum() == 1
-    k = int(np.flatnonzero(via[i, j])[0])
-    assert on_left[i[k]] != on_left[j[k]]
-    assert path.steps[1:][k] == pytest.approx(legs[i[k]] + legs[j[k]])
-    assert (path.steps[1:][~via[i, j]] == direct[i, j][~via[i, j]]).all()
-
-
-def test_a_retract_pose_that_can_not_be_reached_does_not_help() -> None:
-    free = np.array([[True, False], [False, True]])
-    length, via = move_times.via_retract(
-        np.ones((2, 2)), free, np.array([1.0, np.inf]), np.array([2.0, 3.0])
-    )
-    assert length.tolist() == [[1.0, 4.0], [np.inf, 1.0]]
-    assert via.tolist() == [[False, True], [False, False]]
 
 
 def replay(

@@ -147,7 +147,7 @@ def _order_setup(
     distance = move_times.travel_between(measurement, whole, speeds)
     start = None
     if table.order.start == "home":
-        start = move_times.travel_from(measurement, whole, speeds)
+        start = move_times.travel_from_home(measurement, whole, speeds)
     passes = not setup.protocol.average and len(setup.protocol.pass_names) > 1
     relative = setup.instrument.reference == "run"
     fixed = table.whole_runs or relative or passes

@@ -54,7 +54,9 @@ def with_reference_readings(
     travel = move_times.travel_times(reference.q[:1], joints, timing.speeds)[0]
     home = 0.0
     if table.start == "home":
-        home = float(move_times.travel_from(measurement, reference, timing.speeds)[0])
+        home = float(
+            move_times.travel_from_home(measurement, reference, timing.speeds)[0]
+        )
     try:
         timed = schedule.interleave(
             timing.route,
