@@ -39,9 +39,9 @@ def information(blocks: Array, weights: Array | None = None) -> Array:
     """sum_i w_i X_i^T X_i (n, n)."""
     rows = blocks.reshape(-1, blocks.shape[2])
     if weights is None:
-        return np.asarray(rows.T @ rows)
+        return rows.T @ rows
     row_weights = np.repeat(weights, blocks.shape[1])[:, None]
-    return np.asarray((rows * row_weights).T @ rows)
+    return (rows * row_weights).T @ rows
 
 
 class Spectrum(NamedTuple):

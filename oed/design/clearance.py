@@ -84,7 +84,7 @@ class Skeleton:
 
     def segments(self, x: Array, q: Array, p: Array) -> Array:
         """Segments (n, k, 2, 3) of poses x (n, nx) with joints q (n, nq), m."""
-        return np.asarray(self._ends(x, q, p)[0].reshape(len(x), self._count, 2, 3))
+        return self._ends(x, q, p)[0].reshape(len(x), self._count, 2, 3)
 
 
 def cup_place(

@@ -82,7 +82,7 @@ def _typical(blocks: Array, base: Array, size: float, cap: Array | float) -> Arr
             "candidates and prior leave directions undetermined: restrict the problem"
             " to the estimable subspace"
         ) from error
-    return np.asarray(typical)
+    return typical
 
 
 class _ConicProblem:

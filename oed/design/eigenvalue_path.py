@@ -87,7 +87,7 @@ class EigenvaluePoint:
     def log_slopes(self, share: float) -> Array:
         """(C,) d/dw of log l_min - share log l_max."""
         low = self.dual.low / self.least
-        return np.asarray(low - share * self.dual.high / self.largest)
+        return low - share * self.dual.high / self.largest
 
     def combine(self, other: EigenvaluePoint) -> EigenvaluePoint:
         """The better weights of two points, with the better dual point of both."""
@@ -231,7 +231,7 @@ def _least_ratio(problem: InteriorProblem, dual: DualPoint, ratio: float) -> flo
 
 def _fill_to_caps(caps: Array, size: float) -> Array:
     """Weights that fill the caps in the given order until the size is used up."""
-    return np.asarray(np.clip(size - (np.cumsum(caps) - caps), 0.0, caps))
+    return np.clip(size - (np.cumsum(caps) - caps), 0.0, caps)
 
 
 def _only_plan(problem: InteriorProblem, slope: float | None) -> EigenvaluePoint:
@@ -281,7 +281,7 @@ def _joining(problem: InteriorProblem, profit: Array, active: Index) -> Index:
     outside = np.ones(len(profit), dtype=bool)
     outside[active] = False
     joining = np.flatnonzero(outside & (profit > least_profit))
-    return np.asarray(joining[np.argsort(-profit[joining], kind="stable")[:MORE]])
+    return joining[np.argsort(-profit[joining], kind="stable")[:MORE]]
 
 
 def _update_active_set(

@@ -96,7 +96,7 @@ class CriterionEvaluator:
         # summed anew each time: taking a block out of a sum would lose digits
         m = self.base + information(self.blocks[chosen])
         size = float(np.trace(m)) / len(m) * 1e-12 if ridge is None else ridge
-        return np.asarray(m + size * np.eye(len(m)))
+        return m + size * np.eye(len(m))
 
     def value(self, chosen: Index) -> float:
         """log phi of a plan."""

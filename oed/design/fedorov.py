@@ -65,4 +65,4 @@ def _inverse(matrix: Array) -> Array:
 def _update(inverse: Array, row: Array, sign: float) -> Array:
     """(M + sign x x^T)^-1 from M^-1 (Sherman and Morrison)."""
     side = inverse @ row
-    return np.asarray(inverse - np.outer(side, side) / (sign + row @ side))
+    return inverse - np.outer(side, side) / (sign + row @ side)

@@ -159,12 +159,12 @@ class InteriorPath:
     def _low(self, w: Array, t: float) -> Array:
         """T S1 T^T."""
         p = self.problem
-        return np.asarray(p.white_base + information(p.white, w) - t * p.square)
+        return p.white_base + information(p.white, w) - t * p.square
 
     def _high(self, w: Array, r: float) -> Array:
         """S2."""
         p = self.problem
-        return np.asarray(r * np.eye(len(p.base)) - p.base - information(p.blocks, w))
+        return r * np.eye(len(p.base)) - p.base - information(p.blocks, w)
 
     def step(self) -> bool:
         """One predictor and corrector step.

@@ -200,7 +200,7 @@ def _factorise(h: Array) -> tuple[Array, bool]:
 
 
 def _symmetric(matrix: Array) -> Array:
-    return np.asarray(0.5 * (matrix + matrix.T))
+    return 0.5 * (matrix + matrix.T)
 
 
 def _traces(blocks: Array, matrix: Array) -> Array:

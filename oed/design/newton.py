@@ -174,4 +174,4 @@ def _project(wanted: Array, total: float, caps: Array) -> Array:
     inside = (projected > 0) & (projected < caps)
     if inside.any():
         projected[inside] += (total - projected.sum()) / inside.sum()
-    return np.asarray(np.clip(projected, 0.0, caps))
+    return np.clip(projected, 0.0, caps)

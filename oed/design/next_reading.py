@@ -44,7 +44,7 @@ class Belief:
     @property
     def variances(self) -> Array:
         """Variance (K,) of each component."""
-        return np.asarray(np.tensordot(self.weights, self.covariance, axes=2))
+        return np.tensordot(self.weights, self.covariance, axes=2)
 
     def after(self, block: Array) -> Belief:
         """The belief after a candidate (k, n) is read."""
@@ -192,7 +192,7 @@ def _best_first(
 
 def weights_of(factors: Array) -> Array:
     """Weights (K, n, n) of each component's combinations (K, r, n)."""
-    return np.asarray(factors.swapaxes(1, 2) @ factors)
+    return factors.swapaxes(1, 2) @ factors
 
 
 def after_all(belief: Belief, blocks: Array, indices: Sequence[int]) -> Belief:

@@ -124,7 +124,7 @@ class CriterionObjective:
 
     def information_at(self, active: Index, weights: Array) -> Array:
         """M (n, n)."""
-        return np.asarray(self.base + information(self.blocks[active], weights))
+        return self.base + information(self.blocks[active], weights)
 
     def value(self, active: Index, weights: Array) -> float:
         """log phi(M)."""

@@ -129,7 +129,7 @@ class QuotaSet:
 
     def open_classes(self, chosen: Index, allocation: Array) -> Mask:
         """Candidates (C,) of classes with fewer chosen than `allocation` (G,)."""
-        return np.asarray((allocation > self.class_counts(chosen))[self.label])
+        return (allocation > self.class_counts(chosen))[self.label]
 
     def allocate(self, target: Array, chosen: Index | None = None) -> Array | None:
         """Numbers (G,) in the classes that keep the quotas, nearest to a target (G,).

@@ -84,7 +84,7 @@ def home_determinant(measurement: Measurement) -> float:
 def _first_channel(measurement: Measurement, series: Series) -> Array:
     """First channel (n,) of the readings of a series on the nominal machine."""
     readings = measurement.readings([series], measurement.nominal)
-    return np.asarray(readings.reshape(len(series), -1)[:, 0])
+    return readings.reshape(len(series), -1)[:, 0]
 
 
 def _hold_errors(
@@ -99,7 +99,7 @@ def _hold_errors(
         return None
     reading = _first_channel(plan.measurement, series)
     error = reading - setup.instrument.fixed_reading(setup.settings)
-    return np.asarray(error - np.clip(error, -(travel or 0.0), travel or 0.0))
+    return error - np.clip(error, -(travel or 0.0), travel or 0.0)
 
 
 def largest_hold_error(plan: ReadingPlan, travel: float | None) -> float:

@@ -36,7 +36,7 @@ class Schedule:
     @property
     def reference(self) -> Mask:
         """Which readings (m,) are of the thermal reference."""
-        return np.asarray(self.pose < 0)
+        return self.pose < 0
 
 
 def interleave(

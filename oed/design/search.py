@@ -123,7 +123,7 @@ def _steepest(slopes: Array, places: int) -> Index:
     ordered = slopes[order]
     falls = ordered[:-1] - ordered[1:] > COPY * np.abs(ordered[:-1])
     place = np.concatenate([[0], np.cumsum(falls)])
-    return np.asarray(order[place < places])
+    return order[place < places]
 
 
 def _steepest_by_class(slopes: Array, quotas: QuotaSet) -> Index:

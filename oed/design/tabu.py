@@ -81,13 +81,13 @@ def _whiten(rows: Array, base: Array) -> tuple[Array, Array]:
 def _copies(rows: Array) -> Index:
     """A number (C,) for each row; equal rows have that of the first of them."""
     _, first, label = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return np.asarray(first[label.ravel()])
+    return first[label.ravel()]
 
 
 def _information(white: Array, base: Array, plans: Index) -> Array:
     """M (plans, n, n)."""
     chosen = white[plans]
-    return np.asarray(base + np.swapaxes(chosen, 1, 2) @ chosen)
+    return base + np.swapaxes(chosen, 1, 2) @ chosen
 
 
 def _log_determinants(white: Array, base: Array, plans: Index) -> Array:

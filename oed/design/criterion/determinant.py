@@ -100,7 +100,7 @@ class Determinant:
         if self.interest is not None:
             root = self.support(m).root * np.sqrt(self.size)
             gain = gain - _log_det_gain(blocks, inverted - root @ root.T)
-        return np.asarray(self.value(m) + gain / self.size)
+        return self.value(m) + gain / self.size
 
     def conventional_value(self, value: float, readings: int) -> float:
         """log det, or O1 = exp(value / 2) / sqrt(m)."""
@@ -135,7 +135,7 @@ def log_det_of_gram(basis: Array) -> float:
 
 def _half(m: Array) -> Array:
     """The upper triangle R with R R^T = M^-1."""
-    return np.asarray(np.triu(np.linalg.inv(np.linalg.cholesky(m)).T))
+    return np.triu(np.linalg.inv(np.linalg.cholesky(m)).T)
 
 
 def estimable_part(interest: Array, basis: Array) -> Array:
@@ -159,6 +159,6 @@ def _log_det_gain(blocks: Array, matrix: Array) -> Array:
     """log det(1 + X P X^T) (C,)."""
     if blocks.shape[1] == 1:
         quadratic = quadratic_forms(blocks[:, 0], matrix)
-        return np.asarray(np.log1p(np.maximum(quadratic, -1.0 + 1e-300)))
+        return np.log1p(np.maximum(quadratic, -1.0 + 1e-300))
     sums = inner_products(blocks, matrix) + np.eye(blocks.shape[1])
     return np.asarray(np.linalg.slogdet(sums)[1])

@@ -101,7 +101,7 @@ def pairwise_traces(blocks: Array, first: Array, second: Array) -> Array:
     by_second = by_first if second is first else rows @ second @ rows.T
     product = by_first * by_second
     if len(rows) == count:
-        return np.asarray(product)
+        return product
     if is_row.all():
         return np.asarray(product.reshape(count, k, count, k).sum(axis=(1, 3)))
     counts = is_row.sum(axis=1)
@@ -120,7 +120,7 @@ def _sum_rows(table: Array, counts: Index) -> Array:
 
 def inner_products(blocks: Array, matrix: Array) -> Array:
     """X_i P X_i^T (C, k, k) for a symmetric P `matrix` (n, n)."""
-    return np.asarray((blocks @ matrix) @ np.swapaxes(blocks, 1, 2))
+    return (blocks @ matrix) @ np.swapaxes(blocks, 1, 2)
 
 
 def slopes(blocks: Array, root: Array) -> Array:
@@ -150,7 +150,7 @@ def parts(count: int) -> list[slice]:
 def inverse(m: Array) -> Array:
     """M^-1, made exactly symmetric."""
     inverted = np.linalg.inv(m)
-    return np.asarray(0.5 * (inverted + inverted.T))
+    return 0.5 * (inverted + inverted.T)
 
 
 def is_positive_definite(m: Array) -> bool:

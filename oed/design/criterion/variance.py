@@ -62,7 +62,7 @@ class Variance:
         root = self.support(m).root
         g = slopes(blocks, root)
         traces = 2.0 * pairwise_traces(blocks, inverse(m), root @ root.T)
-        return np.asarray(traces - np.outer(g, g))
+        return traces - np.outer(g, g)
 
     def values_after_adding(self, m: Array, blocks: Array) -> Array:
         """t less tr((1 + X M^-1 X^T)^-1 X M^-1 W M^-1 X^T)."""
@@ -70,7 +70,7 @@ class Variance:
         projected = inverted @ self.factor.T
         t = float(np.sum(projected * self.factor.T))
         reduction = variance_reduction(blocks, inverted, projected @ projected.T)
-        return np.asarray(-np.log(np.maximum(t - reduction, 1e-300)))
+        return -np.log(np.maximum(t - reduction, 1e-300))
 
     def conventional_value(self, value: float, readings: int) -> float:
         """-tr(W M^-1)."""
@@ -103,7 +103,7 @@ def variance_reduction(blocks: Array, inverted: Array, weighted: Array) -> Array
     numerator = inner_products(blocks, weighted)
     leverage = inner_products(blocks, inverted)
     if blocks.shape[1] == 1:
-        return np.asarray(numerator[:, 0, 0] / (1.0 + leverage[:, 0, 0]))
+        return numerator[:, 0, 0] / (1.0 + leverage[:, 0, 0])
     identity = np.eye(blocks.shape[1])
     solved = np.linalg.solve(leverage + identity, numerator)
     return np.asarray(np.trace(solved, axis1=1, axis2=2))

@@ -72,7 +72,7 @@ class Option:
         """
         measurement = self.measurement
         slopes = self.slopes[self._first_numbers] * measurement.tolerance
-        return np.asarray(slopes[:, measurement.free])
+        return slopes[:, measurement.free]
 
     @cached_property
     def slopes(self) -> Array:
@@ -102,7 +102,7 @@ class Option:
     @cached_property
     def _first_numbers(self) -> Index:
         """Position of each reading's first channel among all numbers."""
-        return np.asarray(np.cumsum(self._channels) - self._channels)
+        return np.cumsum(self._channels) - self._channels
 
     @property
     def series(self) -> tuple[Series, ...]:
@@ -136,7 +136,7 @@ class Option:
 def _ranges(first: Index, count: Index) -> Index:
     """The numbers from each of `first` on, `count` of each, one range after the other."""
     starts = np.cumsum(count) - count
-    return np.asarray(np.repeat(first - starts, count) + np.arange(count.sum()))
+    return np.repeat(first - starts, count) + np.arange(count.sum())
 
 
 def build_option(

@@ -150,4 +150,4 @@ def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
     """
     values, vectors = eigenvectors(gram)
     visible = values > least(float(values.max(initial=0.0)))
-    return np.asarray(vectors[:, visible] / np.sqrt(values[visible]))
+    return vectors[:, visible] / np.sqrt(values[visible])

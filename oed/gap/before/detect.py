@@ -176,7 +176,7 @@ def _record(
 def _spread(form: Form, rows: Index) -> Array:
     """S (k, k) with beta^T S beta the mean square of a channel's readings, SI."""
     columns = form.signature.columns[rows]
-    return np.asarray(columns.T @ columns / len(rows))
+    return columns.T @ columns / len(rows)
 
 
 def _median_rms(

@@ -162,7 +162,7 @@ class Separation(Objective):
     def at(self, active: Index, weights: Array) -> Array:
         """M (m, m)."""
         runs = np.tensordot(weights, self.grams[active], axes=1)
-        return np.asarray(self.base + runs)
+        return self.base + runs
 
     def value(self, active: Index, weights: Array) -> float:
         """The compound, smoothed."""
@@ -215,7 +215,7 @@ class Separation(Objective):
         relative = np.linalg.inv(m[:n, :n]) @ grams[:, :n, :n]
         flat = relative.reshape(len(grams), -1)
         transposed = np.swapaxes(relative, 1, 2).reshape(len(grams), -1)
-        return np.asarray(flat @ transposed.T / n)
+        return flat @ transposed.T / n
 
     def _log_lambdas(self, m: Array, grams: Array) -> tuple[Array, Array, Array]:
         """log lambda (T,), its slopes (T, C) and curvatures (T, C, C)."""

@@ -296,7 +296,7 @@ class Search:
     ) -> Array:
         """As `_table`, with the prior of forms and sizes."""
         table = self._table(effect, others, sizes)
-        return np.asarray(table + self._log_prior[self._atoms_of[effect]])
+        return table + self._log_prior[self._atoms_of[effect]]
 
     def _select(
         self,

@@ -106,7 +106,7 @@ class Grams:
         """Combinations R (k, m) of some columns, of unit energy, that a size shows."""
         energy, axes = self._directions(columns)
         visible = energy > UNSEEN / max(size, USUAL) ** 2
-        return np.asarray(axes[:, visible] / np.sqrt(energy[visible]))
+        return axes[:, visible] / np.sqrt(energy[visible])
 
     def _directions(self, columns: Index) -> tuple[Array, Array]:
         """Energies (m,) and axes (k, m) of the directions of some columns.
@@ -133,7 +133,7 @@ class Grams:
         """Log evidence of columns that explain `gain` of the energy, over no column."""
         share = np.maximum(1.0 - gain / (2.0 * RATE + self.energy), 1e-300)
         power = 0.5 * self.size + SHAPE
-        return np.asarray(-0.5 * log_det - power * np.log(share))
+        return -0.5 * log_det - power * np.log(share)
 
     def log_evidences(
         self,
@@ -223,7 +223,7 @@ class WhitenedColumns:
 
     def with_others(self, others: WhitenedColumns) -> Array:
         """Inner products (K, L) with other columns."""
-        return np.asarray(self._columns.T @ others._columns)
+        return self._columns.T @ others._columns
 
     def blocks(self, choices: Index) -> Array:
         """Gram matrices (a, d, d) of choices (a, d) of columns."""

@@ -108,7 +108,7 @@ class _LinearPoint:
     def linear(self, values: Array) -> Array:
         """Readings (N,) of another point by the linear model about this one."""
         slopes = np.hstack([self.problem.slopes, self.columns])
-        return np.asarray(self.exact + slopes @ (values - self.values))
+        return self.exact + slopes @ (values - self.values)
 
 
 class _PointFit:

@@ -74,7 +74,7 @@ class Metric:
 
     def gram(self, u: Array, v: Array) -> Array:
         """Inner products (k, l) of (N, k) and (N, l)."""
-        return np.asarray(self.scores(u).T @ self.scores(v))
+        return self.scores(u).T @ self.scores(v)
 
 
 class Embedding:

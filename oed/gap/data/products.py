@@ -58,4 +58,4 @@ class ColumnProducts:
 
     def with_processes(self, columns: Index) -> Array:
         """Products (k, P) of some of the needed columns with all processes'."""
-        return np.asarray(self._cross[self._place[columns]])
+        return self._cross[self._place[columns]]

@@ -276,7 +276,7 @@ def _times(forms: Array, factor: Array) -> Array:
     """Forms (N, J, c, k) times a factor (N, J), or (N, J, c) of each column's own."""
     if factor.ndim == 2:
         factor = factor[:, :, None]
-    return np.asarray(forms * factor[..., None])
+    return forms * factor[..., None]
 
 
 def _travel(problem: GapProblem) -> Array:

@@ -92,7 +92,7 @@ class Library:
 
     def scaled_columns(self, atom: int, size: float) -> Array:
         """Columns (N, k) of an atom times its size."""
-        return np.asarray(size * self.columns[:, self.atoms[atom].columns])
+        return size * self.columns[:, self.atoms[atom].columns]
 
     def coefficients_of(self, atom: int) -> tuple[str, ...]:
         """Names of the effect's own coefficients that an atom moves."""

@@ -220,7 +220,7 @@ def _columns(carrier: Carrier, turns: Array) -> Array:
     """Columns (N, 2 c, k) of cosines and sines (N, J, 2 k) on a carrier."""
     columns = carriers.apply_carrier(carrier.columns, turns)
     width = turns.shape[2] // 2
-    return np.asarray(columns.reshape(len(columns), -1, width))
+    return columns.reshape(len(columns), -1, width)
 
 
 def _log_tails(problem: GapProblem, metric: Metric, band: Band) -> Array:

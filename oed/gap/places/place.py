@@ -289,4 +289,4 @@ def _densest(number: Index, energy: Array, count: int, around: bool = False) -> 
 def _times_log_density(count: Array, energy: Array) -> Array:
     """energy log(energy / count), 0 where there is none."""
     least = 1e-300
-    return np.asarray(energy * np.log(np.maximum(energy, least) / np.maximum(count, 1)))
+    return energy * np.log(np.maximum(energy, least) / np.maximum(count, 1))

@@ -221,14 +221,14 @@ class OptionBound:
         mixed = np.einsum(
             "c,ckr,ckn->rn", weights, self.setup, self.machine, optimize=True
         )
-        return np.asarray(np.linalg.solve(of_setup + np.eye(len(of_setup)), mixed))
+        return np.linalg.solve(of_setup + np.eye(len(of_setup)), mixed)
 
     def information(self, weights: Array, profile: Array) -> Array:
         """S (n, n) at weights (C,) and a profile G (r, n)."""
         residual = self.machine - self.setup @ profile
         weighted = residual * np.sqrt(weights)[:, None, None]
         rows = weighted.reshape(-1, weighted.shape[2])
-        return np.asarray(rows.T @ rows + profile.T @ profile)
+        return rows.T @ rows + profile.T @ profile
 
     def gain(self, profile: Array, root: Array) -> Array:
         """Gain (C,) of each candidate, |(x - z G) R|^2."""

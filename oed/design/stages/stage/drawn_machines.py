@@ -118,7 +118,7 @@ class DrawnMachines:
     def _sum(self, matrices: Array, of: Mask) -> Array:
         """Sum (n, n) of the groups' matrices (K, n, n) over some machines (P,)."""
         counts = np.bincount(self.group_of[of], minlength=len(matrices))
-        return np.asarray(np.tensordot(counts, matrices, 1))
+        return np.tensordot(counts, matrices, 1)
 
 
 def _inverses(matrices: Array) -> Array:

@@ -135,11 +135,11 @@ def profiled_information(blocks: Array, weights: Array, columns: int) -> Array:
     joint = rows.T @ rows
     setup_columns = blocks.shape[2] - columns
     if not setup_columns:
-        return np.asarray(joint)
+        return joint
     of_setups = joint[columns:, columns:] + np.eye(setup_columns)
     mixed = joint[columns:, :columns]
     profiled = mixed.T @ np.linalg.solve(of_setups, mixed)
-    return np.asarray(joint[:columns, :columns] - profiled)
+    return joint[:columns, :columns] - profiled
 
 
 def _information(option: Option, chosen: Index, patterns: Array) -> Array:
@@ -201,4 +201,4 @@ def _information_with_residual(
 
 
 def _gram(rows: Array) -> Array:
-    return np.asarray(rows.T @ rows)
+    return rows.T @ rows

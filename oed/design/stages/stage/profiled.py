@@ -32,7 +32,7 @@ class ProfiledInformation:
     def noise(self) -> Array:
         """Covariance (G, n, n) of the normal equations where the set-ups are known."""
         by_setup = self.by_setup
-        return np.asarray(self.machine - by_setup @ np.swapaxes(by_setup, 1, 2))
+        return self.machine - by_setup @ np.swapaxes(by_setup, 1, 2)
 
 
 def profile(information: Array, columns: int, unknowns: int) -> ProfiledInformation:

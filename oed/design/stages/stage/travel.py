@@ -74,7 +74,7 @@ def is_captured(
     # `reduceat` needs a column after the last run to name as its end
     padded = np.hstack([within, np.ones((len(within), 1), dtype=bool)])
     ends = np.column_stack([first, first + count]).ravel()
-    return np.asarray(np.logical_and.reduceat(padded, ends, axis=1)[:, ::2])
+    return np.logical_and.reduceat(padded, ends, axis=1)[:, ::2]
 
 
 def _reading_probability(option: Option, knowledge: Knowledge) -> Array:

@@ -65,7 +65,7 @@ class StageRealisation:
         """Realised over predicted (K,); NaN for a component that nothing moves."""
         moved = self.predicted > 0.0
         divisor = np.where(moved, self.predicted, 1.0)
-        return np.asarray(np.where(moved, self.realised / divisor, np.nan))
+        return np.where(moved, self.realised / divisor, np.nan)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
