@@ -78,7 +78,7 @@ def solve(
             f"branch and bound needs a smooth, concave criterion, not {goal.name}"
         )
     if start is None:
-        start = exchange.choose(blocks, size, rng, goal, prior).indices
+        start = exchange.choose(blocks, size, rng, goal, prior=prior).indices
     blocks, basis = project_on_estimable(blocks, prior)
     base = np.zeros((blocks.shape[2],) * 2)
     if prior is not None:

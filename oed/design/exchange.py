@@ -87,6 +87,7 @@ def choose(
     size: int | None,
     rng: np.random.Generator,
     criterion: Criterion | str = "D",
+    *,
     prior: Array | None = None,
     rounds: int = 20,
     tolerance: float = 1e-6,

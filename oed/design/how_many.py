@@ -115,8 +115,8 @@ class SizeCurve:
             None,
             np.random.default_rng([*self.seed, size]),
             self.goal.criterion(),
-            self.prior,
-            self.rounds,
+            prior=self.prior,
+            rounds=self.rounds,
             certify=False,
             rules=rules,
         )

@@ -172,7 +172,7 @@ def sample(
     autocorrelation, burn_in = _run(ensembles, target, ess, max_steps, progress)
     draws = max_draws or int(DRAWS_OF_ESS * min(ess, LARGEST_ESS))
     return _posterior(
-        measurement.names, target, ensembles, autocorrelation, burn_in, draws, thin, rng
+        target, ensembles, autocorrelation, burn_in, rng, max_draws=draws, thin=thin
     )
 
 
@@ -253,14 +253,14 @@ def _arviz() -> Any:
 
 
 def _posterior(
-    names: tuple[str, ...],
     target: LogDensity,
     ensembles: Ensembles,
     autocorrelation: float,
     burn_in: int,
+    rng: np.random.Generator,
+    *,
     max_draws: int,
     thin: int,
-    rng: np.random.Generator,
 ) -> Posterior:
     """Thinned draws, with null directions from their prior, and their diagnostics.
 
@@ -281,7 +281,7 @@ def _posterior(
     if not draws.size:
         raise OutOfBoundsError(target.measurement, theta.reshape(-1, theta.shape[2]))
     return Posterior(
-        names=names,
+        names=target.measurement.names,
         draws=draws,
         z=points[..., :r],
         noise_law=points[..., r:],

@@ -100,7 +100,7 @@ def search_plan(
     refined = _refine(problem, partial, _scaled(progress, BEAM_SHARE, 1.0))
     value = min(plan.value for plan in refined)
     bound = bound_goal(
-        options, goal, inverse(start), budget, stages, value, streams.bound, loss
+        options, goal, inverse(start), budget, stages, value, streams.bound, loss=loss
     )
     for counts in bound.promising:
         plan = refine.plan_from_counts(problem, counts)

@@ -64,6 +64,7 @@ class Search:
         processes: Library,
         law: NoiseLaw,
         log_prior: float,
+        *,
         outliers: Outliers | None = None,
         candidates: Sequence[Hypothesis] = (),
         given: GapProblem | None = None,

@@ -55,7 +55,8 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
 
     def search_under(posteriors: Iterable[LawPosterior]) -> list[Search]:
         return [
-            Search(clean, library, unknown, p.mode, 0.0, outliers) for p in posteriors
+            Search(clean, library, unknown, p.mode, 0.0, outliers=outliers)
+            for p in posteriors
         ]
 
     first = search_under((plain, wide))
@@ -68,7 +69,16 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     candidates = _candidates([*first, *further])
     every = [plain, wide, *gaps.values()]
     return [
-        Search(clean, library, unknown, law, weight, outliers, candidates, problem)
+        Search(
+            clean,
+            library,
+            unknown,
+            law,
+            weight,
+            outliers=outliers,
+            candidates=candidates,
+            given=problem,
+        )
         for law, weight in laws.mixture(clean, every)
     ]
 
@@ -87,7 +97,7 @@ def searches_under(
         clean = without_outliers(problem, removed)
         unknown = waves.add(processes, clean, law)
         results.append(
-            Search(clean, library, unknown, law, 0.0, removed, given=problem)
+            Search(clean, library, unknown, law, 0.0, outliers=removed, given=problem)
         )
     return results
 
@@ -110,7 +120,9 @@ def _outliers(
 
     def score(removed: Outliers | None) -> float:
         clean = without_outliers(problem, removed)
-        return Search(clean, library, processes, law, 0.0, removed).run()[0].score
+        return (
+            Search(clean, library, processes, law, 0.0, outliers=removed).run()[0].score
+        )
 
     return max((outliers, fewer), key=score)
 

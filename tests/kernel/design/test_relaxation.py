@@ -163,6 +163,6 @@ def test_the_e_bound_holds_for_every_plan(seed: int) -> None:
     )
     assert best <= optimum.bound
     assert optimum.value == pytest.approx(optimum.bound, rel=1e-3)
-    choice = exchange.choose(blocks, 5, rng, "E", prior)
+    choice = exchange.choose(blocks, 5, rng, "E", prior=prior)
     assert choice.value <= choice.bound
     assert choice.value == pytest.approx(best, rel=0.1)

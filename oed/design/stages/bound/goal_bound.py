@@ -71,6 +71,7 @@ def bound_goal(
     stages: int,
     value: float,
     rng: np.random.Generator,
+    *,
     loss: float = 0.05,
     lines: int = 150,
 ) -> GoalBound:

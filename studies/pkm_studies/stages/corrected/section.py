@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -50,24 +51,35 @@ KNOWN = {
 LOADED = ("gravity", "frame_bending")
 
 
+@dataclasses.dataclass(frozen=True)
+class Workspace:
+    """Where a corrected model is used.
+
+    command  (n, n_dof) commands, SI
+    axes     of the tables of effects
+    wanted   errors to reach by component, SI
+    """
+
+    command: Array
+    axes: tuple[GridAxis, ...]
+    wanted: Mapping[str, float]
+
+
 def corrected_section(
     corrected: CorrectedEstimate,
-    truth: Array | None,
-    origin: str,
     gap: GapSection | None,
     accuracy: CorrectedAccuracy | None,
     draws: Posterior | None,
-    command: Array,
-    axes: tuple[GridAxis, ...],
-    wanted: Mapping[str, float],
-    goodness: Goodness,
+    workspace: Workspace,
     *,
-    noise_is_a_guess: bool,
+    origin: str = "diagnosis",
+    truth: Array | None = None,
+    warnings: Sequence[str] = (),
 ) -> CorrectedSection:
     """The section of an estimate, with tables of its effects over a box of commands.
 
-    `command` (n, n_dof) are those of the workspace, `truth` (n,) are a virtual machine's
-    parameters, `wanted` the errors to reach, SI; `goodness` is of the fit.
+    `origin` says who named the effects, `truth` (n,) are a virtual machine's parameters,
+    `warnings` those of the fit.
     """
     measurement, estimate = corrected.measurement, corrected.estimate
     count = corrected.parameters
@@ -79,8 +91,10 @@ def corrected_section(
     size = len(parameters)
     predicted = None
     if accuracy is not None:
-        predicted = with_wanted(_predicted(measurement, accuracy), wanted)
-    tables, not_tabled = effect_tables(corrected, command, axes, predicted)
+        predicted = with_wanted(_predicted(measurement, accuracy), workspace.wanted)
+    tables, not_tabled = effect_tables(
+        corrected, workspace.command, workspace.axes, predicted
+    )
     marginals = {} if draws is None else dict(_marginals(corrected, draws))
     return CorrectedSection(
         parameters=parameters,
@@ -99,7 +113,7 @@ def corrected_section(
         posterior=marginals,
         tables=tables,
         not_tabled=dict(not_tabled),
-        warnings=_warnings(goodness, noise_is_a_guess=noise_is_a_guess),
+        warnings=list(warnings),
     )
 
 
@@ -113,7 +127,7 @@ def _predicted(
     return msgspec.structs.replace(section, budget=lines)
 
 
-def _warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
+def misfit_warnings(goodness: Goodness, *, noise_is_a_guess: bool) -> list[str]:
     """Why the corrected values should not go into a controller; none if they fit."""
     if not goodness.is_bad(noise_is_a_guess=noise_is_a_guess):
         return []

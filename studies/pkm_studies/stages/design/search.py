@@ -97,7 +97,13 @@ def best_plan(
     if not problem.selects_setups:
         rules = dataclasses.replace(problem.rules, most_setups=None)
         return exchange.choose(
-            c.blocks, None, rng, criterion, c.prior, problem.rounds, rules=rules
+            c.blocks,
+            None,
+            rng,
+            criterion,
+            prior=c.prior,
+            rounds=problem.rounds,
+            rules=rules,
         )
     plans: list[Index] = []
     refusals: list[ValueError] = []
@@ -171,8 +177,8 @@ def _best_within(
         None,
         rng,
         criterion.restrict(basis),
-        basis.T @ c.prior_information @ basis,
-        problem.rounds,
+        prior=basis.T @ c.prior_information @ basis,
+        rounds=problem.rounds,
         certify=False,
         rules=rules,
     )

@@ -27,8 +27,9 @@ def realised_accuracy(
     reference: Reference,
     count: int,
     rng: np.random.Generator,
-    stages: Sequence[Sequence[str]],
-    progress: Callable[[float], None],
+    *,
+    stages: Sequence[Sequence[str]] = (("*",),),
+    progress: Callable[[float], None] | None = None,
 ) -> dict[str, Spread] | None:
     """True pose error after compensation, by component, of `count` drawn machines.
 
@@ -48,7 +49,8 @@ def realised_accuracy(
         theta = fit_machines(measurement, series, y, stages=stages)
         identified, true = theta[:, :keep], truth[:, :keep]
         errors.append(errors_after(measurement, command, reference, identified, true))
-        progress((start + machines) / count)
+        if progress is not None:
+            progress((start + machines) / count)
     table = np.concatenate(errors)
     return {
         c.name: prediction.error_spread(table[:, :, k])

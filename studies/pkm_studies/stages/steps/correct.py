@@ -124,7 +124,6 @@ def _with_section(
     state: Fitted, corrected: CorrectedEstimate, gap: GapSection | None
 ) -> Fitted:
     """The state with the section `corrected`: estimates, conditions, prediction."""
-    truth = state.readings.truth
     study, rng = state.study, state.rng(Stream.CORRECTED)
     draws = None
     if study.posterior.enabled and (state.posterior or state.with_effects):
@@ -139,23 +138,28 @@ def _with_section(
         theta = _approximate(corrected, rng) if draws is None else draws.pooled
         worth = None if draws is None else float(np.nanmin(draws.ess))
         accuracy = predict_corrected(corrected, command, reference, rng, theta, worth)
+    workspace = sections.Workspace(
+        command=command,
+        axes=workspace_axes(study, kinematics.machine),
+        wanted=state.resolved.wanted_accuracy,
+    )
+    goodness = goodness_of_estimate(
+        corrected.measurement,
+        corrected.series,
+        corrected.estimate,
+        state.doubtful_values,
+    )
     section = sections.corrected_section(
         corrected,
-        truth,
-        "given" if state.with_effects else "diagnosis",
         gap,
         accuracy,
         draws,
-        command,
-        workspace_axes(study, kinematics.machine),
-        state.resolved.wanted_accuracy,
-        goodness_of_estimate(
-            corrected.measurement,
-            corrected.series,
-            corrected.estimate,
-            state.doubtful_values,
+        workspace,
+        origin="given" if state.with_effects else "diagnosis",
+        truth=state.readings.truth,
+        warnings=sections.misfit_warnings(
+            goodness, noise_is_a_guess=state.noise_is_a_guess
         ),
-        noise_is_a_guess=state.noise_is_a_guess,
     )
     turned = find_turned_runs(corrected)
     if turned is not None:

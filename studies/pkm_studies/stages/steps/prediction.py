@@ -76,8 +76,8 @@ def _realised(
         table.reference,
         table.virtual_machines,
         state.rng(Stream.MACHINES),
-        state.resolved.identification_stages,
-        state.progress.share,
+        stages=state.resolved.identification_stages,
+        progress=state.progress.share,
     )
 
 
