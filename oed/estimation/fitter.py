@@ -10,7 +10,10 @@ sum and is not too long (Levenberg 1944, Marquardt 1963): far from nominal lie m
 no machine has. The step d promises to lower the sum by
 d^T (A^T A + w^2) d, A the slopes: the squared distance to the minimum in posterior
 standard deviations. A machine has converged when this distance is below `PRECISION`,
-or below what rounding of the readings leaves; it takes that last step too.
+or below what rounding of the readings leaves; it takes that last step too. Where
+residuals are large and the readings curved, Gauss-Newton steps overshoot by nearly their
+length. From the first that does, the damping is that with which the last step would have
+ended where the slope along it is 0.
 """
 
 from __future__ import annotations
@@ -29,6 +32,8 @@ PRECISION = 1e-7
 STEPS = 60
 #: factors on the damping after a step that raises the sum, and after one that does not
 GROWTH, DECAY = 10.0, 0.01
+#: slope along a step at its end, over minus that at its start, from which it overshoots
+OVERSHOT = 0.25
 #: length of the first step, in tolerances and for each unknown, and factor on it after
 #: a step as long as that
 LONGEST, LONGER = 3.0, 4.0
@@ -117,6 +122,10 @@ class _Steps:
         self._converged = np.zeros(count, dtype=bool)
         self._evaluations = np.ones(count, dtype=np.intp)
         self._damping = np.zeros(count)
+        # of the last steps: the steps, slope at their start, curvature of the model
+        self._last, self._descent = np.zeros_like(self._z), np.zeros(count)
+        self._curvature = np.zeros(count)
+        self._overshot = np.zeros(count, dtype=bool)
         self._longest = np.full(count, LONGEST * np.sqrt(max(start.shape[1], 1)))
         self._precision = np.linalg.norm(problem.rounding, axis=1)
         self.cost = self._costs(self._z, self._residual)
@@ -126,21 +135,42 @@ class _Steps:
             self._z, self._residual, self._slopes, self._converged, self._evaluations
         )
 
-    def step(self, machines: Index, precision: float) -> Index:
-        """Moves machines by a step each; returns those that need a further one."""
-        machines = self._linearise(machines)
-        if not machines.size:
-            return machines
-        system = _StepSystem.of(
+    def _system(self, machines: Index) -> _StepSystem:
+        return _StepSystem.of(
             self._slopes[machines],
             self._residual[machines],
             self._z[machines],
             self._weight,
         )
+
+    def step(self, machines: Index, precision: float) -> Index:
+        """Moves machines by a step each; returns those that need a further one."""
+        machines = self._linearise(machines)
+        if not machines.size:
+            return machines
+        system = self._system(machines)
+        self._adapt_damping(machines, system)
         near = system.distance() < np.maximum(precision, self._precision[machines])
         undamped = np.zeros(int(near.sum()))
         self._finish(machines[near], system.step(near, undamped))
         return self._descend(machines[~near], system, np.flatnonzero(~near))
+
+    def _adapt_damping(self, machines: Index, system: _StepSystem) -> None:
+        """Damping for the next steps, by the slope at the end of the last ones.
+
+        With the curvature c of the model and h of the sum along a step, the slope at its
+        end is 1 - h / (c + damping) of that at its start: the damping h - c is best.
+        """
+        along = (system.pull * self._last[machines]).sum(axis=1)
+        start = self._descent[machines]
+        ratio = np.divide(along, start, out=np.zeros_like(start), where=start > 0.0)
+        self._overshot[machines] |= ratio < -OVERSHOT
+        damping = self._damping[machines]
+        best = damping * (1.0 - ratio) - ratio * self._curvature[machines]
+        best = np.maximum(best, 0.0)
+        self._damping[machines] = np.where(
+            self._overshot[machines], best, DECAY * damping
+        )
 
     def _linearise(self, machines: Index) -> Index:
         """Computes slopes; returns the machines that have them."""
@@ -176,11 +206,19 @@ class _Steps:
             step, limited = self._limited_step(trying, system, rows[waiting])
             lower = self._move(trying, step)
             self._longest[trying[lower & limited]] *= LONGER
-            self._damping[trying[lower]] *= DECAY
+            self._remember(trying[lower], step[lower], system, rows[waiting[lower]])
             waiting = waiting[~lower]
             least = system.least_damping()[rows[waiting]]
             self._raise_damping(machines[waiting], least)
         return np.delete(machines, waiting)
+
+    def _remember(
+        self, machines: Index, step: Array, system: _StepSystem, rows: Index
+    ) -> None:
+        """Notes the steps that machines took."""
+        self._last[machines] = step
+        self._descent[machines] = (system.pull[rows] * step).sum(axis=1)
+        self._curvature[machines] = system.mean_curvature(rows, self._damping[machines])
 
     def _limited_step(
         self, machines: Index, system: _StepSystem, rows: Index
@@ -236,11 +274,13 @@ class _StepSystem:
     Lengths are in units of the prior. For an unknown whose prior is nearly flat, they are
     in units of what the readings determine.
 
+    pull        (s, k) minus half the slope of the sum over z
     curvature   (s, k) of the directions, ascending
     directions  (s, k, k) columns
-    descent     (s, k) along the directions
+    descent     (s, k) of the pull along the directions
     """
 
+    pull: Array
     curvature: Array
     directions: Array
     descent: Array
@@ -257,7 +297,7 @@ class _StepSystem:
         scaled = normal * scale[:, :, None] * scale[:, None, :]
         curvature, vectors = np.linalg.eigh(scaled)
         along = (vectors.swapaxes(1, 2) @ (scale * descent)[:, :, None])[:, :, 0]
-        return cls(curvature, scale[:, :, None] * vectors, along)
+        return cls(descent, curvature, scale[:, :, None] * vectors, along)
 
     def distance(self) -> Array:
         """Distances (s,) to the minima, in posterior standard deviations."""
@@ -267,6 +307,14 @@ class _StepSystem:
     def least_damping(self) -> Array:
         """The damping (s,) that halves a step along the flattest direction."""
         return np.maximum(self.curvature[:, 0], FLAT)
+
+    def mean_curvature(self, rows: Index, damping: Array) -> Array:
+        """Curvature (s,) along the steps of some rows."""
+        squares = self._moves(rows, damping) ** 2
+        total = squares.sum(axis=1)
+        weighted = (self.curvature[rows] * squares).sum(axis=1)
+        moving = np.where(total > 0.0, total, 1.0)
+        return np.where(total > 0.0, weighted / moving, 0.0)
 
     def step(self, rows: Index | Mask, damping: Array) -> Array:
         """Steps (s, k) of z of some rows, each with its damping (s,)."""

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 
@@ -113,7 +114,8 @@ class Whitening:
         """Halves (m, L, C, T) of values, whose products are those of the precision."""
         if self._factor is None:
             return grid, grid
-        differences, solved = self._factor.halves(grid.reshape(len(grid), -1).T)
+        flat = grid.reshape(len(grid), math.prod(grid.shape[1:]))
+        differences, solved = self._factor.halves(flat.T)
         return differences.T.reshape(grid.shape), solved.T.reshape(grid.shape)
 
     def _on_chains(self, values: Array) -> Array:

@@ -48,6 +48,26 @@ def test_a_linear_model_takes_one_step_to_the_closed_form(weight: float) -> None
     assert (minima.evaluations <= 2).all()
 
 
+@pytest.mark.parametrize("bend", [0.9, 1.9, 8.0])
+def test_steps_that_overshoot_are_damped_until_they_do_not(bend: float) -> None:
+    """Of (a z - c)^2 + (b z^2 - K)^2 + z^2 the second residual is large and bends: near
+    the minimum a Gauss-Newton step overshoots by `bend` times its length.
+    """
+    a, c, far = 10.0, 0.5, -100.0
+    b = bend * (a**2 + 1.0) / (-2.0 * far)
+    problem = Curve(
+        np.array([[c, far]]),
+        lambda z: np.array([a * z[0], b * z[0] ** 2]),
+        lambda z: np.array([[a], [2.0 * b * z[0]]]),
+    )
+    minima = minimise(problem, np.ones((1, 1)))
+    roots = np.roots([2.0 * b**2, 0.0, a**2 + 1.0 - 2.0 * b * far, -a * c])
+    (exact,) = roots[np.isreal(roots)].real
+    assert minima.converged.all()
+    assert minima.z[0, 0] == pytest.approx(exact, abs=1e-9)
+    assert minima.evaluations[0] <= 15
+
+
 def decay(z: np.ndarray) -> np.ndarray:
     """A decay of unknown size and rate, in units of the noise."""
     return np.asarray(1e3 * np.exp(z[0] - np.exp(0.5 * z[1]) * np.linspace(0, 2, 20)))
