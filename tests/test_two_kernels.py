@@ -35,6 +35,8 @@ STUDY = (
 KERNELS = ("Nehalem", "Haswell")
 #: what rounding may change: relative, and beside it of numbers that are nothing
 RELATIVE, ABSOLUTE = 1e-5, 1e-9
+#: the same of statistics of ranks, which two draws that change places move
+RANKED = {"ess": 1e-4, "rhat": 1e-4}
 #: keys whose numbers are of no computation
 ASIDE = ("seconds", "written")
 
@@ -97,7 +99,8 @@ def test_another_kernel_changes_nothing_but_rounding(tmp_path: Path) -> None:
         if not isinstance(a, float) or a == b:
             assert a == b, path
             continue
-        close = math.isclose(a, b, rel_tol=RELATIVE, abs_tol=max(ABSOLUTE, error))
+        relative = RANKED.get(path.rpartition(".")[2], RELATIVE)
+        close = math.isclose(a, b, rel_tol=relative, abs_tol=max(ABSOLUTE, error))
         assert close, (path, a, b, error)
         differing += 1
     assert differing > 100  # the kernels do round differently
