@@ -40,7 +40,6 @@ def test_the_size_is_the_largest_standard_deviation() -> None:
     law = law_of({first: 3.0, second: 0.5}, level=0.8)
     laws = law.laws(structure)
     dense = np.diag(dense_covariance(structure, laws))
-    # stated errors of a run, of which an A3 head's bar has none here
     assert set(structure.kinds.tolist()) >= {LEVEL}
     assert law.size(structure) == pytest.approx(np.sqrt(dense.max()))
 
