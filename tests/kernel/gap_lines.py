@@ -5,6 +5,7 @@ that are in no library.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -23,13 +24,18 @@ from pkm_models.machines import planar_2dof
 LINES, LENGTH = 8, 31
 
 
+def _height(way: int, pair: int) -> float:
+    """z of a pair of lines."""
+    return 0.4 * pair
+
+
 def readings(
     seed: int,
     uneven: float = 0.0,
     late: float = 0.0,
     *,
     timed: bool = True,
-    heights: Callable[[int, int], float] = lambda way, k: 0.4 * k,
+    heights: Callable[[int, int], float] = _height,
 ) -> GapProblem:
     """Lines of a planar machine read by RM 5, each both ways, with times and feeds,
     noise alone.
@@ -38,6 +44,21 @@ def readings(
                    either way;  timed: whether times are told
     heights        z of the lines by direction and number of the pair
     """
+    problem = _without_noise(uneven, late, timed, heights)
+    rng = np.random.default_rng(seed)
+    noise = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
+    for k, members in enumerate(problem.members):
+        noise[members] += np.linalg.cholesky(
+            stated_law(problem).covariance(problem, problem.members[k])
+        ) @ rng.standard_normal(len(members))
+    return problem.with_readings(noise)
+
+
+@functools.cache
+def _without_noise(
+    uneven: float, late: float, timed: bool, heights: Callable[[int, int], float]
+) -> GapProblem:
+    """The same lines without noise, which many tests share."""
     measurement = Measurement(planar_2dof.machine, [mount(relative.rm5, "lines")])
     off = np.random.default_rng(99)
     y = np.linspace(-1.4, 1.4, LENGTH) + off.uniform(-uneven, uneven, LENGTH)
@@ -63,16 +84,9 @@ def readings(
             "feed": np.repeat([1 / 60.0, 3 / 60.0], LINES * n // 2),
         }
     )
-    problem = problems.assemble(
+    return problems.assemble(
         measurement, (series,), covariates if timed else covariates.drop(columns="time")
     )
-    rng = np.random.default_rng(seed)
-    noise = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
-    for k, members in enumerate(problem.members):
-        noise[members] += np.linalg.cholesky(
-            stated_law(problem).covariance(problem, problem.members[k])
-        ) @ rng.standard_normal(len(members))
-    return problem.with_readings(noise)
 
 
 def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> GapProblem:

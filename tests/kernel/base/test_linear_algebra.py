@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg, stats
 
+from oed.base.arrays import Array
 from oed.base.linear_algebra import (
     canonical_rows,
     covariance_root,
@@ -18,7 +19,7 @@ from oed.base.linear_algebra import (
 VALUES = np.array([5.0, 3.0, 3.0, 1.0, 0.0, 0.0])
 
 
-def turned(rng: np.random.Generator, rows: np.ndarray) -> np.ndarray:
+def turned(rng: np.random.Generator, rows: Array) -> Array:
     """The same spaces by other vectors: signs, and turns of equal values."""
     signs = np.where(rng.random(len(rows)) < 0.5, -1.0, 1.0)
     other = signs[:, None] * rows

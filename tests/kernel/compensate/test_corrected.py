@@ -19,9 +19,9 @@ from oed.compensate.effects import (
     CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
-    predict_corrected,
-    tabled_effects,
 )
+from oed.compensate.effects.tables import tabled_effects
+from oed.compensate.effects.workspace import predict_corrected
 from oed.estimation.identification import Estimate, identify
 from oed.measurement.measurement import Measurement, Series
 from pkm_models.effects import backlash, leg_thermal

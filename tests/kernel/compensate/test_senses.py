@@ -15,9 +15,9 @@ from oed.checks.senses import contradictions
 from oed.compensate.effects import (
     EffectReadings,
     estimate_with_effects,
-    find_turned_runs,
 )
 from oed.compensate.effects.fit import CorrectedEstimate
+from oed.compensate.effects.senses import find_turned_runs
 from oed.estimation.identification import identify
 from oed.measurement.measurement import Measurement, Series
 from pkm_models.effects import backlash, leg_thermal

@@ -9,8 +9,8 @@ from kernel.compensate.test_corrected import PER_KELVIN, WARM_LEG, planned
 from oed import compensate
 from oed.accuracy import prediction
 from oed.accuracy.budget import budget_model
-from oed.compensate.effects import expected_effects
 from oed.compensate.effects.effect_maps import SessionStates, workspace_state
+from oed.compensate.effects.unmodelled import expected_effects
 from oed.estimation.identification import identify
 from oed.gap.data.problem import assemble
 from oed.gap.data.state import DOWN

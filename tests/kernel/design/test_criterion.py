@@ -5,17 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.design.criterion import (
-    Compound,
-    Criterion,
-    Determinant,
-    ExtremeEigenvalues,
-    LargestVariance,
-    PowerMean,
-    Variance,
-    named,
-)
+from oed.design.criterion import Criterion, PowerMean, named
+from oed.design.criterion.compound import Compound
+from oed.design.criterion.determinant import Determinant
+from oed.design.criterion.largest import LargestVariance
 from oed.design.criterion.protocol import slopes
+from oed.design.criterion.spectrum import ExtremeEigenvalues
+from oed.design.criterion.variance import Variance
 
 N = 5
 _rng = np.random.default_rng(11)

@@ -15,6 +15,7 @@ from oed.design.rules import Rules
 from oed.gap.before import choose, detect, runs
 from oed.gap.before.forms import ROOM
 from oed.gap.before.pool import pool_runs
+from oed.gap.before.separation import Separation
 from oed.gap.data.signature import signature
 from oed.noise.law import NoiseLaw, stated_law
 
@@ -44,7 +45,7 @@ def pool(
     return pool_runs(p, stated_law(p), rows, WANTED)
 
 
-def least_lambda(separation, plan):
+def least_lambda(separation: Separation, plan):
     return separation.lambdas(separation.of(plan)).min()
 
 

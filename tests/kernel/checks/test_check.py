@@ -1,0 +1,78 @@
+"""Whole checks of an A3 head's readings: outliers, mistakes, and what stays unseen."""
+
+import dataclasses
+import functools
+
+import blunder_machines as machines
+import numpy as np
+import pytest
+
+from oed.checks.blind import unseen_mistakes
+from oed.checks.check import CheckedSession, check_session
+from oed.checks.findings import Severity
+from oed.checks.mistakes import Alternatives
+from oed.checks.session import SessionReadings
+
+SIGMA = 0.5e-6
+
+
+@functools.cache
+def clean() -> SessionReadings:
+    return machines.session("a3", machines.readings("a3", 3))
+
+
+def of_one_bar() -> SessionReadings:
+    """The readings of the first set-up: half of them."""
+    (first, *_), m = clean().series, clean().measurement
+    alone = m.with_setups([m.setups[first.setup]])
+    part = clean().take(np.arange(len(first)))
+    return dataclasses.replace(part, measurement=alone)
+
+
+def checked(session: SessionReadings) -> CheckedSession:
+    rng = np.random.default_rng(0)
+    return check_session(session, Alternatives(session.measurement), rng)
+
+
+def test_readings_of_the_stated_noise_have_no_fault() -> None:
+    result = checked(clean())
+    assert not result.bad_fit
+    assert not result.mistaken
+    assert result.set_aside == ()
+    assert result.goodness is not None
+    assert result.goodness.ratio == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_gross_error_is_set_aside_with_its_row() -> None:
+    y = clean().y.copy()
+    y[11] += 80.0 * SIGMA
+    result = checked(clean().with_y(y))
+    assert result.set_aside == (11,)
+    assert result.doubtful_values.tolist() == [False] * (len(y) - 1)
+    found = [f for f in result.findings if f.severity == Severity.OUTLIER]
+    assert [f.rows for f in found] == [clean().rows([11])]
+    assert not result.bad_fit
+
+
+def test_readings_in_inches_are_a_mistake() -> None:
+    session = of_one_bar()
+    result = checked(session.with_y(session.y / 25.4))
+    assert result.mistaken
+    assert result.bad_fit
+    assert result.outliers is None
+    assert result.findings[0].severity == Severity.MISTAKE
+    assert result.explanations[0].kind == "unit"
+    assert result.explanations[0].probability > 0.9
+
+
+def test_a_mirrored_head_passes_unnoticed() -> None:
+    """Reversed psi, and legs 2 and 3 exchanged, make an A3 head its mirror image.
+
+    The mirror image is another machine within the tolerances.
+    """
+    session = of_one_bar()
+    alternatives = Alternatives(session.measurement)
+    sentences = unseen_mistakes(session, alternatives, np.random.default_rng(0))
+    psi, legs = sentences
+    assert psi == "the sign of psi_deg is reversed"
+    assert legs.endswith("1 to 3 are 1, 3, 2")

@@ -1,0 +1,60 @@
+"""Exact compensation of the gantry against its closed form."""
+
+import numpy as np
+import pytest
+from oracles import planar_geometry
+
+from oed.compensate.exact import (
+    compensated_joints,
+    corrected_commands,
+    joint_corrections,
+    undriven_components,
+)
+from oed.mechanism.kinematics import Kinematics
+from pkm_models.machines import a3_head, planar_2dof
+
+PLANAR = Kinematics(planar_2dof.machine)
+COMMAND = np.array([[0.0, 0.0], [1.0, 0.5], [-1.3, 1.4]])
+
+
+@pytest.fixture
+def truth(rng: np.random.Generator) -> np.ndarray:
+    machine = planar_2dof.machine
+    sd = np.array([p.tolerance for p in machine.parameters])
+    return machine.nominal + sd * rng.standard_normal(len(sd))
+
+
+def test_joints_hold_the_command_on_the_real_machine(truth: np.ndarray) -> None:
+    upright = np.r_[truth[:5], 0.0, 0.0]
+    joints = compensated_joints(PLANAR, COMMAND, upright)
+    assert joints == pytest.approx(planar_geometry.inverse(COMMAND, upright), abs=1e-10)
+    joints = compensated_joints(PLANAR, COMMAND, truth)
+    assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
+
+
+def test_corrections_join_those_of_a_nominal_controller(truth: np.ndarray) -> None:
+    nominal = planar_geometry.inverse(COMMAND)
+    joints = nominal + joint_corrections(PLANAR, COMMAND, truth)
+    assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
+
+
+def test_a_nominal_controller_holds_the_command_by_the_corrected_one(
+    truth: np.ndarray,
+) -> None:
+    sent = corrected_commands(PLANAR, COMMAND, truth)
+    assert np.abs(sent - COMMAND).max() > 1e-5
+    joints = planar_geometry.inverse(sent)
+    assert planar_geometry.forward(joints, truth) == pytest.approx(COMMAND, abs=1e-10)
+
+
+def test_the_largest_errors_without_a_drive_are_named() -> None:
+    machine = a3_head.machine
+    names = [c.name for c in machine.components]
+    undriven = [c.name for c in machine.components if not c.compensatable]
+    remaining = np.zeros((2, len(names)))
+    remaining[0, names.index(undriven[0])] = -3e-6
+    remaining[1, names.index(undriven[0])] = 1e-6
+    (sentence,) = undriven_components(machine, remaining)
+    assert f"{undriven[0]} 3" in sentence
+    assert all(name in sentence for name in undriven)
+    assert undriven_components(planar_2dof.machine, np.ones((2, 2))) == ()

@@ -1,0 +1,106 @@
+"""The interior-point method for eigenvalues: its linear system, path and bounds."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from oed.design.eigenvalue_path import follow
+from oed.design.interior import InteriorPath, InteriorProblem, build_problem
+from oed.design.interior_step import StepSystem
+
+COUNT, SIZE, N = 8, 4, 3
+
+
+def problem(seed: int = 0) -> tuple[np.ndarray, np.ndarray, InteriorProblem]:
+    rng = np.random.default_rng(seed)
+    rows, prior = rng.standard_normal((COUNT, N)), 0.1 * np.eye(N)
+    return rows, prior, build_problem(rows, SIZE, prior, 1.0)
+
+
+def spectrum(rows: np.ndarray, prior: np.ndarray, w: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.eigvalsh(prior + (rows.T * w) @ rows))
+
+
+def test_a_problem_is_white_at_its_start() -> None:
+    rows, prior, p = problem()
+    m = prior + (rows.T * p.start) @ rows
+    assert p.start.sum() == pytest.approx(SIZE)
+    assert p.turn @ m @ p.turn.T == pytest.approx(np.eye(N), abs=1e-9)
+    w = np.random.default_rng(1).uniform(0.1, 0.9, COUNT)
+    least, largest = p.extreme_eigenvalues(np.arange(COUNT), w)
+    values = spectrum(rows, prior, w)
+    assert (least, largest) == pytest.approx((values[0], values[-1]))
+    part = p.subset(np.array([2, 5]))
+    assert part.blocks[:, 0] == pytest.approx(rows[[2, 5]])
+
+
+def test_directions_that_nothing_determines_are_refused() -> None:
+    rows = np.random.default_rng(0).standard_normal((COUNT, N))
+    rows[:, 2] = rows[:, 0] - 2.0 * rows[:, 1]
+    with pytest.raises(ValueError, match="leave directions undetermined"):
+        build_problem(rows, SIZE, None, 1.0)
+    with pytest.raises(ValueError, match="cannot carry a weight of 4"):
+        build_problem(rows, SIZE, np.eye(N), 0.1)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.05])
+def test_a_step_solves_the_linearised_conditions(slope: float) -> None:
+    """It keeps the sum of the weights, and both slacks linear in what changes."""
+    _, _, p = problem()
+    path = InteriorPath(p, slope, p.start, 0.5)
+    at = path.at
+    low = p.white_base + np.einsum("c,ckn,ckm->nm", at.w, p.white, p.white)
+    low -= at.t * p.square
+    high = at.r * np.eye(N) - p.base
+    high -= np.einsum("c,ckn,ckm->nm", at.w, p.blocks, p.blocks)
+    move = StepSystem(p, slope, at, low, high).move(0.01, None)
+    assert move.w.sum() == pytest.approx(0.0, abs=1e-9)
+    change = np.einsum("c,ckn,ckm->nm", move.w, p.white, p.white) - move.t * p.square
+    assert move.s1 == pytest.approx(change, abs=1e-9)
+    after = at.after(move, 0.5, 0.25)
+    assert after.w == pytest.approx(at.w + 0.5 * move.w)
+    assert after.y == pytest.approx(at.y + 0.25 * move.y)
+    # the shares end where a weight or its room is used up, or earlier
+    share = min(1.0, 0.999 * move.primal)
+    assert (at.w + share * move.w > 0.0).all()
+    assert (at.w + share * move.w < p.caps).all()
+
+
+def test_a_path_stays_feasible_and_raises_the_least_eigenvalue() -> None:
+    rows, prior, p = problem(1)
+    path = InteriorPath(p, 0.0, p.start, 0.5)
+    first = spectrum(rows, prior, path.at.w)[0]
+    for _ in range(30):
+        if not path.step():
+            break
+        w = path.at.w
+        assert w.sum() == pytest.approx(SIZE)
+        assert ((w > 0.0) & (w < 1.0)).all()
+        assert path.at.t <= spectrum(rows, prior, w)[0] * (1.0 + 1e-9)
+    assert spectrum(rows, prior, path.at.w)[0] > first
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("slope", [0.0, 0.05, None])
+def test_no_plan_exceeds_the_bound_of_the_path(seed: int, slope: float | None) -> None:
+    """F(z) = max l_min - z l_max, and kappa where there is no slope."""
+    rows, prior, p = problem(seed)
+    point = follow(p, slope, 1e-6)
+    assert point.weights.sum() == pytest.approx(SIZE)
+    values = spectrum(rows, prior, point.weights)
+    assert (point.least, point.largest) == pytest.approx((values[0], values[-1]))
+    assert 0.0 <= point.duality_gap <= 1.01e-6
+    for plan in itertools.combinations(range(COUNT), SIZE):
+        w = np.isin(np.arange(COUNT), plan).astype(float)
+        low, *_, high = spectrum(rows, prior, w)
+        if slope is None:
+            assert low / high <= values[0] / values[-1] * (1.0 + 1e-5)
+        else:
+            assert low - slope * high <= point.bound + 1e-9
+    # nor do random weights
+    rng = np.random.default_rng(seed)
+    for w in SIZE * rng.dirichlet(np.ones(COUNT), 50):
+        if slope is not None and w.max() <= 1.0:
+            low, *_, high = spectrum(rows, prior, w)
+            assert low - slope * high <= point.bound + 1e-9

@@ -1,0 +1,45 @@
+"""Newton steps over weights against SciPy's constrained solver."""
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from oed.design.criterion.determinant import Determinant
+from oed.design.newton import newton_steps, scale_to_size
+from oed.design.objective import CriterionObjective
+
+
+def test_weights_scaled_to_a_size_keep_their_ratios_within_caps() -> None:
+    scaled = scale_to_size(np.array([1.0, 2.0, 9.0]), 6.0, np.full(3, 3.0))
+    assert scaled == pytest.approx([1.0, 2.0, 3.0])
+    assert scale_to_size(np.ones(4), 2.0, np.full(4, 3.0)) == pytest.approx([0.5] * 4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_steps_end_at_the_constrained_maximum(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blocks, base = rng.standard_normal((8, 1, 3)), 0.1 * np.eye(3)
+    objective = CriterionObjective(Determinant(3), blocks, base)
+    active, caps = np.arange(8), np.full(8, 0.9)
+    weights = np.full(8, 0.5)
+    for _ in range(5):
+        before = objective.value(active, weights)
+        weights = newton_steps(objective, active, weights, caps)
+        assert objective.value(active, weights) >= before - 1e-12
+    assert weights.sum() == pytest.approx(4.0)
+    assert (weights >= 0.0).all()
+    assert (weights <= caps).all()
+
+    def negative(w: np.ndarray) -> float:
+        m = base + np.einsum("c,ckn,ckm->nm", w, blocks, blocks)
+        return -float(np.linalg.slogdet(m)[1]) / 3.0
+
+    other = optimize.minimize(
+        negative,
+        np.full(8, 0.5),
+        method="SLSQP",
+        bounds=[(0.0, 0.9)] * 8,
+        constraints={"type": "eq", "fun": lambda w: w.sum() - 4.0},
+        options={"ftol": 1e-12, "maxiter": 500},
+    )
+    assert objective.value(active, weights) == pytest.approx(-other.fun, abs=1e-7)

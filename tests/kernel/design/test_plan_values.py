@@ -1,0 +1,138 @@
+"""Evaluators, searches, set-ups and bounds against all plans of tiny problems."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from oed.design.bounds import bound, condition_bound
+from oed.design.criterion import Criterion
+from oed.design.criterion.determinant import Determinant
+from oed.design.criterion.spectrum import ExtremeEigenvalues
+from oed.design.criterion.variance import Variance
+from oed.design.evaluator import CriterionEvaluator
+from oed.design.rules import Rules
+from oed.design.search import improve, search, select_greedily
+from oed.design.setups import drop_untouched_columns, rank_combinations, thin
+
+COUNT, SIZE, N = 9, 4, 3
+CRITERIA: dict[str, Criterion] = {
+    "D": Determinant(N),
+    "A": Variance(np.eye(N), "A"),
+    "E": ExtremeEigenvalues(),
+    "kappa": ExtremeEigenvalues(0.5, 0.5, name="kappa"),
+}
+
+
+def problem(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((COUNT, 1, N)), 0.05 * np.eye(N)
+
+
+def plan_value(
+    criterion: Criterion, blocks: np.ndarray, base: np.ndarray, plan: tuple[int, ...]
+) -> float:
+    rows = blocks[list(plan)].reshape(-1, blocks.shape[2])
+    return criterion.value(base + rows.T @ rows)
+
+
+@pytest.mark.parametrize("name", ["D", "A"])
+def test_values_of_plans_are_those_of_their_sums(name: str) -> None:
+    criterion, (blocks, base) = CRITERIA[name], problem(0)
+    evaluator = CriterionEvaluator(blocks, criterion, base)
+    plan = (1, 4, 7)
+    assert evaluator.value(np.array(plan)) == pytest.approx(
+        plan_value(criterion, blocks, base, plan)
+    )
+    added = evaluator.values_after_adding(np.array(plan), evaluator.levels - 1, 0.0)
+    exact = [plan_value(criterion, blocks, base, (*plan, k)) for k in range(COUNT)]
+    assert added == pytest.approx(exact)
+    part = evaluator.subset(np.array([1, 4, 7]))
+    assert part.count == 3
+    assert part.value(np.arange(3)) == pytest.approx(evaluator.value(np.array(plan)))
+
+
+@pytest.mark.parametrize("name", ["D", "A"])
+def test_greedy_plans_take_the_best_candidate_each_time(name: str) -> None:
+    criterion, (blocks, base) = CRITERIA[name], problem(1)
+    evaluator = CriterionEvaluator(blocks, criterion, base)
+    chosen = select_greedily(evaluator, Rules(size=SIZE), 0.0)
+    expected: list[int] = []
+    for _ in range(SIZE):
+        free = [k for k in range(COUNT) if k not in expected]
+        values = [plan_value(criterion, blocks, base, (*expected, k)) for k in free]
+        expected.append(free[int(np.argmax(values))])
+    assert sorted(chosen.tolist()) == sorted(expected)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", CRITERIA)
+def test_searches_end_at_the_best_plan_and_below_the_bound(
+    name: str, seed: int
+) -> None:
+    criterion, (blocks, base) = CRITERIA[name], problem(10 + seed)
+    rules, evaluator = Rules(size=SIZE), CriterionEvaluator(blocks, criterion, base)
+    if criterion.concave:
+        upper = bound(blocks, criterion, rules, base)
+    else:
+        found = condition_bound(blocks, criterion, rules, base)
+        assert found is not None
+        upper = found
+    every = itertools.combinations(range(COUNT), SIZE)
+    best = max(plan_value(criterion, blocks, base, plan) for plan in every)
+    assert best <= upper.value + 1e-9
+    assert upper.weights.sum() == pytest.approx(SIZE, rel=1e-3)
+    start = np.arange(SIZE)
+    rng = np.random.default_rng(0)
+    plan = search(evaluator, rules, upper.weights, upper.slopes, [start], rng, 20)
+    assert len(set(plan.tolist())) == SIZE
+    assert evaluator.value(plan) == pytest.approx(best, abs=1e-9)
+    improved = improve(evaluator, rules, start, evaluator.levels - 1)
+    assert evaluator.value(start) <= evaluator.value(improved) <= best + 1e-9
+
+
+def test_a_budget_of_time_bounds_plans_of_any_size() -> None:
+    criterion, (blocks, base) = CRITERIA["D"], problem(5)
+    cost = np.random.default_rng(5).uniform(1.0, 3.0, COUNT)
+    rules = Rules(budget=7.0, cost=cost)
+    upper = bound(blocks, criterion, rules, base)
+    assert upper.weights @ cost == pytest.approx(7.0, rel=1e-3)
+    for size in range(1, 8):
+        for plan in itertools.combinations(range(COUNT), size):
+            if cost[list(plan)].sum() <= 7.0:
+                value = plan_value(criterion, blocks, base, plan)
+                assert value <= upper.value + 1e-9
+    assert condition_bound(blocks, CRITERIA["kappa"], rules, base) is None
+    assert condition_bound(blocks, criterion, Rules(size=3), base) is None
+
+
+def test_the_best_two_set_ups_are_those_of_all_pairs() -> None:
+    """Few candidates each: the ranks are by relaxations, near the plans themselves."""
+    rng = np.random.default_rng(3)
+    blocks, setup = rng.standard_normal((12, 1, N)), np.repeat(np.arange(4), 3)
+    blocks[setup == 2] *= 3.0
+    blocks[setup == 0] *= 2.5
+    base, criterion = 0.05 * np.eye(N), CRITERIA["D"]
+    rules = Rules(size=6, setup=setup, most_setups=2)
+    (first, *_) = rank_combinations(blocks, criterion, base, rules)
+
+    def value(pair: tuple[int, ...]) -> float:
+        # six readings of six: all of them
+        members = np.flatnonzero(np.isin(setup, pair))
+        return plan_value(criterion, blocks, base, tuple(members.tolist()))
+
+    pairs = list(itertools.combinations(range(4), 2))
+    assert first == max(pairs, key=value)
+    assert thin(rules, first).tolist() == np.flatnonzero(np.isin(setup, first)).tolist()
+
+
+def test_columns_that_no_block_touches_leave() -> None:
+    blocks = np.random.default_rng(1).standard_normal((5, 1, 4))
+    blocks[:, :, 2] = 0.0
+    base = np.diag([1.0, 2.0, 3.0, 4.0])
+    fewer, smaller, criterion = drop_untouched_columns(blocks, base, Determinant(4))
+    assert fewer.shape == (5, 1, 3)
+    assert np.diag(smaller).tolist() == [1.0, 2.0, 4.0]
+    assert criterion.value(smaller) == pytest.approx(np.log(8.0) / 3.0)
+    base[2, 0] = base[0, 2] = 0.5
+    assert drop_untouched_columns(blocks, base, Determinant(4))[0].shape == (5, 1, 4)

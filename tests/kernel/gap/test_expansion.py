@@ -1,0 +1,105 @@
+"""Points about which effects act, and what they explain, against dense matrices."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+from kernel.gap_lines import BOW, EFFECTS, planted, white_lines
+from oed.gap.cause.compare import compare
+from oed.gap.cause.expansion import compare_expanded
+from oed.gap.cause.explained import explain
+from oed.gap.cause.search import Search
+from oed.gap.data.linearisation import ActingEffectForm, settle
+from oed.gap.data.problem import GapProblem
+from oed.gap.forms import library
+from oed.noise.law import stated_law
+
+FORM = ActingEffectForm(BOW, {"turns": 3.0}, ("leg 1", "leg 2"), 3.0)
+
+
+@functools.cache
+def bowed() -> GapProblem:
+    """Lines of a machine whose first leg is bowed by four expected sizes."""
+    return planted(white_lines(), BOW, {"leg 1": 4.0}, turns=3.0)
+
+
+def dense(problem: GapProblem, *, slopes: bool = True) -> np.ndarray:
+    """Covariance (N, N) of residuals without effects, or of their noise alone."""
+    law, n = stated_law(problem), len(problem)
+    total = problem.slopes @ problem.slopes.T if slopes else np.zeros((n, n))
+    for number, block in enumerate(problem.members):
+        total[np.ix_(block, block)] += law.covariance(problem, problem.members[number])
+    return total
+
+
+def test_small_effects_settle_at_the_linear_estimate() -> None:
+    """In expected sizes: the mean of coefficients of prior N(0, 1) times the form's."""
+    problem = bowed()
+    law, none = stated_law(problem), np.zeros(len(problem))
+    settled = settle(problem, [FORM], law, none)
+    signature = problem.signature(BOW, FORM.constants)
+    rows = [signature.names.index(name) for name in FORM.names]
+    columns = FORM.size * problem.in_noise_units(signature.columns[:, rows])
+    weighed = np.linalg.solve(dense(problem), columns)
+    precision = columns.T @ weighed + np.eye(2)
+    exact = FORM.size * np.linalg.solve(precision, weighed.T @ problem.residual)
+    assert settled.coefficients == pytest.approx(exact, abs=0.02)
+    assert settled.coefficients[0] == pytest.approx(4.0, abs=0.5)
+    assert settled.departure < 0.3
+    assert settled.problem.residual == pytest.approx(problem.residual, abs=0.3)
+
+
+def search_of(problem: GapProblem) -> list[Search]:
+    known, none = library.build(problem, EFFECTS), library.build(problem, ())
+    return [Search(problem, known, none, stated_law(problem), 0.0)]
+
+
+@functools.cache
+def searched() -> Search:
+    (search,) = search_of(bowed())
+    return search
+
+
+def test_small_effects_ask_for_no_other_point() -> None:
+    comparison = compare_expanded(bowed(), EFFECTS, search_of)
+    assert len(comparison.searches) == 1
+    plain = compare(search_of(bowed()))
+    assert [h.key for h in comparison.hypotheses] == [h.key for h in plain]
+    assert comparison.hypotheses[0].effects == ("bow",)
+
+
+def test_parts_of_the_residual_are_the_dense_estimates() -> None:
+    problem, search = bowed(), searched()
+    best = next(h for h in compare([search]) if h.key == (frozenset({"bow"}), False))
+    parts = explain(problem, search, best, {"bow"})
+    columns = search.library.scaled_columns(best.atoms[0], best.sizes[0])
+    weighed = np.linalg.solve(dense(problem), columns)
+    precision = columns.T @ weighed + np.eye(columns.shape[1])
+    mean = np.linalg.solve(precision, weighed.T @ problem.residual)
+    assert parts.explained == pytest.approx(columns @ mean, abs=1e-6)
+    assert parts.unexplained == pytest.approx(0.0, abs=1e-9)
+    noise = dense(problem, slopes=False)
+    # what parameters leave of r is R (R + H H^T)^-1 r
+    left = noise @ np.linalg.inv(dense(problem))
+    assert parts.before == pytest.approx(left @ problem.residual, abs=1e-6)
+    corrected = problem.residual - columns @ mean
+    assert parts.after == pytest.approx(left @ corrected, abs=1e-6)
+    (size,) = parts.sizes
+    energy = parts.explained @ np.linalg.solve(dense(problem), parts.explained)
+    assert size.detectability == pytest.approx(np.sqrt(energy) / parts.level)
+    channel = problem.rows["channel"].to_numpy()
+    for name, rms in size.rms.items():
+        values = (parts.explained * problem.sigma)[channel == name]
+        assert rms == pytest.approx(np.sqrt(np.mean(values**2)))
+
+
+def test_effects_that_are_not_named_count_as_unknown() -> None:
+    problem, search = bowed(), searched()
+    best = next(h for h in compare([search]) if h.key == (frozenset({"bow"}), False))
+    named, unnamed = (explain(problem, search, best, n) for n in ({"bow"}, set()))
+    assert unnamed.coefficients == ()
+    assert unnamed.explained == pytest.approx(0.0)
+    assert unnamed.unexplained == pytest.approx(named.explained)

@@ -1,0 +1,59 @@
+"""Residuals far off: replaced where neighbours contradict them, and else as they are."""
+
+import numpy as np
+import pytest
+
+from oed.noise.process import stated_laws
+from oed.noise.robust import FEWEST, robust_residuals
+from oed.noise.structure import ReadingStructure
+
+
+def single_run(count: int) -> ReadingStructure:
+    """Readings of one channel in one run, which share nothing."""
+    nothing = np.zeros(count, dtype=np.intp)
+    return ReadingStructure(
+        names=("cup.length",),
+        group=nothing,
+        chain=nothing,
+        run=np.zeros(1, dtype=np.intp),
+        position=np.arange(float(count)),
+        unit=np.ones(count),
+        decouple=None,
+        columns=np.zeros((count, 0)),
+        kinds=np.zeros(0, dtype=np.intp),
+    )
+
+
+def test_a_reading_far_off_is_replaced_and_the_others_are_not() -> None:
+    """The machine may do anything that is linear along the run."""
+    structure = single_run(60)
+    line = np.column_stack([np.ones(60), np.linspace(-1.0, 1.0, 60)])
+    rng = np.random.default_rng(7)
+    residual = line @ np.array([20.0, -35.0]) + rng.standard_normal(60)
+    mistaken = residual.copy()
+    mistaken[17] += 60.0
+    clean = robust_residuals(structure, stated_laws(structure), mistaken, 100.0 * line)
+    assert abs(clean[17] - residual[17]) < 4.0
+    others = np.arange(60) != 17
+    assert np.abs(clean - residual)[others].max() < 1.0
+    assert mistaken[17] == residual[17] + 60.0
+
+
+def test_what_the_machine_may_do_is_no_outlier() -> None:
+    structure = single_run(30)
+    residual = np.random.default_rng(1).standard_normal(30)
+    residual[4] += 60.0
+    slopes = 100.0 * np.eye(30)[:, [4]]
+    clean = robust_residuals(structure, stated_laws(structure), residual, slopes)
+    assert clean[4] == pytest.approx(residual[4], abs=1.0)
+
+
+def test_few_readings_stay_as_they_are() -> None:
+    structure = single_run(FEWEST - 1)
+    residual = np.zeros(FEWEST - 1)
+    residual[0] = 1e3
+    clean = robust_residuals(
+        structure, stated_laws(structure), residual, np.zeros((FEWEST - 1, 0))
+    )
+    assert clean is not residual
+    assert (clean == residual).all()
