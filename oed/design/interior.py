@@ -116,6 +116,8 @@ def _check_determined(m: Array) -> None:
     """Raises LinAlgError where M (n, n) is singular, whatever its columns' units."""
     n = len(m)
     scale = np.sqrt(np.diag(m))
+    if not scale.all():
+        raise np.linalg.LinAlgError("a column is zero")
     np.linalg.cholesky(m / np.outer(scale, scale) - 1e-14 * n * np.eye(n))
 
 

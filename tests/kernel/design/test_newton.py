@@ -15,6 +15,13 @@ def test_weights_scaled_to_a_size_keep_their_ratios_within_caps() -> None:
     assert scale_to_size(np.ones(4), 2.0, np.full(4, 3.0)) == pytest.approx([0.5] * 4)
 
 
+def test_weights_beyond_the_size_at_their_caps_are_scaled_down() -> None:
+    for weights in (np.array([1.2, 1.2, 0.03]), np.ones(3)):
+        scaled = scale_to_size(weights, 1.5, np.ones(3))
+        assert scaled.sum() == pytest.approx(1.5)
+        assert ((scaled > 0.0) & (scaled <= 1.0)).all()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_steps_end_at_the_constrained_maximum(seed: int) -> None:
     rng = np.random.default_rng(seed)
