@@ -49,7 +49,8 @@ def scale_to_size(weights: Array, size: float, caps: Array) -> Array:
         missing = size - caps[full].sum()
         if missing < 0.0:  # those at their caps are too many already
             within = np.minimum(weights, caps)
-            return within * (size / within.sum())
+            scaled: Array = within * (size / within.sum())
+            return scaled
         others = weights[~full].sum()
         factor = missing / others if others > 0 else 1.0
         weights = np.where(full, caps, weights * factor)

@@ -103,7 +103,7 @@ def test_greedy_is_never_better_and_the_bound_never_crossed(batch: int) -> None:
             None,
             np.random.default_rng(seed),
             p.criterion,
-            p.prior,
+            prior=p.prior,
             rounds=2,
             rules=p.rules,
         )
