@@ -12,8 +12,8 @@ d^T (A^T A + w^2) d, A the slopes: the squared distance to the minimum in poster
 standard deviations. A machine has converged when this distance is below `PRECISION`,
 or below what rounding of the readings leaves; it takes that last step too. Where
 residuals are large and the readings curved, Gauss-Newton steps overshoot by nearly their
-length. From the first that does, the damping is that with which the last step would have
-ended where the slope along it is 0.
+length. From the first near the minimum that does, the damping is that with which the last
+step would have ended where the slope along it is 0.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ PRECISION = 1e-7
 STEPS = 60
 #: factors on the damping after a step that raises the sum, and after one that does not
 GROWTH, DECAY = 10.0, 0.01
-#: slope along a step at its end, over minus that at its start, from which it overshoots
-OVERSHOT = 0.25
+#: slope along a step at its end, over minus that at its start, from which it overshoots;
+#: distance to the minimum, in posterior standard deviations, from which that counts
+OVERSHOT, NEAR = 0.25, 3.0
 #: length of the first step, in tolerances and for each unknown, and factor on it after
 #: a step as long as that
 LONGEST, LONGER = 3.0, 4.0
@@ -164,7 +165,7 @@ class _Steps:
         along = (system.pull * self._last[machines]).sum(axis=1)
         start = self._descent[machines]
         ratio = np.divide(along, start, out=np.zeros_like(start), where=start > 0.0)
-        self._overshot[machines] |= ratio < -OVERSHOT
+        self._overshot[machines] |= (ratio < -OVERSHOT) & (start < NEAR**2)
         damping = self._damping[machines]
         best = damping * (1.0 - ratio) - ratio * self._curvature[machines]
         best = np.maximum(best, 0.0)

@@ -62,7 +62,7 @@ def test_steps_that_overshoot_are_damped_until_they_do_not(
         lambda z: np.array([a * z[0], b * z[0] ** 2]),
         lambda z: np.array([[a], [2.0 * b * z[0]]]),
     )
-    minima = minimise(problem, np.ones((1, 1)))
+    minima = minimise(problem, np.full((1, 1), 0.2))
     roots = np.roots([2.0 * b**2, 0.0, a**2 + 1.0 - 2.0 * b * far, -a * c])
     (exact,) = roots[np.isreal(roots)].real
     assert minima.converged.all()
