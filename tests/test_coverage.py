@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from oed.accuracy import prediction
-from oed.accuracy.error_draws import compensated_errors
+from oed.accuracy.maps import compensated_errors
 from oed.estimation.identification import identify
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import noise_prior

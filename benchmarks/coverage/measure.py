@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.coverage import noise
 from benchmarks.coverage.bench import Bench
-from oed.accuracy.error_draws import compensated_errors
+from oed.accuracy.maps import compensated_errors
 from oed.estimation.coordinates import coordinates_of_readings
 from oed.estimation.estimate import Estimate
 from oed.estimation.identification import identify

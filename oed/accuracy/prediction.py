@@ -10,12 +10,17 @@ Compensatable components keep only A delta. The others keep R dp_hat as well, wh
 known: a further axis (an X-Y table) can correct it, and then A delta remains there too.
 Before measuring, dp_hat is itself unknown, with covariance Lambda - Sigma (Lambda:
 tolerances).
+
+Figures of drawn machines have the standard errors that their number leaves: another
+sample of machines has other quantiles and means of squares. A report prints no more
+digits than the errors here allow.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +31,6 @@ from oed.accuracy.maps import (
     maps_by_reference,
     relative_to_reference,
 )
-from oed.base import monte_carlo
 from oed.base.arrays import Array
 from oed.base.linear_algebra import covariance_root
 
@@ -201,9 +205,9 @@ def error_spread(errors: Array, worth: float | None = None) -> Spread:
         "p95": np.quantile(size, 0.95, axis=1),
         "largest": size.max(axis=1),
     }
-    rms = monte_carlo.root_mean_square(errors, worth)
-    p95 = monte_carlo.pooled_quantile(size, 0.95, worth)
-    largest = monte_carlo.quantile(of_machine["largest"], 0.95, worth)
+    rms = root_mean_square(errors, worth)
+    p95 = pooled_quantile(size, 0.95, worth)
+    largest = quantile(of_machine["largest"], 0.95, worth)
     intervals: dict[str, Interval] = {}
     errors_of: dict[str, tuple[float, ...]] = {
         "rms": (rms.error,),
@@ -211,7 +215,7 @@ def error_spread(errors: Array, worth: float | None = None) -> Spread:
         "largest": (largest.error,),
     }
     for name, values in of_machine.items():
-        low, high = (monte_carlo.quantile(values, end, worth) for end in INTERVAL)
+        low, high = (quantile(values, end, worth) for end in INTERVAL)
         intervals[f"{name}_interval"] = (low.value, high.value)
         errors_of[f"{name}_interval"] = (low.error, high.error)
     return Spread(
@@ -275,3 +279,49 @@ def _rms(maps: Array, covariance: Array, mean: Array) -> Array:
     """Root mean square (n, k) of maps @ N(mean, covariance)."""
     variance = np.einsum("nkp,pq,nkq->nk", maps, covariance, maps, optimize=True)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0) + (maps @ mean) ** 2))
+
+
+class Drawn(NamedTuple):
+    """A figure of draws, and its standard error."""
+
+    value: float
+    error: float
+
+
+def quantile(values: Array, share: float, worth: float | None = None) -> Drawn:
+    """A quantile of independent values (m,).
+
+    worth  number of independent values that they are worth; m by default
+
+    The error is half the distance between the quantiles that lie one standard error of
+    the share to either side: it needs no density.
+    """
+    count = len(values) if worth is None else worth
+    return _quantile(values, share, np.sqrt(share * (1.0 - share) / count))
+
+
+def pooled_quantile(values: Array, share: float, worth: float | None = None) -> Drawn:
+    """A quantile of the values (m, n) of m machines together.
+
+    Machines are independent, their values are not: what counts is how the share beyond
+    the quantile differs between machines.
+    """
+    machines = len(values) if worth is None else worth
+    level = np.quantile(values, share)
+    beyond = (values > level).mean(axis=1)
+    return _quantile(values, share, beyond.std() / np.sqrt(machines))
+
+
+def root_mean_square(values: Array, worth: float | None = None) -> Drawn:
+    """The root mean square of the values (m, n) of m machines together."""
+    machines = len(values) if worth is None else worth
+    squares = (values**2).mean(axis=1)
+    size = float(np.sqrt(squares.mean()))
+    error = squares.std() / np.sqrt(machines) / (2.0 * size) if size > 0.0 else 0.0
+    return Drawn(size, float(error))
+
+
+def _quantile(values: Array, share: float, step: float) -> Drawn:
+    shares = np.clip([share - step, share, share + step], 0.0, 1.0)
+    low, middle, high = np.quantile(values, shares)
+    return Drawn(float(middle), float(0.5 * (high - low)))

@@ -9,10 +9,10 @@ import pytest
 from scipy import stats
 
 from oed.accuracy import maps
-from oed.accuracy.acceptance.plan import Promise, state_limits
+from oed.accuracy.acceptance import Promise, state_limits
 from oed.accuracy.budget.lines import variance_over_machines
 from oed.accuracy.budget.model import budget_model
-from oed.accuracy.error_draws import compensated_errors
+from oed.accuracy.maps import compensated_errors
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import mount

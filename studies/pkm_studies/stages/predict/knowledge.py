@@ -9,8 +9,12 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.accuracy.budget import BudgetModel, budget_model, variance_over_machines
-from oed.accuracy.error_draws import compensated_errors
-from oed.accuracy.maps import ErrorMaps, Reference, maps_by_reference
+from oed.accuracy.maps import (
+    ErrorMaps,
+    Reference,
+    compensated_errors,
+    maps_by_reference,
+)
 from oed.accuracy.prediction import Prediction
 from oed.base.arrays import Array
 from oed.compensate import NO_TOOL

@@ -1,4 +1,4 @@
-"""Chooses the poses of an acceptance test, with its limits and its power.
+"""Chooses the poses of an acceptance test, states limits and power, judges the errors.
 
 The promise is an rms error S over the workspace for each pose component. A machine has
 the error field a S f(x), where f has an rms of 1 over the workspace; its shape is drawn
@@ -10,17 +10,31 @@ test measures n poses with uncertainty u and compares
 with a limit that machines at the promise (a = 1) exceed with a stated probability. Its
 power is the probability that a machine which misses the promise (a = 1.2) exceeds it.
 Poses are added one by one: the next is the one that best separates the two.
+
+Accuracy and repeatability of positioning follow ISO 230-2. At each target i, n_i
+approaches in a direction have mean x_i and standard deviation s_i. With both directions
+B_i is the difference of the means, and
+
+    M   range of the mean bidirectional deviations
+    E   range of the unidirectional means over all targets
+    B   largest |B_i|
+    R   largest max(2 s_i+ + 2 s_i- + |B_i|, 4 s_i+, 4 s_i-)
+    A   largest x_i + 2 s_i less the smallest x_i - 2 s_i, over targets and directions.
+
+The standard asks for five approaches a direction along one axis; the caller states how
+many there were.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import covariance_root
+from oed.result.acceptance import PositioningRecord, PromiseRecord, VerdictRecord
 
 #: machines drawn to choose poses, and to state limits and power
 CHOOSING, STATING = 600, 8000
@@ -168,3 +182,67 @@ def _statistics(
     noise = rng.standard_normal(fields.shape) * promise.uncertainty
     errors = factor * promise.rms * fields + noise
     return np.asarray(np.sqrt(np.mean(errors**2, axis=1)))
+
+
+def judge(
+    errors: Mapping[str, Array], demands: Mapping[str, PromiseRecord]
+) -> dict[str, VerdictRecord]:
+    """Verdicts by component, from the errors (n,) measured at the planned poses.
+
+    Errors are in the unit of their demand.
+    """
+    return {name: _verdict(errors[name], demand) for name, demand in demands.items()}
+
+
+def _verdict(errors: Array, demand: PromiseRecord) -> VerdictRecord:
+    rms = float(np.sqrt(np.mean(errors**2)))
+    return VerdictRecord(
+        rms=rms,
+        max=float(np.abs(errors).max()),
+        limit=demand.limit,
+        promised=demand.promised,
+        unit=demand.unit,
+        passed=rms <= demand.limit,
+    )
+
+
+def positioning(
+    errors: Array, target: Index, direction: Array, unit: str
+) -> PositioningRecord | None:
+    """Figures of errors (n,) in `unit` at numbered targets, approached in directions (n,).
+
+    direction  +1 or -1; NaN where unknown, which counts as one direction
+
+    None where a target has fewer than two approaches in a direction.
+    """
+    direction = np.where(np.isfinite(direction), direction, 1.0)
+    senses = np.unique(direction)
+    shape = (len(np.unique(target)), len(senses))
+    means, sds = np.empty(shape), np.empty(shape)
+    fewest = len(errors)
+    for i, place in enumerate(np.unique(target)):
+        for k, sense in enumerate(senses):
+            values = errors[(target == place) & (direction == sense)]
+            if len(values) < 2:
+                return None
+            fewest = min(fewest, len(values))
+            means[i, k], sds[i, k] = values.mean(), values.std(ddof=1)
+    accuracy = (means + 2.0 * sds).max() - (means - 2.0 * sds).min()
+    reversal = None
+    middle = None
+    spread = 4.0 * sds.max(axis=1)
+    if len(senses) == 2:
+        step = np.abs(means[:, 0] - means[:, 1])
+        reversal = float(step.max())
+        middle = float(np.ptp(means.mean(axis=1)))
+        spread = np.maximum(spread, 2.0 * sds.sum(axis=1) + step)
+    return PositioningRecord(
+        targets=len(means),
+        approaches=fewest,
+        accuracy=float(accuracy),
+        systematic=float(np.ptp(means)),
+        repeatability=float(spread.max()),
+        mean=middle,
+        reversal=reversal,
+        unit=unit,
+    )

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from oed.accuracy import prediction
 from oed.accuracy.prediction import error_spread
-from oed.base import monte_carlo
 
 MACHINES, POSES, SAMPLES = 2000, 5, 200
 
@@ -18,7 +18,7 @@ def test_a_quantile_of_normal_numbers(share: float, rng: np.random.Generator) ->
     exact = np.sqrt(share * (1.0 - share) / MACHINES)
     exact /= stats.norm.pdf(stats.norm.ppf(share))
     drawn = [
-        monte_carlo.quantile(rng.standard_normal(MACHINES), share)
+        prediction.quantile(rng.standard_normal(MACHINES), share)
         for _ in range(SAMPLES)
     ]
     values, errors = np.array(drawn).T
@@ -33,8 +33,8 @@ def test_poses_of_one_machine_are_no_independent_draws(
     pooled, squares = [], []
     for _ in range(SAMPLES):
         errors = np.tile(rng.standard_normal((400, 1)), POSES)
-        pooled.append(monte_carlo.pooled_quantile(np.abs(errors), 0.95))
-        squares.append(monte_carlo.root_mean_square(errors))
+        pooled.append(prediction.pooled_quantile(np.abs(errors), 0.95))
+        squares.append(prediction.root_mean_square(errors))
     for drawn in (pooled, squares):
         values, errors = np.array(drawn).T
         assert np.mean(errors) == pytest.approx(np.std(values), rel=0.2)
@@ -44,8 +44,8 @@ def test_poses_of_one_machine_are_no_independent_draws(
 
 def test_draws_of_a_chain_are_worth_less(rng: np.random.Generator) -> None:
     values = rng.standard_normal(MACHINES)
-    alone = monte_carlo.quantile(values, 0.5)
-    related = monte_carlo.quantile(values, 0.5, worth=MACHINES / 4)
+    alone = prediction.quantile(values, 0.5)
+    related = prediction.quantile(values, 0.5, worth=MACHINES / 4)
     assert related.value == alone.value
     assert related.error == pytest.approx(2.0 * alone.error, rel=0.2)
 
