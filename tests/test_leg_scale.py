@@ -8,7 +8,7 @@ import leg_scale
 import numpy as np
 import pytest
 
-from oed.compensate.effects import EffectReadings, estimate_with_effects
+from oed.compensate.effects.fit import EffectReadings, estimate_with_effects
 from oed.dataset import Dataset
 from oed.estimation import identification
 from oed.gap.data import linearisation, problem

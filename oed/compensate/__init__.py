@@ -11,7 +11,15 @@ from oed.compensate.command_grid import (
     choose_command_grid,
     joint_motion,
 )
-from oed.compensate.error_field import Box, ErrorField, Kernel, fit_error_field
+from oed.compensate.error_field import (
+    Box,
+    ErrorField,
+    GridDesign,
+    Kernel,
+    design_grid,
+    expected_kernel,
+    fit_error_field,
+)
 from oed.compensate.exact import (
     compensated_joints,
     corrected_commands,
@@ -25,7 +33,6 @@ from oed.compensate.forecast import (
     strut_motion,
 )
 from oed.compensate.further_axes import FurtherAxes, FurtherAxis, further_axes
-from oed.compensate.grid_design import GridDesign, design_grid, expected_kernel
 from oed.compensate.table import InterpolationTable
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.pose_errors import (

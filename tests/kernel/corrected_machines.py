@@ -13,13 +13,13 @@ import pandas as pd
 
 from kernel.corrected_cases import FINE, MachineCase
 from oed import compensate
-from oed.compensate.effects import (
+from oed.compensate.effects.effect_maps import SessionStates, workspace_state
+from oed.compensate.effects.fit import (
     CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
-    predict_corrected,
 )
-from oed.compensate.effects.effect_maps import SessionStates, workspace_state
+from oed.compensate.effects.workspace import predict_corrected
 from oed.estimation.identification import identify
 from oed.measurement.measurement import Series
 from oed.model.effect import Column, Effect, State

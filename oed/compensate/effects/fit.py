@@ -9,9 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.compensate.effects import sizes as sizes_of
 from oed.compensate.effects.effect_measurement import SEPARATOR, MeasurementWithEffects
-from oed.compensate.effects.forms import ChosenForm, choose_forms
+from oed.compensate.effects.forms import (
+    ChosenForm,
+    choose_forms,
+    groups_by_effect,
+    updated_sizes,
+)
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.gap.data import problem as problems
@@ -187,7 +191,7 @@ class _JointFit:
     ) -> CorrectedEstimate:
         """Estimate, linearise and find the sizes of the effects in turn."""
         forms, theta, beta = start.forms, start.theta, start.beta
-        groups = sizes_of.groups_by_effect(forms)
+        groups = groups_by_effect(forms)
         parts = [np.full(len(f.signature.names), f.size) for f in forms]
         sizes = np.maximum(np.concatenate(parts), 1.0)
         for _ in range(ROUNDS):
@@ -207,7 +211,7 @@ class _JointFit:
             theta, beta = np.split(estimate.theta, [len(theta)])
             before = sizes
             of_effects = estimate.covariance[len(theta) :, len(theta) :]
-            sizes = sizes_of.updated_sizes(groups, sizes, beta, of_effects)
+            sizes = updated_sizes(groups, sizes, beta, of_effects)
             still = np.all(np.abs(np.log(sizes / before)) <= SAME_SIZE)
             if still and np.all(moved <= SETTLED * np.maximum(estimate.sd, 1e-12)):
                 break

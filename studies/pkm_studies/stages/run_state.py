@@ -36,7 +36,7 @@ from pkm_studies.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
-    from oed.compensate.effects import CorrectedEstimate
+    from oed.compensate.effects.fit import CorrectedEstimate
 
 
 class Stream(enum.IntEnum):

@@ -15,7 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 from kernel import a3_plans
 from oed import compensate
 from oed.compensate.command_grid import box_axes
-from oed.compensate.effects import (
+from oed.compensate.effects.fit import (
     CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kernel import corrected_cases, corrected_machines
-from oed.compensate.effects import EffectReadings
+from oed.compensate.effects.fit import EffectReadings
 
 
 def test_a_planar_machine_is_as_far_off_as_predicted() -> None:

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from oed.compensate.error_field import Box, Kernel
-from oed.compensate.grid_design import (
+from oed.compensate.error_field import (
     CANDIDATES,
     TREND,
+    Box,
+    Kernel,
     design_grid,
     expected_kernel,
 )

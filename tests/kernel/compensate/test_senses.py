@@ -12,11 +12,11 @@ from kernel import a3_plans
 from kernel.compensate import test_corrected
 from oed import checks
 from oed.checks.senses import contradictions
-from oed.compensate.effects import (
+from oed.compensate.effects.fit import (
+    CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
 )
-from oed.compensate.effects.fit import CorrectedEstimate
 from oed.compensate.effects.senses import find_turned_runs
 from oed.estimation.identification import identify
 from oed.measurement.measurement import Measurement, Series

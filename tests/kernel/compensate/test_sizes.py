@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from oed.compensate.effects.sizes import SIZES, groups_by_effect, updated_sizes
+from oed.compensate.effects.forms import SIZES, groups_by_effect, updated_sizes
 from oed.model.size_prior import EFFECT_SIZES
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from oed.compensate.effects import sizes
+from oed.compensate.effects import forms
 from oed.model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES, SizePrior
 
 
@@ -47,7 +47,7 @@ def _updated(values: np.ndarray, sd: np.ndarray, prior: np.ndarray) -> np.ndarra
     precision = sd**-2.0 + prior**-2.0
     estimate = values * sd**-2.0 / precision
     groups = [[np.array([k]) for k in range(len(values))]]
-    return sizes.updated_sizes(groups, prior, estimate, np.diag(1.0 / precision))
+    return forms.updated_sizes(groups, prior, estimate, np.diag(1.0 / precision))
 
 
 def test_where_readings_tell_nothing_the_expected_size_stays() -> None:

@@ -12,7 +12,7 @@ import msgspec
 
 from oed.checks import CheckFinding, Severity
 from oed.checks.mistakes import PHYSICAL
-from oed.compensate.effects import TurnedRuns
+from oed.compensate.effects.senses import TurnedRuns
 from oed.result import CorrectedSection, GoodnessSection, MistakeRecord, trust
 
 

@@ -12,11 +12,9 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.checks.goodness import Goodness
 from oed.compensate.command_grid import GridAxis
-from oed.compensate.effects import (
-    CorrectedAccuracy,
-    CorrectedEstimate,
-)
+from oed.compensate.effects.fit import CorrectedEstimate
 from oed.compensate.effects.forms import ChosenForm
+from oed.compensate.effects.workspace import CorrectedAccuracy
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.measurement.measurement import Measurement
 from oed.posterior.posterior import Posterior

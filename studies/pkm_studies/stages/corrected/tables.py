@@ -9,13 +9,14 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.compensate.command_grid import CommandGrid, GridAxis
-from oed.compensate.effects import (
-    CorrectedEstimate,
+from oed.compensate.effects.fit import CorrectedEstimate
+from oed.compensate.effects.tables import (
+    PAYLOAD,
+    TEMPERATURE,
     StateTable,
     TabledEffects,
     tabled_effects,
 )
-from oed.compensate.effects.tables import PAYLOAD, TEMPERATURE
 from oed.model.machine import Machine
 from oed.result import EffectTable, PredictionSection
 from pkm_studies.resolve.quantities import column, display_unit

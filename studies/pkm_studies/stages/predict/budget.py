@@ -11,7 +11,7 @@ from oed.accuracy.budget import Budget, Line
 from oed.accuracy.prediction import Prediction
 from oed.base import units
 from oed.base.arrays import Array
-from oed.compensate.effects import ExpectedEffect
+from oed.compensate.effects.unmodelled import ExpectedEffect
 from oed.model.machine import Machine
 from oed.model.size_prior import EFFECT_SIZES
 from oed.result import BudgetLine, BudgetSection, UnmodelledLine

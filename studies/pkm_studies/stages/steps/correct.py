@@ -11,14 +11,13 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.checks.goodness import goodness_of_estimate
-from oed.compensate.effects import (
+from oed.compensate.effects.fit import (
     CorrectedEstimate,
     EffectReadings,
-    TurnedRuns,
     estimate_with_effects,
-    find_turned_runs,
-    predict_corrected,
 )
+from oed.compensate.effects.senses import TurnedRuns, find_turned_runs
+from oed.compensate.effects.workspace import predict_corrected
 from oed.gap.data.signature import untestable
 from oed.model.effect import Effect
 from oed.posterior import laplace, posterior

@@ -13,8 +13,8 @@ from oed.accuracy.maps import ErrorMaps, Reference
 from oed.accuracy.prediction import Spread
 from oed.base.arrays import Array
 from oed.base.units import MM
-from oed.compensate.effects import ExpectedEffect, expected_effects
 from oed.compensate.effects.effect_maps import SessionStates
+from oed.compensate.effects.unmodelled import ExpectedEffect, expected_effects
 from oed.gap.data import problem as problems
 from oed.measurement.measurement import Measurement, Series
 from oed.posterior import laplace
