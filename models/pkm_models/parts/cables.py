@@ -6,7 +6,7 @@ out (1 + scale_i) q_i of it:
     |A_i - (x + R E_i)| = l_i + (1 + scale_i) q_i.
 
 Without points E_i all cables end in the tool point and the mover is a point. Cables do
-not sag; they stretch where readings record their tensions, see `oed.dataset.stretch`.
+not sag; they stretch where readings record their tensions, see `oed.dataset.csv_input`.
 More cables than coordinates are redundant: see `oed.mechanism.kinematics` for where such a
 machine settles.
 """

@@ -9,8 +9,8 @@ import pytest
 
 from oed.base.units import UnitError
 from oed.dataset import checks, columns, csv_input, csv_output, data, dialect, table
+from oed.dataset.csv_input import with_stretch
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
-from oed.dataset.stretch import with_stretch
 from oed.dataset.table_checks import check_rows
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
