@@ -9,8 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from oed.mechanism.closest_closure import closure_at_guess
 from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.mechanism.machine_start import closure_at_guess
 from oed.model.expressions import symbols
 from oed.model.machine import Machine
 from pkm_studies.base.errors import Place, shorten

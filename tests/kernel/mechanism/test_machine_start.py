@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from oed.mechanism.machine_start import closure_at_guess
+from oed.mechanism.closest_closure import closure_at_guess
 from pkm_models.machines.linear_delta import machine
 
 
