@@ -1,21 +1,33 @@
-"""Assessment of planned readings: which parameters they determine, and how well.
+"""Assessment of planned readings: what they determine, how well, and what would remedy it.
 
 The assessment needs no reading, only the slopes H of the readings over the parameters.
-`oed.identifiability.identifiability` finds rank and null directions of H, `oed.identifiability.information` the
-posterior covariance; `oed.identifiability.explain` puts the result into sentences.
+`oed.identifiability.identifiability` finds rank and null directions of H,
+`oed.identifiability.information` the posterior covariance; `oed.identifiability.explain`
+puts the result into sentences.
+
+Remedies for lost directions are additional readings, tried on the slopes H. Each trial
+adds readings to the plan and counts the directions that no reading determines afterwards:
+the same poses with a longer tool, with the tool's position or axis read as well, or with
+another set-up of the study.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.identifiability import identifiability, information
 from oed.identifiability.identifiability import Identifiability
 from oed.measurement.measurement import Measurement, Series
+
+#: readings as a machine with its set-ups, and their series
+Readings = tuple[Measurement, Sequence[Series]]
+#: length (m) by which the trial's tool is longer
+TOOL_EXTENSION = 0.100
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,3 +92,137 @@ def free_parameters(measurement: Measurement, series: Sequence[Series]) -> Index
         if measurement.free[k] and (not setup or setup in setups):
             indices.append(k)
     return np.array(indices, dtype=np.intp)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Trial:
+    """Additional readings in words, and the number of directions lost with them."""
+
+    text: str
+    lost: int
+
+
+def recoveries(
+    assessment: Assessment, alternatives: Mapping[str, Readings]
+) -> list[str]:
+    """Phrases on the trials that recover lost directions, with how many they recover.
+
+    `alternatives` are further readings of the study, by name.
+    """
+    lost = len(assessment.names) - assessment.identifiability.rank
+    trials = [
+        *_longer_tool(assessment),
+        *_more_pose_components(assessment),
+        *_alternatives(assessment, alternatives),
+    ]
+    return [
+        f"{trial.text} recovers {_recovered(lost, trial.lost)}"
+        for trial in trials
+        if trial.lost < lost
+    ]
+
+
+def _recovered(before: int, after: int) -> str:
+    if after > 0:
+        return f"{before - after} of {before} lost directions"
+    return "all lost directions" if before > 1 else "the lost direction"
+
+
+def _lost_directions(rows: Array, free: Index, scale: Array) -> int:
+    """Number of directions that rows (N, n) of H do not determine."""
+    h = (rows * scale)[:, free]
+    singular_values = np.linalg.svd(h, compute_uv=False)
+    threshold = identifiability.RANK_TOLERANCE * singular_values[0]
+    return int(len(free) - np.count_nonzero(singular_values > threshold))
+
+
+def _longer_tool(assessment: Assessment) -> list[Trial]:
+    """The same joint positions with a longer tool, in set-ups of their own."""
+    if not _rotates(assessment):
+        return []
+    names = dict.fromkeys(s.setup for s in assessment.series)
+    setups = [assessment.measurement.setups[name] for name in names]
+    extended = []
+    for setup in setups:
+        x, y, z = setup.tool
+        tool = (x, y, z + TOOL_EXTENSION)
+        extended.append(
+            dataclasses.replace(setup, name=_extended_name(setup.name), tool=tool)
+        )
+    repeated = [
+        dataclasses.replace(s, setup=_extended_name(s.setup)) for s in assessment.series
+    ]
+    trial = assessment.measurement.with_setups([*setups, *extended])
+    rows = trial.jacobian([*assessment.series, *repeated], trial.nominal)
+    free = np.flatnonzero(trial.free)
+    lost = _lost_directions(rows, free, 1.0 / trial.length_factors)
+    extension = f"{units.number(TOOL_EXTENSION, 'mm'):.0f} mm"
+    return [Trial(f"a second tool, {extension} longer, in a set-up of its own", lost)]
+
+
+def _extended_name(setup: str) -> str:
+    return f"{setup}, longer tool"
+
+
+def _rotates(assessment: Assessment) -> bool:
+    pose = assessment.measurement.machine.pose
+    return any(coordinate.unit == "rad" for coordinate in pose)
+
+
+def _more_pose_components(assessment: Assessment) -> list[Trial]:
+    """The same poses with more of the pose read, by a tracker in a known frame."""
+    measurement, series = assessment.measurement, assessment.series
+    rows = measurement.jacobian(series, measurement.nominal)
+    free = free_parameters(measurement, series)
+    scale = 1.0 / measurement.length_factors
+    position, axis, pose = _pose_slopes(assessment)
+
+    def lost_with(slopes: Array) -> int:
+        unrelated = rows.shape[1] - slopes.shape[1]
+        padded = np.hstack([slopes, np.zeros((len(slopes), unrelated))])
+        return _lost_directions(np.vstack([rows, padded]), free, scale)
+
+    frame = "in a known frame,"
+    trials = [Trial(f"reading the tool's position too, {frame}", lost_with(position))]
+    if _rotates(assessment):
+        trials += [
+            Trial(f"reading the tool axis' direction too, {frame}", lost_with(axis)),
+            Trial(f"reading all six pose components, {frame}", lost_with(pose)),
+        ]
+    return trials
+
+
+def _pose_slopes(assessment: Assessment) -> tuple[Array, Array, Array]:
+    """Slopes (rows, n_machine) of tool position, tool axis and full pose, all poses."""
+    measurement = assessment.measurement
+    kinematics, nominal = measurement.kinematics, measurement.machine.nominal
+    position, axis, pose = [], [], []
+    for s in assessment.series:
+        tool = np.array(measurement.setups[s.setup].tool)
+        x = measurement.poses(s, measurement.nominal)
+        rotation, _, twist = kinematics.frames(x, tool)
+        slope = twist @ kinematics.slopes.over_parameters(x, s.q, nominal)
+        in_tool_frame = np.swapaxes(rotation, 1, 2) @ slope[:, 3:]
+        parameters = slope.shape[2]
+        position.append(slope[:, :3].reshape(-1, parameters))
+        axis.append(in_tool_frame[:, :2].reshape(-1, parameters))
+        pose.append(slope.reshape(-1, parameters))
+    return np.vstack(position), np.vstack(axis), np.vstack(pose)
+
+
+def _alternatives(
+    assessment: Assessment, alternatives: Mapping[str, Readings]
+) -> list[Trial]:
+    """The plan together with each of the study's other readings."""
+    trials = []
+    for name, (measurement, series) in alternatives.items():
+        together = [*assessment.series, *series]
+        setups = {**measurement.setups, **assessment.measurement.setups}
+        used = {s.setup for s in together}
+        chosen = [setup for key, setup in setups.items() if key in used]
+        joint = measurement.with_setups(chosen)
+        rows = joint.jacobian(together, joint.nominal)
+        free = np.flatnonzero(joint.free)
+        lost = _lost_directions(rows, free, 1.0 / joint.length_factors)
+        trials.append(Trial(f"adding the readings of {name}", lost))
+    return trials

@@ -1,7 +1,7 @@
 """Identifiability in sentences: what is determined, what only in combination, what not.
 
 Each sentence is an `IdentifiabilityFinding`. Directions that no reading determines come
-with remedies, whose effect `oed.identifiability.remedies` computes.
+with remedies, whose effect `oed.identifiability.assessment` computes.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ import numpy as np
 
 from oed.base import text, units
 from oed.base.arrays import Array, Index, Mask
-from oed.identifiability import identifiability, remedies
-from oed.identifiability.assessment import Assessment
-from oed.identifiability.remedies import Readings
+from oed.identifiability import identifiability
+from oed.identifiability.assessment import Assessment, Readings, recoveries
 from oed.result.identifiability import IdentifiabilityFinding
 
 #: posterior over prior standard deviation above which a parameter counts as weak
@@ -188,7 +187,7 @@ def _lost(
         f" {'; '.join(directions)}. No reading changes when the parameters move along"
         " these."
     )
-    trials = remedies.recoveries(assessment, alternatives)
+    trials = recoveries(assessment, alternatives)
     return IdentifiabilityFinding("lost", sentence, tuple(trials))
 
 

@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from oed.identifiability import information
-from oed.identifiability.assessment import Assessment, assess, free_parameters
+from oed.identifiability.assessment import (
+    Assessment,
+    assess,
+    free_parameters,
+    recoveries,
+)
 from oed.identifiability.explain import combination_text, explain
-from oed.identifiability.remedies import recoveries
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import mount
 from oed.model.machine import CommonTolerance
