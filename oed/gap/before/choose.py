@@ -77,7 +77,7 @@ def choose(
     fixed: Index | None = None,
     rounds: int = 12,
 ) -> RunChoice:
-    """Choose runs of a pool (`oed.gap.before.pool`) in addition to the `fixed` ones.
+    """Choose runs of a pool (`oed.gap.before.runs`) in addition to the `fixed` ones.
 
     rules     number of runs, or a budget; set-ups
     share     of D in the compound: 0 only separates effects, 1 is D alone

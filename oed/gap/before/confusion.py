@@ -2,19 +2,20 @@
 
 `gram` is the Gram matrix (K, K) of the columns of all forms, after calibration has
 absorbed what it can (`oed.gap.before.detect`).
+
+Combinations of an effect's coefficients are put into words, in prior standard deviations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse import csgraph
 
 from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import canonical_rows, eigenvectors, first_largest
-from oed.gap.before.combinations import in_words
+from oed.base.linear_algebra import by_size, canonical_rows, eigenvectors, first_largest
 from oed.gap.before.forms import Form
 from oed.gap.before.power import needed_lambda
 from oed.result.gap_before import RivalRecord, SharedRecord
@@ -26,6 +27,10 @@ HALF = 0.5
 #: principal angle, deg, below which a combination of one effect is a combination of the
 #: other to these readings
 SAME = 1.0
+#: share of the mean by which coefficients that are common may differ
+COMMON = 0.1
+#: share of the largest below which a coefficient is not mentioned
+MINOR = 0.2
 
 
 def effect_rival(
@@ -151,3 +156,26 @@ def inverse_root(gram: Array, least: Callable[[float], float]) -> Array:
     values, vectors = eigenvectors(gram)
     visible = values > least(float(values.max(initial=0.0)))
     return vectors[:, visible] / np.sqrt(values[visible])
+
+
+def in_words(combination: Mapping[str, float]) -> str:
+    """A combination of coefficients, its largest share 1, in words."""
+    values = np.array(list(combination.values()))
+    names = list(combination)
+    if len(values) == 1:
+        return names[0]
+    mean = values.mean()
+    if np.all(np.abs(values - mean) < COMMON * abs(mean)):
+        return f"common to {', '.join(names[:-1])} and {names[-1]}"
+    terms = []
+    for k in by_size(values):
+        if abs(values[k]) >= MINOR:
+            terms.append(_term(float(values[k]), names[k]))
+    return " ".join(terms).removeprefix("+ ")
+
+
+def _term(value: float, name: str) -> str:
+    """A term with its sign; a factor of 1 is not written."""
+    sign = "-" if value < 0 else "+"
+    size = f"{abs(value):.2g}"
+    return f"{sign} {name}" if size == "1" else f"{sign} {size} {name}"

@@ -1,20 +1,43 @@
-"""Comparison of hypotheses: evidence over noise laws, and posterior probabilities.
+"""Comparison of hypotheses: evidence over noise laws, probabilities, equivalent effects.
 
 The noise law is a nuisance: the evidence of a set of effects is the sum over laws that
 stand for all (`oed.gap.data.laws`). Priors are fixed beforehand (`hypothesis.PRIOR`).
+
+An equivalence class has the effects that are indistinguishable from a selected one. The
+part of the readings that effect k explains, y_k = G_k beta_k, is fitted by a rival j:
+what j cannot absorb of it, with the parameters and the other selected effects absorbing
+too, is lambda_{k|j}. Where its root is below 5 the readings cannot distinguish the two,
+and both belong to the answer. Where nearly all of y_k is absorbed, no readings of this
+kind could.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import functools
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
+from oed.gap.data.evidence import Grams
+from oed.model.size_prior import EFFECT_SIZES
+
+#: sqrt(lambda_{k|j}) below which a rival is indistinguishable from an effect
+DISTINCT = 5.0
+#: share of lambda_k that a rival leaves, below which no reading of this kind
+#: distinguishes them
+EXACT = 0.002
+#: log evidence by which a rival that leaves so little may be behind: as much as the
+#: priors of sizes and forms can set two effects apart. One further behind leaves little
+#: only because its form can be any
+PLAINER = 12.0
+#: largest size, against its expected one, that a rival may have where the effect is not
+#: larger itself
+RIVAL = EFFECT_SIZES.usual[-1]
 
 
 def compare(searches: Sequence[Search]) -> list[Hypothesis]:
@@ -40,3 +63,93 @@ def _over_laws(alike: Sequence[Hypothesis]) -> Hypothesis:
 def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:
     """Posterior probabilities of hypotheses."""
     return np.asarray(special.softmax([h.score for h in hypotheses]))
+
+
+def equivalent_effects(
+    search: Search,
+    h: Hypothesis,
+    scores: Mapping[Key, float],
+    alive: float,
+) -> list[tuple[str, ...]]:
+    """For each effect of a hypothesis the names indistinguishable from it, itself first.
+
+    scores    log posterior of hypotheses by their key
+    alive     how far behind in log posterior a rival may be that absorbs not nearly all
+    """
+    classes = []
+    for i, effect in enumerate(h.effects):
+        others = h.others(i)
+        parts = [search.columns_of(h.atoms[j]) for j in others]
+        selected = np.concatenate([np.empty(0, dtype=np.intp), *parts])
+        grams = search.grams.project_out(selected)
+        members = [effect]
+        odds = _LogOdds(search, h, i)
+        for rival in search.library.effects:
+            if rival in h.effects:
+                continue
+            distinct, whole = _distinct_energy(search, grams, h, i, rival)
+            exact = distinct < EXACT * whole and odds.of(rival) > -PLAINER
+            replaced = frozenset({rival, *(h.effects[j] for j in others)})
+            score = scores.get((replaced, h.unknown), -np.inf)
+            near = score > h.score - alive
+            if exact or (distinct < DISTINCT**2 and near):
+                members.append(rival)
+        classes.append(tuple(members))
+    return classes
+
+
+class _LogOdds:
+    """Log evidence of rivals in place of the i-th effect of h, over that effect's.
+
+    Both have all their forms and sizes, under the law of a search.
+    """
+
+    def __init__(self, search: Search, h: Hypothesis, i: int) -> None:
+        self._search, self._h, self._i = search, h, i
+
+    def of(self, rival: str) -> float:
+        """The odds of one rival; 0 beside an unknown remainder, which hides them."""
+        if self._h.unknown:
+            return 0.0
+        return self._further[rival] - self._further[self._h.effects[self._i]]
+
+    @functools.cached_property
+    def _further(self) -> dict[str, float]:
+        others = self._h.others(self._i)
+        grams = self._search.grams_with(
+            [self._h.atoms[j] for j in others], [self._h.sizes[j] for j in others]
+        )
+        screened = self._search.screen(grams, [self._h.effects[j] for j in others])
+        return {name: further.log_evidence for name, further in screened.items()}
+
+
+def _distinct_energy(
+    search: Search,
+    grams: Grams,
+    h: Hypothesis,
+    i: int,
+    rival: str,
+) -> tuple[float, float]:
+    """lambda_{k|j} and lambda_k of the i-th effect of h.
+
+    The rival has the form that absorbs most.
+    """
+    columns = search.columns_of(h.atoms[i])
+    beta = posterior_mean(grams, columns, h.sizes[i])
+    whole = float(beta @ grams.gram[np.ix_(columns, columns)] @ beta)
+    least = whole
+    for atom in search.library.atoms_of(rival):
+        form = search.columns_of(atom)
+        cross = grams.gram[np.ix_(form, columns)] @ beta
+        precision = np.eye(len(form)) / max(RIVAL, h.sizes[i]) ** 2
+        inner = grams.gram[np.ix_(form, form)] + precision
+        absorbed = float(cross @ np.linalg.solve(inner, cross))
+        least = min(least, whole - absorbed)
+    return max(least, 0.0), whole
+
+
+def posterior_mean(grams: Grams, columns: Index, size: float) -> Array:
+    """Posterior mean of the coefficients of `columns`, of prior N(0, size^2)."""
+    precision = np.eye(len(columns)) / size**2
+    inner = grams.gram[np.ix_(columns, columns)] + precision
+    return np.asarray(np.linalg.solve(inner, grams.b[columns]))

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from kernel import a3_plans, gap_a3
-from oed.gap.cause import equivalence
+from oed.gap.cause import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem, assemble
@@ -160,7 +160,7 @@ def dense(
     for atom in search.library.atoms_of(rival):
         g = search.library.columns[:, search.library.atoms[atom].columns]
         cross = g.T @ m @ y
-        ridge = g.T @ m @ g + np.eye(g.shape[1]) / equivalence.RIVAL**2
+        ridge = g.T @ m @ g + np.eye(g.shape[1]) / compare.RIVAL**2
         energies.append(y @ m @ y - cross @ np.linalg.solve(ridge, cross))
     return min(energies), energies[0]
 
@@ -180,13 +180,11 @@ def test_a_class_is_what_the_dense_formula_says(
         scores = {
             (frozenset({r}), False): h.score - (1.0 if near else 100.0) for r in rivals
         }
-        ((first, *others),) = equivalence.equivalent_effects(search, h, scores, 3.0)
+        ((first, *others),) = compare.equivalent_effects(search, h, scores, 3.0)
         assert first == effect
         for r in rivals:
             lam, whole = energies[r]
-            same = lam < equivalence.EXACT * whole or (
-                near and lam < equivalence.DISTINCT**2
-            )
+            same = lam < compare.EXACT * whole or (near and lam < compare.DISTINCT**2)
             assert (r in others) == same, (r, lam, whole)
 
 
@@ -204,7 +202,7 @@ def test_one_tool_keeps_both_whichever_is_likelier(truth: str, size: float) -> N
     best = max(
         (hypotheses[n] for n in ("encoder_scale", "bar_length")), key=lambda h: h.score
     )
-    (members,) = equivalence.equivalent_effects(
+    (members,) = compare.equivalent_effects(
         search, best, {h.key: h.score for h in hypotheses.values()}, 3.0
     )
     assert {"encoder_scale", "bar_length"} <= set(members)
@@ -215,7 +213,7 @@ def test_two_tools_tell_what_is_large(truth: str) -> None:
     """However near the rival is by its odds."""
     (rival,) = {"encoder_scale", "bar_length"} - {truth}
     search, h = searched(readings(TOOLS), truth, 60.0)
-    (members,) = equivalence.equivalent_effects(
+    (members,) = compare.equivalent_effects(
         search, h, {(frozenset({e.name}), False): h.score for e in EFFECTS}, 3.0
     )
     assert rival not in members
@@ -229,6 +227,6 @@ def test_the_posterior_mean_is_the_ridge_estimate() -> None:
     wanted = np.linalg.solve(
         g.T @ m @ g + np.eye(g.shape[1]) / 0.25, g.T @ m @ search.problem.residual
     )
-    assert equivalence.posterior_mean(search.grams, rows, 0.5) == pytest.approx(
+    assert compare.posterior_mean(search.grams, rows, 0.5) == pytest.approx(
         wanted, rel=1e-6
     )

@@ -11,7 +11,7 @@ from scipy import stats
 
 from kernel import a3_plans, gap_a3
 from oed.gap.before import detect, runs
-from oed.gap.before.combinations import in_words
+from oed.gap.before.confusion import in_words
 from oed.gap.before.forms import ROOM
 from oed.gap.before.power import needed_lambda, power
 from oed.gap.data.signature import signature

@@ -14,7 +14,7 @@ from oed.design import exchange
 from oed.design.rules import Rules
 from oed.gap.before import choose, detect, runs
 from oed.gap.before.forms import ROOM
-from oed.gap.before.pool import pool_runs
+from oed.gap.before.runs import pool_runs
 from oed.gap.before.separation import Separation
 from oed.gap.data.signature import signature
 from oed.noise.law import NoiseLaw, stated_law

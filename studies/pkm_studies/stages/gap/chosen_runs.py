@@ -12,7 +12,7 @@ from oed import dataset
 from oed.base.arrays import Array, Index
 from oed.design.rules import Rules
 from oed.gap.before import choose, detect, runs
-from oed.gap.before.pool import pool_runs
+from oed.gap.before.runs import pool_runs
 from oed.gap.before.separation import Separation
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
