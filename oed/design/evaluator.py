@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design import fedorov, tabu
+from oed.design import row_exchange, tabu
 from oed.design.blocks import information
 from oed.design.criterion import Criterion, Determinant, Variance
 from oed.design.criterion.protocol import is_positive_definite
@@ -127,7 +127,7 @@ class CriterionEvaluator:
         if not self._rows_by_determinant:
             return None
         base = self._matrix(chosen, None) - information(self.blocks[chosen])
-        return fedorov.exchange_rows(self.blocks[:, 0], chosen, base)
+        return row_exchange.exchange_rows(self.blocks[:, 0], chosen, base)
 
     def search_plans(
         self, starts: Index, steps: int, rng: np.random.Generator

@@ -3,7 +3,7 @@
 The relaxation (`oed.design.bounds`) comes first. It gives the bound, and its slopes and
 weights guide the search (`oed.design.search`). An exchange removes one candidate and
 adds the best one, by the criterion's exact value after adding. For D of single rows all
-pairs are known at once (`oed.design.fedorov`). Criteria that are not smooth are reached
+pairs are known at once (`oed.design.row_exchange`). Criteria that are not smooth are reached
 along their continuation: E by exchanges that lower tr M^-p while p grows.
 """
 

@@ -1,6 +1,6 @@
-"""Greedy choice and exchange of single readings for a mean variance, by rank-one updates.
+"""Greedy choice and exchange of single readings by rank-one updates: a mean variance, D.
 
-With P = M^-1, the variance t = tr(F P F^T), and for rows x_i
+For a mean variance, with P = M^-1, the variance t = tr(F P F^T), and for rows x_i
 
     d_ij = x_i^T P x_j,    g_i = F P x_i,
 
@@ -9,6 +9,10 @@ adding row i lowers t by |g_i|^2 / (1 + d_ii). Taking row j out first makes that
     t + |g_j|^2 / c - |g_i + (d_ij / c) g_j|^2 / (1 + d_ii + d_ij^2 / c),    c = 1 - d_jj
 
 (Sherman and Morrison 1950). One inverse therefore serves all exchanges of a design.
+
+The D-optimal exchange knows all pairs at once. Replacing row i by row j multiplies det M by
+
+    (1 - d_ii)(1 + d_jj) + d_ij^2,        d_ij = x_i^T M^-1 x_j        (Fedorov 1972).
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.criterion.protocol import inverse
+from oed.design.criterion.protocol import inverse, parts, quadratic_forms
 
 #: gain in log t below which an exchange counts as none
 GAIN = 1e-10
@@ -27,6 +31,10 @@ GAIN = 1e-10
 LEAST_SHARE = 1e-4
 #: places whose exchanges are computed together
 PLACES = 12
+#: relative gain of det M below which an exchange counts as none
+FACTOR_GAIN = 1e-9
+#: exchanges after which the inverse is computed anew: rank-one updates lose digits
+REFRESH = 50
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -98,7 +106,7 @@ class _Design:
     def __init__(self, problem: RowExchange, chosen: Index) -> None:
         self._problem, self._chosen = problem, chosen
         rows, factor = problem.rows, problem.factor
-        inverted = self._inverse(chosen)
+        inverted = self._general_inverse(chosen)
         self._sides = rows @ inverted
         self._gains = self._sides @ factor.T
         self._leverage = np.einsum("ij,ij->i", self._sides, rows)
@@ -129,7 +137,7 @@ class _Design:
     def _variances_exactly(self, place: int) -> Array:
         """Variances (C,) of the other rows with each row added."""
         rows, factor = self._problem.rows, self._problem.factor
-        inverted = self._inverse(np.delete(self._chosen, place))
+        inverted = self._general_inverse(np.delete(self._chosen, place))
         sides = rows @ inverted
         gains = sides @ factor.T
         leverage = np.einsum("ij,ij->i", sides, rows)
@@ -137,6 +145,57 @@ class _Design:
         variance = np.sum((factor @ inverted) * factor)
         return np.asarray(variance - reduction / (1.0 + leverage))
 
-    def _inverse(self, chosen: Index) -> Array:
+    def _general_inverse(self, chosen: Index) -> Array:
         rows = self._problem.rows[chosen]
         return inverse(self._problem.base + rows.T @ rows)
+
+
+def exchange_rows(rows: Array, chosen: Index, base: Array) -> Index:
+    """Exchanges the best pair of rows (C, n) until no exchange raises the determinant.
+
+    base (n, n) is the positive definite prior information.
+    """
+    chosen = chosen.copy()
+    inverse = _general_inverse(rows[chosen].T @ rows[chosen] + base)
+    for count in range(100 * len(chosen)):
+        i, j, factor = _best_pair(rows, chosen, inverse)
+        if factor <= 1.0 + FACTOR_GAIN:
+            break
+        added = _update(inverse, rows[j], 1.0)
+        inverse = _update(added, rows[chosen[i]], -1.0)
+        chosen[i] = j
+        if count % REFRESH == REFRESH - 1:
+            inverse = _general_inverse(rows[chosen].T @ rows[chosen] + base)
+    return chosen
+
+
+def _best_pair(rows: Array, chosen: Index, inverse: Array) -> tuple[int, int, float]:
+    """Place and row whose exchange raises det M most, and the factor.
+
+    Part by part, so that the factors of all pairs are not in memory at once.
+    """
+    held = np.zeros(len(rows), dtype=bool)
+    held[chosen] = True
+    sides = rows[chosen] @ inverse
+    remaining = 1.0 - np.einsum("ij,ij->i", sides, rows[chosen])
+    best = 0, 0, -np.inf
+    for part in parts(len(rows)):
+        leverage = quadratic_forms(rows[part], inverse)
+        cross = sides @ rows[part].T
+        factors = remaining[:, None] * (1.0 + leverage)[None, :] + cross**2
+        factors[:, held[part]] = 0.0
+        i, j = divmod(int(factors.argmax()), factors.shape[1])
+        if factors[i, j] > best[2]:
+            best = i, part.start + j, float(factors[i, j])
+    return best
+
+
+def _general_inverse(matrix: Array) -> Array:
+    """The inverse by elimination; `inverse` would differ in its last digits."""
+    return np.asarray(np.linalg.inv(matrix), dtype=float)
+
+
+def _update(inverse: Array, row: Array, sign: float) -> Array:
+    """(M + sign x x^T)^-1 from M^-1 (Sherman and Morrison)."""
+    side = inverse @ row
+    return inverse - np.outer(side, side) / (sign + row @ side)

@@ -9,17 +9,15 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.gap.cause import advice, answers, closure
-from oed.gap.cause.compare import probabilities
-from oed.gap.cause.expansion import compare_expanded
+from oed.gap.cause.compare import compare_expanded, probabilities
 from oed.gap.cause.explained import explain
 from oed.gap.cause.hypothesis import Hypothesis
-from oed.gap.cause.reversal import ReversedForms
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import UNKNOWN, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.places import place
-from oed.gap.places.draws import LikelyForms
+from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw, describe
 from oed.result.gap import PlaceRecord

@@ -1,8 +1,7 @@
 """Criteria as information functions, with the slopes and lines that bound plans.
 
     determinant  D, Ds, O1
-    variance     A, c, I
-    largest      G
+    variance     A, c, I, G
     power        phi_p, O5
     spectrum     E, kappa, O2, O3, O4
     compound     weighted geometric means of the others
@@ -17,11 +16,10 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.design.criterion.compound import Compound
 from oed.design.criterion.determinant import Determinant
-from oed.design.criterion.largest import LargestVariance
 from oed.design.criterion.power import PowerMean
 from oed.design.criterion.protocol import Criterion, Support
 from oed.design.criterion.spectrum import ExtremeEigenvalues
-from oed.design.criterion.variance import Variance
+from oed.design.criterion.variance import LargestVariance, Variance
 
 __all__ = [
     "Compound",

@@ -1,11 +1,21 @@
-"""A, c and I: a mean of variances, t = tr(W M^-1), phi = 1 / t.
+"""A, c, I and G: a mean of variances, or the largest one.
 
-W = F^T F is the identity for A and one row c for c. For I it is the mean of J^T J over
-workspace poses, with J (k, n) the slopes of the pose components of interest
-(home-referenced, absolute or best-fit, `oed.accuracy.prediction`). With S = M^-1 W M^-1 / t,
+A, c, I: t = tr(W M^-1), phi = 1 / t. W = F^T F is the identity for A and one row c for c.
+For I it is the mean of J^T J over workspace poses, with J (k, n) the slopes of the pose
+components of interest (home-referenced, absolute or best-fit, `oed.accuracy.prediction`).
+With S = M^-1 W M^-1 / t,
 
     d log phi / dw_i = tr(S A_i) = g_i,
     -d2 log phi / dw_i dw_j = 2 tr(A_i M^-1 A_j S) - g_i g_j.
+
+G: the largest predicted variance over the workspace, phi = 1 / max_j t_j. t_j = tr(W_j
+M^-1) is the variance at place j. Any weights lambda_j that sum to one give max_j t_j >=
+tr(sum_j lambda_j W_j M^-1), so a supporting line of that mean variance bounds G. A
+sharpness q smooths the maximum as (sum_j t_j^q)^(1/q). With pi_j = t_j^q / sum_j t_j^q,
+
+    -d2 log phi / dw_i dw_j = sum_j pi_j C_j + q Cov_pi(g)
+
+over the slopes g_j and curvatures C_j of the single variances.
 """
 
 from __future__ import annotations
@@ -24,6 +34,9 @@ from oed.design.criterion.protocol import (
     pairwise_traces,
     slopes,
 )
+
+#: exponents that lead from the mean variance to the largest
+SHARPNESS = (1.0, 4.0, 16.0, 64.0, 256.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -107,3 +120,95 @@ def variance_reduction(blocks: Array, inverted: Array, weighted: Array) -> Array
     identity = np.eye(blocks.shape[1])
     solved = np.linalg.solve(leverage + identity, numerator)
     return np.asarray(np.trace(solved, axis1=1, axis2=2))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LargestVariance:
+    """G over the variances of `factors` (J, r, n): W_j = F_j^T F_j.
+
+    Its conventional value is -max_j tr(W_j M^-1). `sharpness` q smooths the maximum.
+    """
+
+    factors: Array
+    sharpness: float = np.inf
+    name: str = "G"
+    concave: bool = True
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the maximum is smoothed."""
+        return bool(np.isfinite(self.sharpness))
+
+    def variances(self, m: Array) -> Array:
+        """t_j (J,)."""
+        projected = self.factors @ inverse(m)
+        return np.asarray(np.einsum("jrn,jrn->j", projected, self.factors))
+
+    def value(self, m: Array) -> float:
+        """-log of the (smoothed) largest variance."""
+        if not is_positive_definite(m):
+            return -np.inf
+        return -float(self._log_maximum(self.variances(m)[:, None])[0])
+
+    def _log_maximum(self, variances: Array) -> Array:
+        """Log of the (smoothed) maximum over the first axis of (J, C)."""
+        logs = np.log(np.maximum(variances, 1e-300))
+        top = logs.max(axis=0)
+        if not self.smooth:
+            return np.asarray(top)
+        power_sum = np.exp(self.sharpness * (logs - top)).sum(axis=0)
+        return np.asarray(top + np.log(power_sum) / self.sharpness)
+
+    def _shares(self, variances: Array) -> Array:
+        """pi_j (J,)."""
+        sharpness = self.sharpness if self.smooth else SHARPNESS[-1]
+        logs = sharpness * np.log(np.maximum(variances, 1e-300))
+        shares = np.exp(logs - logs.max())
+        return np.asarray(shares / shares.sum())
+
+    def support(self, m: Array) -> Support:
+        """That of the mean variance with weights lambda_j = pi_j / t_j, normalised."""
+        variances = self.variances(m)
+        weights = self._shares(variances) / variances
+        weights /= weights.sum()
+        scaled = self.factors * np.sqrt(weights)[:, None, None]
+        return Variance(scaled.reshape(-1, self.factors.shape[2])).support(m)
+
+    def curvature(self, m: Array, blocks: Array) -> Array:
+        """sum_j pi_j (2 tr(A_i M^-1 A_k S_j) - g_ji g_jk) + q Cov_pi(g)."""
+        variances = self.variances(m)
+        shares = self._shares(variances)
+        projected = self.factors @ inverse(m)
+        s = np.einsum("j,jrn,jrm->nm", shares / variances, projected, projected)
+        by_block = np.einsum("ckn,jrn->cjkr", blocks, projected, optimize=True)
+        slopes = np.einsum("cjkr,cjkr->jc", by_block, by_block)
+        slopes = slopes / variances[:, None]
+        mean = shares @ slopes
+        second_moment = (slopes.T * shares) @ slopes
+        covariance = second_moment - np.outer(mean, mean)
+        traces = 2.0 * pairwise_traces(blocks, inverse(m), s)
+        return np.asarray(traces - second_moment + self.sharpness * covariance)
+
+    def values_after_adding(self, m: Array, blocks: Array) -> Array:
+        """Each variance less its reduction by the block."""
+        inverted = inverse(m)
+        projected = self.factors @ inverted
+        sums = inner_products(blocks, inverted) + np.eye(blocks.shape[1])
+        inner = np.linalg.inv(sums)
+        outer = np.einsum("ckn,jrn->cjkr", blocks, projected, optimize=True)
+        reduction = np.einsum("cjkr,ckl,cjlr->jc", outer, inner, outer, optimize=True)
+        variances = np.einsum("jrn,jrn->j", projected, self.factors)
+        return -self._log_maximum(variances[:, None] - reduction)
+
+    def conventional_value(self, value: float, readings: int) -> float:
+        """-max_j tr(W_j M^-1)."""
+        return -float(np.exp(-value))
+
+    def restrict(self, basis: Array) -> Criterion:
+        """The variances of what lies in the basis."""
+        return dataclasses.replace(self, factors=self.factors @ basis)
+
+    def continuation(self) -> tuple[Criterion, ...]:
+        """Smoothed maxima of growing sharpness, then the maximum."""
+        smoothed = [dataclasses.replace(self, sharpness=q) for q in SHARPNESS]
+        return (*smoothed, dataclasses.replace(self, sharpness=np.inf))

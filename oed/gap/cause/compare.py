@@ -9,13 +9,19 @@ what j cannot absorb of it, with the parameters and the other selected effects a
 too, is lambda_{k|j}. Where its root is below 5 the readings cannot distinguish the two,
 and both belong to the answer. Where nearly all of y_k is absorbed, no readings of this
 kind could.
+
+Where effects are large, hypotheses are compared about the points at which they act. The
+search is linear about the calibration without effects. Where an effect is so large that
+its best form departs from that model by more than the noise, the readings are linearised
+where the effect acts (`oed.gap.data.linearisation`) and searched again. Every hypothesis
+then counts with its evidence about the point that suits it best.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy import special
@@ -24,6 +30,9 @@ from oed.base.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
 from oed.gap.data.evidence import Grams
+from oed.gap.data.linearisation import ActingEffectForm, settle
+from oed.gap.data.problem import GapProblem
+from oed.model.effect import Effect
 from oed.model.size_prior import EFFECT_SIZES
 
 #: sqrt(lambda_{k|j}) below which a rival is indistinguishable from an effect
@@ -38,6 +47,13 @@ PLAINER = 12.0
 #: largest size, against its expected one, that a rival may have where the effect is not
 #: larger itself
 RIVAL = EFFECT_SIZES.usual[-1]
+#: points at most about which the readings are searched again
+POINTS = 3
+#: departure from the linear model, in units of the noise over all readings, from which
+#: it counts
+DEPARTS = 1.0
+#: the searches of a problem, one a noise law
+SearchOf = Callable[[GapProblem], list[Search]]
 
 
 def compare(searches: Sequence[Search]) -> list[Hypothesis]:
@@ -153,3 +169,84 @@ def posterior_mean(grams: Grams, columns: Index, size: float) -> Array:
     precision = np.eye(len(columns)) / size**2
     inner = grams.gram[np.ix_(columns, columns)] + precision
     return np.asarray(np.linalg.solve(inner, grams.b[columns]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """Hypotheses by log posterior, best first, and the searches that they come from.
+
+    The law of a hypothesis is the number of its search.
+    """
+
+    searches: tuple[Search, ...]
+    hypotheses: tuple[Hypothesis, ...]
+
+
+def compare_expanded(
+    problem: GapProblem, effects: Sequence[Effect], search: SearchOf
+) -> Comparison:
+    """Hypotheses of a problem, about other points as well where effects are large."""
+    first = search(problem)
+    comparison = Comparison(tuple(first), tuple(compare(first)))
+    tried: set[Key] = set()
+    for _ in range(POINTS):
+        expanded = _next_point(comparison, effects, tried)
+        if expanded is None:
+            break
+        acting, moved = expanded
+        comparison = _joined(comparison, search(moved), acting)
+    return comparison
+
+
+def _next_point(
+    comparison: Comparison, effects: Sequence[Effect], tried: set[Key]
+) -> tuple[frozenset[str], GapProblem] | None:
+    """The next hypothesis of large effects, with the readings linearised about it."""
+    for h in _in_question(comparison.hypotheses):
+        if h.key in tried:
+            continue
+        tried.add(h.key)
+        search = comparison.searches[h.law]
+        outlying = search.problem.residual - search.given.residual
+        forms = list(_acting_forms(search, h, effects))
+        settled = settle(search.given, forms, search.law, outlying)
+        if DEPARTS < settled.departure < np.inf:
+            return frozenset(h.effects), settled.problem
+    return None
+
+
+def _in_question(hypotheses: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
+    """The best single effect, and the best of all hypotheses that name effects."""
+    named = [h for h in hypotheses if h.effects]
+    yield from [h for h in named if len(h.effects) == 1 and not h.unknown][:1]
+    yield from named[:1]
+
+
+def _acting_forms(
+    search: Search, h: Hypothesis, effects: Sequence[Effect]
+) -> Iterator[ActingEffectForm]:
+    by_name = {effect.name: effect for effect in effects}
+    for name, atom, size in zip(h.effects, h.atoms, h.sizes, strict=True):
+        form = search.library.atoms[atom]
+        names = search.library.coefficients_of(atom)
+        yield ActingEffectForm(by_name[name], form.constants, names, size)
+
+
+def _joined(
+    comparison: Comparison, further: Sequence[Search], acting: frozenset[str]
+) -> Comparison:
+    """The hypotheses with those about a further point, where some effects act.
+
+    What has these effects counts as it is there; all others as suits them best.
+    """
+    offset = len(comparison.searches)
+    by_key = {
+        h.key: h for h in comparison.hypotheses if not acting <= frozenset(h.effects)
+    }
+    for h in compare(further):
+        there = dataclasses.replace(h, law=offset + h.law)
+        here = by_key.get(h.key)
+        if here is None or there.score > here.score:
+            by_key[h.key] = there
+    hypotheses = sorted(by_key.values(), key=lambda h: -h.score)
+    return Comparison((*comparison.searches, *further), tuple(hypotheses))

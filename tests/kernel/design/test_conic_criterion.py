@@ -7,9 +7,8 @@ import pytest
 from oed.design.conic_criterion import ConicCriterion, dual_root
 from oed.design.criterion import Criterion, PowerMean
 from oed.design.criterion.determinant import Determinant
-from oed.design.criterion.largest import LargestVariance
 from oed.design.criterion.spectrum import ExtremeEigenvalues
-from oed.design.criterion.variance import Variance
+from oed.design.criterion.variance import LargestVariance, Variance
 
 N = 3
 _rng = np.random.default_rng(2)

@@ -8,10 +8,9 @@ import pytest
 from oed.design.criterion import Criterion, PowerMean, named
 from oed.design.criterion.compound import Compound
 from oed.design.criterion.determinant import Determinant
-from oed.design.criterion.largest import LargestVariance
 from oed.design.criterion.protocol import slopes
 from oed.design.criterion.spectrum import ExtremeEigenvalues
-from oed.design.criterion.variance import Variance
+from oed.design.criterion.variance import LargestVariance, Variance
 
 N = 5
 _rng = np.random.default_rng(11)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from oed.design.fedorov import exchange_rows
+from oed.design.row_exchange import exchange_rows
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import BOW, EFFECTS, planted, white_lines
-from oed.gap.cause.compare import compare
-from oed.gap.cause.expansion import compare_expanded
+from oed.gap.cause.compare import compare, compare_expanded
 from oed.gap.cause.explained import explain
 from oed.gap.cause.search import Search
 from oed.gap.data.linearisation import ActingEffectForm, settle

@@ -7,10 +7,10 @@ import pytest
 
 from kernel import gap_lines, planar_session
 from oed.gap import procedure as diagnosing
-from oed.gap.cause.reversal import ReversedForms
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.forms import discrepancy, library
+from oed.gap.places.draws import ReversedForms
 from oed.gap.places.place import STANDS_OUT
 from oed.noise.law import stated_law
 from oed.result.gap import PlaceRecord
