@@ -22,15 +22,15 @@ from typing import Literal
 
 import numpy as np
 
-from oed.accuracy.budget.noise_parts import (
+from oed.base.arrays import Array, Index, Mask
+from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_structure import reading_structure
+from oed.noise.law_noise import (
     BEYOND,
     ReadingErrors,
     errors_of_readings,
     instrument_source,
 )
-from oed.base.arrays import Array, Index, Mask
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_structure import reading_structure
 from oed.noise.process import Laws, stated_laws
 from oed.noise.structure import ReadingStructure
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.accuracy.budget import noise_parts as parts
 from oed.measurement.measurement import Measurement
 from oed.measurement.reading_structure import reading_structure
 from oed.model.instrument import mount
+from oed.noise import law_noise
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws
 from oed.noise.structure import ReadingStructure
@@ -17,9 +17,9 @@ from pkm_models.machines import a3_head
 
 FACTORS = (
     {},
-    {parts.CARRIED: 0.0},
-    {parts.LEVELS: 0.5, parts.SEAT: 0.0},
-    {parts.instrument_source("bar"): 0.1, parts.BEYOND: 0.0},
+    {law_noise.CARRIED: 0.0},
+    {law_noise.LEVELS: 0.5, law_noise.SEAT: 0.0},
+    {law_noise.instrument_source("bar"): 0.1, law_noise.BEYOND: 0.0},
 )
 
 
@@ -45,15 +45,15 @@ def covariance(
     single = (1.0 - share) * scale**2
     stated = np.minimum(single, 1.0)
     of = {
-        parts.instrument_source("bar"): np.diag(stated),
-        parts.BEYOND: np.diag(single - stated),
-        parts.CARRIED: share
+        law_noise.instrument_source("bar"): np.diag(stated),
+        law_noise.BEYOND: np.diag(single - stated),
+        law_noise.CARRIED: share
         * np.exp(-distance / laws.reach[0])
         * same_chain
         * np.outer(scale, scale),
     }
     columns = structure.columns * laws.sizes[0, structure.kinds] * scale[:, None]
-    for name, kinds in parts.SHARED_KINDS.items():
+    for name, kinds in law_noise.SHARED_KINDS.items():
         some = columns[:, np.isin(structure.kinds, kinds)]
         of[name] = some @ some.T * same_chain
     return sum(factors.get(name, 1.0) ** 2 * part for name, part in of.items())
@@ -66,13 +66,13 @@ def test_errors_with_factors_are_those_of_dense_matrices(
     rng = np.random.default_rng(2)
     prior = noise_prior(circles)
     laws = prior.laws(rng.standard_normal((1, prior.dimensions)))
-    errors = parts.errors_of_readings(circles, laws, ["bar"] * len(circles))
+    errors = law_noise.errors_of_readings(circles, laws, ["bar"] * len(circles))
     dense = covariance(circles, laws, factors)
     y = rng.standard_normal((len(circles), 3))
     exact = np.linalg.solve(dense, y)
     white = errors.whiten(y, factors)
     assert errors.weigh(y, factors) == pytest.approx(exact, rel=1e-8, abs=1e-8)
     assert white.T @ white == pytest.approx(y.T @ exact, rel=1e-9)
-    name = parts.instrument_source("bar")
+    name = law_noise.instrument_source("bar")
     stated = np.minimum((1.0 - laws.carried[0]) * laws.scale[0, 0] ** 2, 1.0)
     assert errors.between(name, y) == pytest.approx(stated * y.T @ y)

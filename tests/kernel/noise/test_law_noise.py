@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kernel.dense_noise import dense_covariance
-from oed.accuracy.budget.noise_parts import (
+from oed.noise.law_noise import (
     BEYOND,
     CARRIED,
     LEVELS,
