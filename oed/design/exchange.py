@@ -70,7 +70,11 @@ class Choice:
     proven: bool = False
 
     def with_bound(
-        self, criterion: Criterion, value: float, upper: float, duality_gap: float
+        self,
+        criterion: Criterion,
+        value: float,
+        upper: float,
+        duality_gap: float | None,
     ) -> Choice:
         """The choice with a bound; its value and the bound `upper` are log phi."""
         return dataclasses.replace(
