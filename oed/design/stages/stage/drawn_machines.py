@@ -140,7 +140,7 @@ def draw_machines(
     probability  (N,) that each chosen candidate is captured
     """
     extra = option.unknowns - knowledge.columns
-    if option.travel is None or probability.min() >= CERTAIN:
+    if not option.limits_travel or probability.min() >= CERTAIN:
         return _all_captured(knowledge, extra, len(chosen), rng)
     drawn = knowledge.repeat(max(draws // knowledge.machines, 1))
     errors = drawn.draw_errors(rng)
