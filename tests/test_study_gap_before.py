@@ -165,7 +165,8 @@ def test_a_retained_plan_is_part_of_the_choice() -> None:
     assert request is not None
     assert request.retained == (0, 1)
     assert len(request.runs) == 10
-    assert request.rules.mounted == (0,)
+    assert request.rules.setups is not None
+    assert request.rules.setups.mounted == (0,)
 
 
 def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:

@@ -112,8 +112,7 @@ def plan_acceptance(
     total = np.zeros((CHOOSING, len(promise.names)))
     free = list(range(len(candidates)))
     chosen: list[int] = []
-    plan: AcceptancePlan | None = None
-    while free and len(chosen) < most:
+    while True:
         scores = [
             _separation(total + sizes[:, j], noise, len(chosen) + 1, miss) for j in free
         ]
@@ -121,10 +120,8 @@ def plan_acceptance(
         chosen.append(best)
         total = total + sizes[:, best]
         plan = _state(promise, candidates[chosen], rng, miss, false_alarm)
-        if plan.power.min() >= power:
-            break
-    assert plan is not None
-    return plan
+        if plan.power.min() >= power or not free or len(chosen) >= most:
+            return plan
 
 
 def state_limits(

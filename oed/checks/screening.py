@@ -91,16 +91,19 @@ class Screening:
     def scores(self, trials: Sequence[MistakeTrial]) -> list[Score]:
         """Score of each trial."""
         result = [IMPOSSIBLE] * len(trials)
-        alone = [k for k, t in enumerate(trials) if _is_of_values(t)]
+        values_of = [_values_alone(trial) for trial in trials]
+        alone = {k: y for k, y in enumerate(values_of) if y is not None}
         if alone:
-            values = np.column_stack([_values(trials[k]) for k in alone])
+            values = np.column_stack(list(alone.values()))
             white = self.noise.whiten(values - self.given.predicted[:, None])
             for k, score in zip(alone, self._scores_of(white), strict=True):
                 result[k] = score
         for k in sorted(set(range(len(trials))) - set(alone)):
             one = trials[k]
-            of_columns = one.columns is not None
-            result[k] = self._with_columns(one) if of_columns else self._of_any(one)
+            if one.columns is None:
+                result[k] = self._of_any(one)
+            else:
+                result[k] = self._with_columns(one, one.columns)
         return [s.plus(t.log_scale) for s, t in zip(result, trials, strict=True)]
 
     # -- one residual under all scales -------------------------------------------------
@@ -127,11 +130,9 @@ class Screening:
 
     # -- amounts in the readings -------------------------------------------------------
 
-    def _with_columns(self, trial: MistakeTrial) -> Score:
+    def _with_columns(self, trial: MistakeTrial, columns: Array) -> Score:
         """Score with amounts of unknown size, of columns (N, k)."""
-        assert trial.columns is not None
-        columns = self.noise.whiten(trial.columns)
-        both = np.column_stack([self._residual, columns])
+        both = np.column_stack([self._residual, self.noise.whiten(columns)])
         components = self._white.components(both)
         whole = both.T @ both
         gains = []
@@ -222,12 +223,7 @@ def log_density_of_any(given: Given, values: Index) -> float:
     return float(-(np.log(np.pi * width) + np.log1p(away**2)).sum())
 
 
-def _is_of_values(trial: MistakeTrial) -> bool:
-    """Whether a trial changes values alone."""
+def _values_alone(trial: MistakeTrial) -> Array | None:
+    """The values (N,) of a trial that changes values alone; None for another one."""
     others = (trial.table, trial.missing, trial.columns, trial.parts)
-    return trial.y is not None and all(one is None for one in others)
-
-
-def _values(trial: MistakeTrial) -> Array:
-    assert trial.y is not None
-    return trial.y
+    return trial.y if all(one is None for one in others) else None

@@ -15,6 +15,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.design import condition, relaxation
 from oed.design.criterion import Criterion, ExtremeEigenvalues
+from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation
 from oed.design.rules import RelaxedRules, Rules
 from oed.design.whitening import EXACT, Rounding, quotient_error
@@ -54,7 +55,7 @@ def bound(
     Raises ValueError under quotas for a criterion without a conic form.
     """
     if rules.quotas is not None:
-        return _bound_under_quotas(blocks, criterion, rules, prior)
+        return _bound_under_quotas(blocks, criterion, rules, rules.quotas, prior)
     by_candidates: dict[bytes, Bound] = {}
     for problem in rules.relaxations(len(blocks)):
         optimum = _relax(blocks, criterion, problem, prior, tolerance, rounding)
@@ -69,7 +70,7 @@ def bound(
 
 
 def _bound_under_quotas(
-    blocks: Array, criterion: Criterion, rules: Rules, prior: Array
+    blocks: Array, criterion: Criterion, rules: Rules, quotas: QuotaSet, prior: Array
 ) -> Bound:
     """The conic solver's bound, or the one without quotas where that is lower.
 
@@ -77,8 +78,7 @@ def _bound_under_quotas(
     """
     from oed.design import conic  # cvxpy takes a second to import
 
-    assert rules.quotas is not None
-    size, limits = float(rules.quotas.size), rules.quotas.linear_limits()
+    size, limits = float(quotas.size), quotas.linear_limits()
     optimum = conic.relax(blocks, size, criterion, prior, 1.0, limits)
     best = Bound(optimum.bound, optimum.duality_gap, optimum.weights, optimum.slopes)
     if best.duality_gap <= INEXACT:

@@ -108,7 +108,6 @@ def tighten(
         indices=result.indices,
         value=goal.conventional_value(result.value, size),
     )
-    assert choice.duality_gap is not None
     return better.with_bound(goal, result.value, result.bound, choice.duality_gap)
 
 

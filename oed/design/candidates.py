@@ -29,6 +29,8 @@ from oed.design.criterion import (
     Variance,
     named,
 )
+from oed.design.plan_limits import Budget, DistanceLimit, SetupLimit
+from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 from oed.identifiability.information import Scaling, column_scale
 from oed.measurement.measurement import Measurement, Series
@@ -129,27 +131,26 @@ class Candidates:
         size: int | None = None,
         budget: float | None = None,
         most_setups: int | None = None,
+        mounted: tuple[int, ...] = (),
         apart: Array | None = None,
+        quotas: QuotaSet | None = None,
     ) -> Rules:
         """Rules over these candidates.
 
-        apart  (d,) least distance along each command coordinate, SI; two readings of a
-               set-up are too near where their commands over `apart` are nearer than 1
-               in the norm
+        mounted  set-ups that are mounted already
+        apart    (d,) least distance along each command coordinate, SI; two readings of
+                 a set-up are too near where their commands over `apart` are nearer than
+                 1 in the norm
         """
-        position = None
+        distance = None
         if apart is not None:
             position = self.command / np.where(apart > 0, apart, np.inf)
-        by_time = budget is not None
+            distance = DistanceLimit(position, 1.0)
+        time = None if budget is None else Budget(self.cost, budget)
+        mounting = None if budget is None else self.setup_cost
+        setups = SetupLimit(self.setup, mounting, most_setups, mounted)
         return Rules(
-            size=size,
-            budget=budget,
-            cost=self.cost if by_time else None,
-            setup=self.setup,
-            setup_cost=self.setup_cost if by_time else None,
-            most_setups=most_setups,
-            position=position,
-            min_distance=0.0 if apart is None else 1.0,
+            size=size, time=time, setups=setups, distance=distance, quotas=quotas
         )
 
     def readings_of(self, chosen: Index) -> tuple[Series, ...]:

@@ -110,6 +110,22 @@ def cup_place(
     return np.asarray(measurement.kinematics.frames(x, tool)[1][0])
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Links:
+    """The machine's links: lines of its skeleton, and their radius, m."""
+
+    skeleton: Skeleton
+    radius: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Bar:
+    """The bar: where it is held (3,), base frame, and its radius, m."""
+
+    cup: Array
+    radius: float
+
+
 class Clearance:
     """Clearance of one set-up on the nominal machine."""
 
@@ -123,12 +139,14 @@ class Clearance:
         self._measurement, self._surroundings = measurement, surroundings
         tool = measurement.setups[setup].tool
         self._tool = np.array(tool)
-        self._links: Skeleton | None = None
+        self._links: _Links | None = None
         if surroundings.links is not None:
-            self._links = Skeleton(measurement.kinematics, tool, surroundings.ignore)
-        self._cup: Array | None = None
+            skeleton = Skeleton(measurement.kinematics, tool, surroundings.ignore)
+            self._links = _Links(skeleton, surroundings.links)
+        self._bar: _Bar | None = None
         if surroundings.bar is not None:
-            self._cup = cup_place(measurement, setup, cup)
+            place = cup_place(measurement, setup, cup)
+            self._bar = _Bar(place, surroundings.bar)
 
     def at_poses(self, x: Array, q: Array, *, bar: bool = True) -> Array:
         """Clearance (n,) at poses x (n, nx) with joints q (n, nq), m.
@@ -159,16 +177,14 @@ class Clearance:
         parts, radii = [np.empty((len(x), 0, 2, 3))], [np.empty(0)]
         nominal = self._measurement.machine.nominal
         if self._links is not None:
-            assert self._surroundings.links is not None
-            links = self._links.segments(x, q, nominal)
+            links = self._links.skeleton.segments(x, q, nominal)
             parts.append(links)
-            radii.append(np.full(links.shape[1], self._surroundings.links))
-        if bar and self._cup is not None:
-            assert self._surroundings.bar is not None
+            radii.append(np.full(links.shape[1], self._links.radius))
+        if bar and self._bar is not None:
             tip = self._measurement.kinematics.frames(x, self._tool)[1]
-            cup = np.broadcast_to(self._cup, tip.shape)
+            cup = np.broadcast_to(self._bar.cup, tip.shape)
             parts.append(np.stack([cup, tip], axis=1)[:, None])
-            radii.append(np.array([self._surroundings.bar]))
+            radii.append(np.array([self._bar.radius]))
         return np.concatenate(parts, axis=1), np.concatenate(radii)
 
     def _segment_clearances(self, moving: Array, radii: Array) -> Array:

@@ -66,10 +66,10 @@ def relax(
     `size`, or where candidates and prior leave directions undetermined.
     """
     point = follow(build_problem(rows, size, prior, cap), None, 2.0 * tolerance)
-    kappa = float(np.sqrt(point.largest / point.least))
-    bound = float(np.sqrt(point.ratio))
+    kappa = float(np.sqrt(point.plan.largest / point.plan.least))
+    bound = float(np.sqrt(point.dual.ratio))
     slopes = 0.5 * point.log_slopes(1.0)
-    return EigenvalueRelaxation(point.weights, kappa, bound, slopes)
+    return EigenvalueRelaxation(point.plan.weights, kappa, bound, slopes)
 
 
 def e_optimal(
@@ -82,7 +82,9 @@ def e_optimal(
     """Largest l_min (E), F(0). Raises as `relax`."""
     point = follow(build_problem(rows, size, prior, cap), 0.0, tolerance)
     slopes = point.log_slopes(0.0)
-    return EigenvalueRelaxation(point.weights, point.least, point.bound, slopes)
+    return EigenvalueRelaxation(
+        point.plan.weights, point.plan.least, point.dual.bound, slopes
+    )
 
 
 def o4(
@@ -101,19 +103,19 @@ def o4(
     level = follow(problem, 0.0, line_tolerance)
     through_origin = follow(problem, None, line_tolerance)
     lines = [
-        _Line(level.bound, 0.0, level),
-        _Line(0.0, 1.0 / through_origin.ratio, through_origin),
+        _Line(level.dual.bound, 0.0, level),
+        _Line(0.0, 1.0 / through_origin.dual.ratio, through_origin),
     ]
     best = max((level, through_origin), key=_o4)
     while True:
         bound, flatter, steeper = _worst_corner(lines)
         if np.log(bound / _o4(best)) <= tolerance or len(lines) >= LINES:
             slopes = best.log_slopes(0.5)
-            return EigenvalueRelaxation(best.weights, _o4(best), bound, slopes)
+            return EigenvalueRelaxation(best.plan.weights, _o4(best), bound, slopes)
         slope = _slope_between(flatter, steeper)
-        near = dataclasses.replace(problem, start=flatter.point.weights)
+        near = dataclasses.replace(problem, start=flatter.point.plan.weights)
         point = follow(near, slope, line_tolerance)
-        lines.append(_Line(point.bound, slope, point))
+        lines.append(_Line(point.dual.bound, slope, point))
         best = max(best, point, key=_o4)
 
 
@@ -126,7 +128,7 @@ class _Line(NamedTuple):
 
 
 def _o4(point: EigenvaluePoint) -> float:
-    return float(point.least / np.sqrt(point.largest))
+    return float(point.plan.least / np.sqrt(point.plan.largest))
 
 
 def _worst_corner(lines: list[_Line]) -> tuple[float, _Line, _Line]:
@@ -157,8 +159,8 @@ def _slope_between(flatter: _Line, steeper: _Line) -> float:
 
     Halfway between the lines' slopes where the chord's slope is not between them.
     """
-    run = flatter.point.largest - steeper.point.largest
-    rise = flatter.point.least - steeper.point.least
+    run = flatter.point.plan.largest - steeper.point.plan.largest
+    rise = flatter.point.plan.least - steeper.point.plan.least
     chord = rise / run if run > 0 else -1.0
     margin = 0.01 * (steeper.slope - flatter.slope)
     if flatter.slope + margin < chord < steeper.slope - margin:

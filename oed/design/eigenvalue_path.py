@@ -49,29 +49,37 @@ class DualPoint(NamedTuple):
     high: Array
 
 
+class WeightedPlan(NamedTuple):
+    """Weights (C,) with the extreme eigenvalues l_min and l_max of their information."""
+
+    weights: Array
+    least: float
+    largest: float
+
+
+class DualBound(NamedTuple):
+    """F(z) is at most `bound` and kappa^2 at least `ratio`, by a dual point."""
+
+    bound: float
+    ratio: float
+    point: DualPoint
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class EigenvaluePoint:
     """Weights with their extreme eigenvalues, and the bound that a dual point implies.
 
-    weights     (C,)
-    least       l_min at the weights
-    largest     l_max at the weights
+    plan        weights and their eigenvalues
+    dual        the bound
     slope       z; None for kappa
-    bound       F(z) is at most this
-    ratio       kappa^2 is at least this
-    dual        the dual point
     profit      (C,) <Y - z Z, A_i> at the path's z
     inside_gap  duality gap over the active set alone, as a share of l_min
     total_gap   duality gap over all candidates, as a share of l_min
     """
 
-    weights: Array
-    least: float
-    largest: float
+    plan: WeightedPlan
+    dual: DualBound
     slope: float | None
-    bound: float
-    ratio: float
-    dual: DualPoint
     profit: Array
     inside_gap: float
     total_gap: float
@@ -80,36 +88,32 @@ class EigenvaluePoint:
     def duality_gap(self) -> float:
         """Of the bound as a share of l_min, or of the ratio as a share of kappa^2."""
         if self.slope is None:
-            return self.largest / self.least / self.ratio - 1.0
-        above = self.bound - self.least + self.slope * self.largest
-        return above / self.least
+            return self.plan.largest / self.plan.least / self.dual.ratio - 1.0
+        above = self.dual.bound - self.plan.least + self.slope * self.plan.largest
+        return above / self.plan.least
 
     def log_slopes(self, share: float) -> Array:
         """(C,) d/dw of log l_min - share log l_max."""
-        low = self.dual.low / self.least
-        return low - share * self.dual.high / self.largest
+        low = self.dual.point.low / self.plan.least
+        return low - share * self.dual.point.high / self.plan.largest
 
     def combine(self, other: EigenvaluePoint) -> EigenvaluePoint:
         """The better weights of two points, with the better dual point of both."""
+        plan, other_plan = self.plan, other.plan
         if self.slope is None:
-            ratio, other_ratio = self.largest / self.least, other.largest / other.least
-            other_weights_better = other_ratio < ratio
-            other_dual_better = other.ratio > self.ratio
+            ratio = plan.largest / plan.least
+            other_plan_better = other_plan.largest / other_plan.least < ratio
+            other_dual_better = other.dual.ratio > self.dual.ratio
         else:
-            value = self.least - self.slope * self.largest
-            other_value = other.least - self.slope * other.largest
-            other_weights_better = other_value > value
-            other_dual_better = other.bound < self.bound
-        best = self
-        if other_weights_better:
-            best = dataclasses.replace(
-                best, weights=other.weights, least=other.least, largest=other.largest
-            )
-        if other_dual_better:
-            best = dataclasses.replace(
-                best, bound=other.bound, ratio=other.ratio, dual=other.dual
-            )
-        return best
+            value = plan.least - self.slope * plan.largest
+            other_value = other_plan.least - self.slope * other_plan.largest
+            other_plan_better = other_value > value
+            other_dual_better = other.dual.bound < self.dual.bound
+        return dataclasses.replace(
+            self,
+            plan=other_plan if other_plan_better else plan,
+            dual=other.dual if other_dual_better else self.dual,
+        )
 
 
 def follow(
@@ -162,7 +166,7 @@ def _slope_below(best: EigenvaluePoint, tolerance: float) -> float:
 
     At the plan's own slope, plans of any size would be equally good.
     """
-    return best.least / best.largest * (1.0 - 0.2 * tolerance)
+    return best.plan.least / best.plan.largest * (1.0 - 0.2 * tolerance)
 
 
 def _evaluate(
@@ -184,13 +188,9 @@ def _evaluate(
     all_weights = np.zeros(len(profit))
     all_weights[active] = weights
     return EigenvaluePoint(
-        weights=all_weights,
-        least=least,
-        largest=largest,
+        plan=WeightedPlan(all_weights, least, largest),
+        dual=DualBound(bound + rounding * least, ratio, dual),
         slope=None if path.slope_is_free else path.slope,
-        bound=bound + rounding * least,
-        ratio=ratio,
-        dual=dual,
         profit=profit,
         inside_gap=(base_profit + carried_inside - value) / least,
         total_gap=(bound - value) / least,
@@ -242,14 +242,12 @@ def _only_plan(problem: InteriorProblem, slope: float | None) -> EigenvaluePoint
     eigenvectors = np.linalg.eigh(m)[1]
     low = slopes(problem.blocks, eigenvectors[:, :1])
     high = slopes(problem.blocks, eigenvectors[:, -1:])
+    bound = least - (slope or 0.0) * largest + ROUNDING * least
+    ratio = largest / least * (1 - ROUNDING)
     return EigenvaluePoint(
-        weights=problem.caps.copy(),
-        least=least,
-        largest=largest,
+        plan=WeightedPlan(problem.caps.copy(), least, largest),
+        dual=DualBound(bound, ratio, DualPoint(0.0, 0.0, low, high)),
         slope=slope,
-        bound=least - (slope or 0.0) * largest + ROUNDING * least,
-        ratio=largest / least * (1 - ROUNDING),
-        dual=DualPoint(0.0, 0.0, low, high),
         profit=low,
         inside_gap=0.0,
         total_gap=0.0,

@@ -70,9 +70,16 @@ class Choice:
     proven: bool = False
 
     def with_bound(
-        self, criterion: Criterion, value: float, upper: float, duality_gap: float
+        self,
+        criterion: Criterion,
+        value: float,
+        upper: float,
+        duality_gap: float | None,
     ) -> Choice:
-        """The choice with a bound; its value and the bound `upper` are log phi."""
+        """The choice with a bound; its value and the bound `upper` are log phi.
+
+        `duality_gap` is None where it is not known.
+        """
         return dataclasses.replace(
             self,
             bound=criterion.conventional_value(upper, len(self.indices)),

@@ -210,18 +210,18 @@ def _multiplicative_steps(
     """
     count = objective.count
     everything = np.arange(count)
-    weights, bound = np.full(count, size / count), np.inf
-    best: tuple[Array, Tangent] | None = None
-    for _ in range(MULTIPLICATIVE_ONLY):
-        tangent = objective.tangent(everything, weights)
-        bound = min(bound, bound_by(tangent, size, caps))
-        if best is None or tangent.value > best[1].value:
-            best = weights, tangent
-        if bound - best[1].value < max(tolerance, MULTIPLICATIVE_GAP):
+    weights = np.full(count, size / count)
+    tangent = objective.tangent(everything, weights)
+    bound = bound_by(tangent, size, caps)
+    best_weights, best_tangent = weights, tangent
+    for _ in range(1, MULTIPLICATIVE_ONLY):
+        if bound - best_tangent.value < max(tolerance, MULTIPLICATIVE_GAP):
             break
         weights = scale_to_size(weights * np.sqrt(tangent.slopes), size, caps)
-    assert best is not None
-    best_weights, best_tangent = best
+        tangent = objective.tangent(everything, weights)
+        bound = min(bound, bound_by(tangent, size, caps))
+        if tangent.value > best_tangent.value:
+            best_weights, best_tangent = weights, tangent
     return Relaxation(best_weights, best_tangent.value, bound, best_tangent.slopes)
 
 

@@ -127,16 +127,14 @@ def _relax(
 
     The time to mount set-ups is left out.
     """
-    best: Relaxation | None = None
+    optima = []
     for total, cost in rules.totals(objectives[0].count):
         optimum = _relax_total(objectives, total, cost, risk, tail_share)
         if cost is not None:
             weights = optimum.weights / cost
             optimum = dataclasses.replace(optimum, weights=weights)
-        if best is None or optimum.bound < best.bound:
-            best = optimum
-    assert best is not None
-    return best
+        optima.append(optimum)
+    return min(optima, key=lambda optimum: optimum.bound)
 
 
 def _relax_total(
@@ -151,16 +149,16 @@ def _relax_total(
     if cost is not None:
         objectives = tuple(_per_cost(o, cost) for o in objectives)
         cap = cost
-    optimum: Relaxation | None = None
-    for sharpness in SHARPNESS[:1] if risk == "mean" else SHARPNESS:
+    first, *sharper = SHARPNESS
+    objective = RiskObjective(objectives, risk, tail_share, first)
+    optimum = relaxation.solve(objective, total, cap, TOLERANCE)
+    if risk == "mean":
+        return optimum
+    for sharpness in sharper:
         objective = RiskObjective(objectives, risk, tail_share, sharpness)
-        start = None if optimum is None else optimum.weights
-        sharper = relaxation.solve(objective, total, cap, TOLERANCE, start)
-        bound = sharper.bound
-        if optimum is not None:
-            bound = min(bound, optimum.bound)
-        optimum = dataclasses.replace(sharper, bound=bound)
-    assert optimum is not None
+        start, bound = optimum.weights, optimum.bound
+        optimum = relaxation.solve(objective, total, cap, TOLERANCE, start)
+        optimum = dataclasses.replace(optimum, bound=min(optimum.bound, bound))
     return optimum
 
 

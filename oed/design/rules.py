@@ -8,7 +8,6 @@ the readings of one plan.
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -16,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
+from oed.design.plan_limits import Budget, DistanceLimit, ReadingTimes, SetupLimit
 from oed.design.quotas import QuotaSet
 
 #: combinations of set-ups that are bounded one by one, at the most
@@ -37,59 +37,57 @@ class RelaxedRules(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Rules:
-    """Rules of a plan over C candidates; `size` or `budget` is given, or both.
+    """Rules of a plan over C candidates; a size or a budget is given, or both.
 
-    size          number of candidates to choose; with a budget, at the most
-    budget        time available, s
-    cost          (C,) time of each candidate, s
-    setup         (C,) number of the set-up of each candidate
-    setup_cost    (S,) time to mount each set-up, s, paid once
-    most_setups   number of set-ups at the most
-    position      (C, d) of each candidate, in units of its own
-    min_distance  least distance of two chosen candidates of one set-up
-    mounted       set-ups that are mounted already: they cost nothing and do not count
-    quotas        numbers to take from selections of the candidates; they need `size`,
-                  and go neither with a budget nor with `most_setups`
+    size      number of candidates to choose; with a budget, at the most
+    time      time of each candidate, or the budget, which limits their sum
+    setups    set-up of each candidate, time to mount it, and number of set-ups
+    distance  least distance of two chosen candidates of one set-up
+    quotas    numbers to take from selections of the candidates; they need `size`, and
+              go neither with a budget nor with a number of set-ups
     """
 
     size: int | None = None
-    budget: float | None = None
-    cost: Array | None = None
-    setup: Index | None = None
-    setup_cost: Array | None = None
-    most_setups: int | None = None
-    position: Array | None = None
-    min_distance: float = 0.0
-    mounted: tuple[int, ...] = ()
+    time: ReadingTimes | None = None
+    setups: SetupLimit | None = None
+    distance: DistanceLimit | None = None
     quotas: QuotaSet | None = None
 
     def __post_init__(self) -> None:
         if self.size is None and self.budget is None:
             raise ValueError("a plan needs a number of readings or a budget")
-        priced = self.cost is not None and (np.asarray(self.cost) > 0).all()
-        if self.budget is not None and not priced:
-            raise ValueError("a budget needs the positive cost of every candidate")
-        about_setups = self.most_setups is not None or self.setup_cost is not None
-        if about_setups and self.setup is None:
-            raise ValueError("rules about set-ups need the set-up of every candidate")
-        if self.min_distance > 0.0 and self.position is None:
-            raise ValueError("a least distance needs the position of every candidate")
         if self.quotas is not None:
-            free_number = self.budget is not None or self.most_setups is not None
+            free_number = self.budget is not None or self.limits_setups
             if free_number or self.size != self.quotas.size:
                 raise ValueError("quotas need the number of readings, and no budget")
 
     @property
-    def only_size(self) -> bool:
-        """Whether the number of candidates is the only rule."""
-        unlimited = self.budget is None and self.most_setups is None
-        return unlimited and self.min_distance <= 0.0 and self.quotas is None
+    def budget(self) -> Budget | None:
+        """The time available, where it is limited."""
+        return self.time if isinstance(self.time, Budget) else None
 
     @property
-    def mountable(self) -> Index:
-        """Set-ups that are not mounted yet."""
-        assert self.setup is not None
-        return np.setdiff1d(self.setup, np.array(self.mounted, dtype=np.intp))
+    def limits_setups(self) -> bool:
+        """Whether the number of set-ups is limited."""
+        return self.setups is not None and self.setups.most is not None
+
+    @property
+    def sole_size(self) -> int | None:
+        """The number of candidates where it is the only rule; else None."""
+        others = self.budget, self.distance, self.quotas
+        if self.limits_setups or any(rule is not None for rule in others):
+            return None
+        return self.size
+
+    @property
+    def without_most_setups(self) -> Rules:
+        """The rules with any number of set-ups."""
+        return self if self.setups is None else self.with_any_number_of(self.setups)
+
+    def with_any_number_of(self, setups: SetupLimit) -> Rules:
+        """The rules with these set-ups, and any number of them."""
+        unlimited = dataclasses.replace(setups, most=None)
+        return dataclasses.replace(self, setups=unlimited)
 
     def totals(self, count: int) -> list[tuple[float, Array | None]]:
         """Sums that the weights, or their costs, are held to: (total, cost or None).
@@ -99,23 +97,16 @@ class Rules:
         totals: list[tuple[float, Array | None]] = []
         if self.size is not None:
             totals.append((float(min(self.size, count)), None))
-        if self.budget is not None and self.cost is not None:
-            totals.append((float(min(self.budget, self.cost.sum())), self.cost))
+        if self.budget is not None:
+            everything = np.arange(count)
+            totals.append((self.budget.total(everything), self.budget.cost))
         return totals
 
     def time_of(self, chosen: Index) -> float:
         """Time that a plan takes, s."""
-        readings = 0.0 if self.cost is None else float(self.cost[chosen].sum())
-        return readings + self._mounting_time(chosen)
-
-    def _mounting_time(self, chosen: Index) -> float:
-        if self.setup is None or self.setup_cost is None:
-            return 0.0
-        return float(self.setup_cost[self._setups_to_mount(chosen)].sum())
-
-    def _setups_to_mount(self, chosen: Index) -> Index:
-        assert self.setup is not None
-        return np.setdiff1d(self.setup[chosen], np.array(self.mounted, dtype=np.intp))
+        readings = 0.0 if self.time is None else float(self.time.cost[chosen].sum())
+        mounting = 0.0 if self.setups is None else self.setups.mounting_time(chosen)
+        return readings + mounting
 
     def additions(self, chosen: Index, count: int) -> Mask:
         """Which of the candidates (C,) may join a plan."""
@@ -123,14 +114,13 @@ class Rules:
         free[chosen] = False
         if self.size is not None and len(chosen) >= self.size:
             return np.zeros(count, dtype=bool)
-        needs_setup = self._needs_setup(chosen, count)
-        if self._setups_used_up(chosen):
-            free &= ~needs_setup
+        if self.setups is not None:
+            free &= self.setups.additions(chosen)
         if self.budget is not None:
-            free &= self._affordable(chosen, needs_setup)
-        if self.min_distance > 0.0:
+            free &= self.budget.allows(self._times_after_adding(chosen, self.budget))
+        if self.distance is not None:
             for member in chosen:
-                free &= ~self._too_near(int(member))
+                free &= ~self._too_near(int(member), self.distance)
         if self.quotas is not None:
             free &= self.quotas.additions(chosen)
         return free
@@ -175,45 +165,27 @@ class Rules:
         """Whether a plan keeps its quotas; the other rules hold by construction."""
         return self.quotas is None or self.quotas.satisfied(chosen)
 
-    def _setups_used_up(self, chosen: Index) -> bool:
-        """Whether no further set-up may be mounted."""
-        if self.most_setups is None:
-            return False
-        return len(self._setups_to_mount(chosen)) >= self.most_setups
+    def _times_after_adding(self, chosen: Index, budget: Budget) -> Array:
+        """Times (C,) of a plan, s, with each of the candidates."""
+        more = budget.cost
+        if self.setups is not None:
+            more = more + self.setups.mounting_times(chosen)
+        return self.time_of(chosen) + more
 
-    def _affordable(self, chosen: Index, needs_setup: Mask) -> Mask:
-        """Candidates that the remaining budget pays for."""
-        assert self.cost is not None
-        assert self.budget is not None
-        more = self.cost.copy()
-        if self.setup_cost is not None:
-            assert self.setup is not None
-            more = more + np.where(needs_setup, self.setup_cost[self.setup], 0.0)
-        return self.time_of(chosen) + more <= self.budget * (1 + 1e-12)
-
-    def _needs_setup(self, chosen: Index, count: int) -> Mask:
-        """Candidates whose set-up is not mounted yet."""
-        if self.setup is None:
-            return np.zeros(count, dtype=bool)
-        mounted = np.array(self.mounted, dtype=np.intp)
-        return ~np.isin(self.setup, np.append(self._setups_to_mount(chosen), mounted))
-
-    def _too_near(self, member: int) -> Mask:
-        """Candidates of the same set-up nearer to a member than `min_distance`."""
-        assert self.position is not None
-        distance = np.linalg.norm(self.position - self.position[member], axis=1)
-        near = distance < self.min_distance * (1 - 1e-9)
-        if self.setup is not None:
-            near &= self.setup == self.setup[member]
-        return np.asarray(near)
+    def _too_near(self, member: int, distance: DistanceLimit) -> Mask:
+        """Candidates of a member's set-up that are too near to it."""
+        near = distance.too_near(member)
+        if self.setups is not None:
+            near &= self.setups.setup == self.setups.setup[member]
+        return near
 
     def subset(self, pool: Index) -> Rules:
         """The rules over a part of the candidates."""
         return dataclasses.replace(
             self,
-            cost=None if self.cost is None else self.cost[pool],
-            setup=None if self.setup is None else self.setup[pool],
-            position=None if self.position is None else self.position[pool],
+            time=None if self.time is None else self.time.subset(pool),
+            setups=None if self.setups is None else self.setups.subset(pool),
+            distance=None if self.distance is None else self.distance.subset(pool),
             quotas=None if self.quotas is None else self.quotas.subset(pool),
         )
 
@@ -232,33 +204,29 @@ class Rules:
                 total = float(min(self.size, len(candidates)))
                 yield RelaxedRules(candidates, total, None)
             if self.budget is not None:
-                assert self.cost is not None
-                cost = self.cost[candidates]
-                total = float(min(self.budget - mounting, cost.sum()))
+                total = self.budget.total(candidates, mounting)
+                cost = self.budget.cost[candidates]
                 yield RelaxedRules(candidates, total, cost)
 
     def _combinations(self, count: int) -> Iterator[tuple[Index, float]]:
         """Candidates of each combination of set-ups, and its time to mount."""
-        everything = np.arange(count)
-        mounting_counts = self.setup_cost is not None and self.budget is not None
-        if self.setup is None or (self.most_setups is None and not mounting_counts):
+        everything, setups = np.arange(count), self.setups
+        if setups is None:
             yield everything, 0.0
             return
-        names = self.mountable
-        most = min(self.most_setups or len(names), len(names))
+        mounting_counts = setups.seconds is not None and self.budget is not None
+        if setups.most is None and not mounting_counts:
+            yield everything, 0.0
+            return
+        names = setups.mountable
+        most = setups.most_of(len(names))
         if number_of_combinations(len(names), most) > MAX_COMBINATIONS:
             yield everything, 0.0
             return
         sizes = range(1, most + 1) if mounting_counts else (most,)
-        for size in sizes:
-            for combination in itertools.combinations(names, size):
-                allowed = [*combination, *self.mounted]
-                candidates = np.flatnonzero(np.isin(self.setup, allowed))
-                mounting = 0.0
-                if self.setup_cost is not None:
-                    mounting = float(self.setup_cost[list(combination)].sum())
-                if self.budget is None or mounting < self.budget:
-                    yield candidates, mounting
+        for candidates, mounting in setups.combinations(names, sizes):
+            if self.budget is None or mounting < self.budget.available:
+                yield candidates, mounting
 
 
 def number_of_combinations(setups: int, most: int) -> int:

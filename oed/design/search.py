@@ -75,8 +75,9 @@ def select_greedily(
     """
     chosen = np.zeros(0, dtype=np.intp)
     level %= evaluator.levels
-    if rules.only_size and rules.size is not None:
-        added = evaluator.add_all(rules.size, level, ridge)
+    size = rules.sole_size
+    if size is not None:
+        added = evaluator.add_all(size, level, ridge)
         if added is not None:
             return added
     count, allocation = evaluator.count, rules.allocation(chosen, weights)
@@ -104,8 +105,8 @@ def improve(
 def _promising(weights: Array, slopes: Array, rules: Rules) -> Index:
     """Candidates that an optimal plan may want."""
     slopes_per_cost = slopes
-    if rules.cost is not None:
-        slopes_per_cost = slopes / np.maximum(rules.cost, 1e-300)
+    if rules.time is not None:
+        slopes_per_cost = slopes / np.maximum(rules.time.cost, 1e-300)
     size = rules.size or int((weights > HEAVY).sum())
     places = max(POOL, POOL_PER_READING * size)
     steepest = _steepest(slopes_per_cost, places)
@@ -158,7 +159,7 @@ class _Exchange:
         self, chosen: Index, level: int, sweeps: int = SWEEPS
     ) -> Index:
         """Exchanges until none helps, at one level."""
-        if self.rules.only_size:
+        if self.rules.sole_size is not None:
             exchanged = self.evaluator.exchange_all(chosen, level, sweeps)
             if exchanged is not None:
                 return exchanged
@@ -184,7 +185,7 @@ class _Exchange:
             best = int(np.argmax(values))
             if values[best] > current + GAIN and best != chosen[place]:
                 chosen[place], current, changed = best, float(values[best]), True
-        if self.rules.only_size:
+        if self.rules.sole_size is not None:
             return chosen, changed
         filled = self.fill(chosen, level)
         return filled, changed or len(filled) > len(chosen)
@@ -249,7 +250,7 @@ class _Restarts:
     ) -> Index | None:
         """The best plan by the evaluator's own search; None where it has none."""
         evaluator = self.exchange.evaluator
-        if not self.rules.only_size or rounds < 1:
+        if self.rules.sole_size is None or rounds < 1:
             return None
         drawn = [self._draw(weights) for _ in range(len(starts), tabu.PLANS)]
         plans = np.array([*starts, *drawn])
@@ -269,12 +270,10 @@ class _Restarts:
         most = min(REPLACED, len(chosen))
         number = int(self.rng.integers(min(2, most), most + 1))
         places = self.rng.choice(len(chosen), size=number, replace=False)
-        setup = self.rules.setup
-        by_setup = setup is not None and not self.rules.only_size
-        if by_setup and self.rng.random() < REPLACE_SETUP:
-            assert setup is not None
-            replaced_setup = self.rng.choice(setup[chosen])
-            places = np.flatnonzero(setup[chosen] == replaced_setup)
+        setups = self.rules.setups
+        if setups is not None and self._replaces_setup():
+            setup = setups.setup[chosen]
+            places = np.flatnonzero(setup == self.rng.choice(setup))
         remaining = np.delete(chosen, places)
         outside = np.setdiff1d(np.arange(self.count), chosen)
         others = self.rng.permutation(outside)
@@ -283,14 +282,20 @@ class _Restarts:
         before[chosen] = 1.0
         return self._fill_in_order(remaining, np.append(others, removed), before)
 
+    def _replaces_setup(self) -> bool:
+        """Whether a change replaces a whole set-up, by chance."""
+        if self.rules.sole_size is not None:
+            return False
+        return bool(self.rng.random() < REPLACE_SETUP)
+
     def _fill_in_order(self, chosen: Index, order: Index, weights: Array) -> Index:
         """A plan filled with candidates in the given order while the rules allow.
 
         Weights (C,), varied at random, divide it among the classes of quotas.
         """
-        if self.rules.only_size:
-            assert self.rules.size is not None
-            missing = self.rules.size - len(chosen)
+        size = self.rules.sole_size
+        if size is not None:
+            missing = size - len(chosen)
             return np.append(chosen, order[:missing]).astype(np.intp)
         rank = np.full(self.count, np.inf)
         rank[order] = np.arange(len(order))

@@ -18,6 +18,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.criterion import Criterion
+from oed.design.plan_limits import SetupLimit
 from oed.design.rules import MAX_COMBINATIONS, RelaxedRules, Rules
 
 #: duality gap in log phi at which combinations are compared
@@ -31,16 +32,16 @@ Combination = tuple[int, ...]
 
 
 def rank_combinations(
-    blocks: Array, criterion: Criterion, base: Array, rules: Rules
+    blocks: Array, criterion: Criterion, base: Array, rules: Rules, setups: SetupLimit
 ) -> list[Combination]:
-    """Promising combinations of at most `rules.most_setups` set-ups, the best first.
+    """Promising combinations of at most `setups.most` set-ups, the best first.
 
-    All combinations are ranked where they are few (`MAX_COMBINATIONS`). Mounted set-ups
-    belong to each.
+    `setups` stands for the set-ups of the rules. All combinations are ranked where they
+    are few (`MAX_COMBINATIONS`). Mounted set-ups belong to each.
     """
-    names = [int(name) for name in rules.mountable]
-    most = min(rules.most_setups or len(names), len(names))
-    values = _CombinationValues(blocks, criterion, base, rules)
+    names = [int(name) for name in setups.mountable]
+    most = setups.most_of(len(names))
+    values = _CombinationValues(blocks, criterion, base, rules, setups)
     if math.comb(len(names), most) <= MAX_COMBINATIONS:
         combinations = itertools.combinations(names, most)
         return sorted(combinations, key=values.of, reverse=True)[:BEST]
@@ -82,6 +83,7 @@ class _CombinationValues:
     criterion: Criterion
     base: Array
     rules: Rules
+    setups: SetupLimit
     known: dict[Combination, float] = dataclasses.field(default_factory=dict)
 
     def of(self, combination: Combination) -> float:
@@ -91,15 +93,14 @@ class _CombinationValues:
         return self.known[combination]
 
     def _relaxed_value(self, combination: Combination) -> float:
-        chosen = thin(self.rules, combination)
+        chosen = thin(self.setups, combination)
         blocks, base, criterion = drop_untouched_columns(
             self.blocks[chosen], self.base, self.criterion
         )
-        assert self.rules.setup is not None
-        mounted = [*combination, *self.rules.mounted]
-        available = int(np.isin(self.rules.setup, mounted).sum())
+        mounted = [*combination, *self.setups.mounted]
+        available = int(np.isin(self.setups.setup, mounted).sum())
         thinning = len(chosen) / available
-        rules = dataclasses.replace(self.rules.subset(chosen), most_setups=None)
+        rules = self.rules.with_any_number_of(self.setups).subset(chosen)
         values = []
         for problem in rules.relaxations(len(chosen)):
             try:
@@ -133,12 +134,11 @@ def _relax(
     return optimum.value
 
 
-def thin(rules: Rules, combination: Combination) -> Index:
+def thin(setups: SetupLimit, combination: Combination) -> Index:
     """Candidates of a combination and of the mounted set-ups, each thinned evenly."""
-    assert rules.setup is not None
     thinned = []
-    for setup in (*combination, *rules.mounted):
-        members = np.flatnonzero(rules.setup == setup)
+    for setup in (*combination, *setups.mounted):
+        members = np.flatnonzero(setups.setup == setup)
         thinned.append(members[:: max(1, len(members) // PER_SETUP)])
     return np.sort(np.concatenate(thinned)).astype(np.intp)
 

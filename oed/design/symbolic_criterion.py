@@ -13,8 +13,9 @@ orthonormal basis of what K leaves out,
 
 from __future__ import annotations
 
+import abc
 import dataclasses
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -28,22 +29,11 @@ NEGLIGIBLE = 1e-14
 OUTSIDE = 1e-6
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class SymbolicCriterion:
+class SymbolicCriterion(abc.ABC):
     """A criterion with a numeric value and a CasADi expression.
 
     Built by `determinant`, `variance`, `determinant_of_interest` and `power_mean`.
-
-    name      family of the criterion
-    weight    W (n, n) for "variance"; None stands for the identity
-    interest  K (n, s) for "Ds"
-    p         exponent for "power"
     """
-
-    name: Literal["D", "variance", "Ds", "power"] = "D"
-    weight: Array | None = None
-    interest: Array | None = None
-    p: int = 1
 
     def value(self, m: Array) -> float:
         """Criterion of M (n, n); -inf where M is singular."""
@@ -51,42 +41,81 @@ class SymbolicCriterion:
             root: Array = np.asarray(np.linalg.cholesky(m), dtype=float)
         except np.linalg.LinAlgError:
             return -np.inf
-        if self.name == "D":
-            return 2.0 * float(np.log(np.diag(root)).sum())
-        if self.name == "Ds":
-            return self._value_of_interest(root)
-        if self.name == "variance":
-            return -float(np.log(np.sum(np.linalg.inv(m) * self._weight(len(m)))))
-        return self._power_mean(m)
+        return self._value(m, root)
 
-    def _value_of_interest(self, root: Array) -> float:
-        assert self.interest is not None
+    def expression(self, m: Any) -> Any:
+        """The criterion of an SX matrix (n, n)."""
+        return self._expression(m, ca.chol(m))
+
+    @abc.abstractmethod
+    def restrict(self, basis: Array) -> SymbolicCriterion:
+        """The criterion of B^T M B for orthonormal columns B (n, r).
+
+        Raises ValueError where K leaves the basis: the readings cannot determine it.
+        """
+
+    @abc.abstractmethod
+    def _value(self, m: Array, root: Array) -> float:
+        """Value of M = L L^T with the triangle L, `root`."""
+
+    @abc.abstractmethod
+    def _expression(self, m: Any, upper: Any) -> Any:
+        """Expression of M = R^T R with the triangle R, `upper`."""
+
+
+class _Determinant(SymbolicCriterion):
+    def restrict(self, basis: Array) -> SymbolicCriterion:
+        return self
+
+    def _value(self, m: Array, root: Array) -> float:
+        return 2.0 * float(np.log(np.diag(root)).sum())
+
+    def _expression(self, m: Any, upper: Any) -> Any:
+        return 2.0 * ca.sum1(ca.log(ca.diag(upper)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Variance(SymbolicCriterion):
+    """`weight` is W (n, n); None stands for the identity."""
+
+    weight: Array | None
+
+    def restrict(self, basis: Array) -> SymbolicCriterion:
+        return _Variance(basis.T @ self._weight(len(basis)) @ basis)
+
+    def _value(self, m: Array, root: Array) -> float:
+        return -float(np.log(np.sum(np.linalg.inv(m) * self._weight(len(m)))))
+
+    def _expression(self, m: Any, upper: Any) -> Any:
+        factor = ca.DM(_factor(self._weight(m.shape[0])))
+        return -ca.log(ca.sumsqr(ca.solve(upper.T, factor)))
+
+    def _weight(self, n: int) -> Array:
+        return np.eye(n) if self.weight is None else self.weight
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _DeterminantOfInterest(SymbolicCriterion):
+    """`interest` is K (n, s)."""
+
+    interest: Array
+
+    def restrict(self, basis: Array) -> SymbolicCriterion:
+        inside = basis.T @ self.interest
+        outside = basis @ inside - self.interest
+        if np.linalg.norm(outside) > OUTSIDE * np.linalg.norm(self.interest):
+            raise ValueError(
+                "the readings do not determine the directions of interest: choose other"
+                " directions or readings"
+            )
+        return _DeterminantOfInterest(inside)
+
+    def _value(self, m: Array, root: Array) -> float:
         half = linalg.solve_triangular(root, self.interest, lower=True)
         triangle = np.linalg.qr(half, mode="r")
         return -2.0 * float(np.log(np.abs(np.diag(triangle))).sum())
 
-    def _power_mean(self, m: Array) -> float:
-        eigenvalues = np.linalg.eigvalsh(m)
-        smallest = eigenvalues[0]
-        if smallest <= 0.0:
-            return -np.inf
-        power_sum = np.sum((smallest / eigenvalues) ** self.p)
-        return float(np.log(smallest) - np.log(power_sum) / self.p)
-
-    def expression(self, m: Any) -> Any:
-        """The criterion of an SX matrix (n, n)."""
-        upper = ca.chol(m)  # M = R^T R
-        if self.name == "D":
-            return 2.0 * ca.sum1(ca.log(ca.diag(upper)))
-        if self.name == "Ds":
-            return self._expression_of_interest(m, upper)
-        if self.name == "variance":
-            factor = ca.DM(_factor(self._weight(m.shape[0])))
-            return -ca.log(ca.sumsqr(ca.solve(upper.T, factor)))
-        return self._expression_of_power_mean(upper)
-
-    def _expression_of_interest(self, m: Any, upper: Any) -> Any:
-        assert self.interest is not None
+    def _expression(self, m: Any, upper: Any) -> Any:
         nuisance = ca.DM(self._nuisance_basis(m.shape[0]))
         gram = self.interest.T @ self.interest
         log_det_gram = float(np.linalg.slogdet(gram)[1])
@@ -97,7 +126,28 @@ class SymbolicCriterion:
         log_det = ca.sum1(ca.log(ca.diag(upper)))
         return 2.0 * (log_det - log_det_nuisance) - log_det_gram
 
-    def _expression_of_power_mean(self, upper: Any) -> Any:
+    def _nuisance_basis(self, n: int) -> Array:
+        return np.asarray(linalg.null_space(self.interest.T)).reshape(n, -1)
+
+
+@dataclasses.dataclass(frozen=True)
+class _PowerMean(SymbolicCriterion):
+    """`p` is the exponent."""
+
+    p: int
+
+    def restrict(self, basis: Array) -> SymbolicCriterion:
+        return self
+
+    def _value(self, m: Array, root: Array) -> float:
+        eigenvalues = np.linalg.eigvalsh(m)
+        smallest = eigenvalues[0]
+        if smallest <= 0.0:
+            return -np.inf
+        power_sum = np.sum((smallest / eigenvalues) ** self.p)
+        return float(np.log(smallest) - np.log(power_sum) / self.p)
+
+    def _expression(self, m: Any, upper: Any) -> Any:
         identity = ca.SX.eye(upper.shape[0])
         half = ca.solve(upper.T, identity)
         inverse = half.T @ half
@@ -110,54 +160,27 @@ class SymbolicCriterion:
         trace = ca.sum1(ca.vec(lower_half * upper_half))
         return -ca.log(trace) / self.p
 
-    def restrict(self, basis: Array) -> SymbolicCriterion:
-        """The criterion of B^T M B for orthonormal columns B (n, r).
-
-        Raises ValueError where K leaves the basis: the readings cannot determine it.
-        """
-        weight = self.weight
-        if self.name == "variance":
-            weight = basis.T @ self._weight(len(basis)) @ basis
-        if self.interest is None:
-            return dataclasses.replace(self, weight=weight)
-        inside = basis.T @ self.interest
-        outside = basis @ inside - self.interest
-        if np.linalg.norm(outside) > OUTSIDE * np.linalg.norm(self.interest):
-            raise ValueError(
-                "the readings do not determine the directions of interest: choose other"
-                " directions or readings"
-            )
-        return dataclasses.replace(self, interest=inside)
-
-    def _weight(self, n: int) -> Array:
-        return np.eye(n) if self.weight is None else self.weight
-
-    def _nuisance_basis(self, n: int) -> Array:
-        assert self.interest is not None
-        return np.asarray(linalg.null_space(self.interest.T)).reshape(n, -1)
-
 
 def determinant() -> SymbolicCriterion:
     """D: log det M."""
-    return SymbolicCriterion("D")
+    return _Determinant()
 
 
 def variance(weight: Array | None = None) -> SymbolicCriterion:
     """-log tr(W M^-1) for a positive semidefinite W (n, n); A where W is None."""
-    matrix = None if weight is None else np.asarray(weight, dtype=float)
-    return SymbolicCriterion("variance", weight=matrix)
+    return _Variance(None if weight is None else np.asarray(weight, dtype=float))
 
 
 def determinant_of_interest(interest: Array) -> SymbolicCriterion:
     """Ds: the confidence volume of K^T theta, K (n, s); the rest are nuisances."""
-    return SymbolicCriterion("Ds", interest=np.asarray(interest, dtype=float))
+    return _DeterminantOfInterest(np.asarray(interest, dtype=float))
 
 
 def power_mean(p: int) -> SymbolicCriterion:
     """-(1/p) log tr M^-p. Raises ValueError for p below 1."""
     if p < 1:
         raise ValueError(f"the power criterion needs p >= 1, not {p}")
-    return SymbolicCriterion("power", p=int(p))
+    return _PowerMean(int(p))
 
 
 def _factor(weight: Array) -> Array:

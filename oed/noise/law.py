@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from oed.base.arrays import Array, Index
-from oed.noise.factor import DenseFactor, Errors, Factor, LinearFactor
+from oed.noise.factor import DenseFactor, Errors, LinearFactor
 from oed.noise.process import Laws
 from oed.noise.runs import RunLayout, Runs
 
@@ -76,7 +76,9 @@ class NoiseLaw:
             covariance *= np.outer(ratio, ratio)
         return self.level**2 * covariance
 
-    def factor(self, runs: Runs, rows: Index | None = None) -> Factor:
+    def factor(
+        self, runs: Runs, rows: Index | None = None
+    ) -> LinearFactor | DenseFactor:
         """Root of the covariance of all readings, or of the readings `rows`.
 
         It is linear in their number, unless instrument and law both carry an error

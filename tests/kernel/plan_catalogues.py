@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from types import SimpleNamespace
 
@@ -66,7 +67,7 @@ def linear_option(
     counts: tuple[int, ...],
     mounting: float,
     seconds: np.ndarray,
-    travel: float | None = None,
+    travel: float = math.inf,
 ) -> Option:
     """An option of single readings with rows (C, n + r)."""
     count, width = rows.shape

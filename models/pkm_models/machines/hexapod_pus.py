@@ -70,11 +70,10 @@ def build(geometry: Geometry) -> Machine:
     longest = float(strut.max())
     sd = families.tolerance(table, longest)
     command = six_dof.command(home.tolist(), reach, families.number(table, "tilt"))
-    return Machine(
+    return six_dof.machine(
         name=NAME,
         source="Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, generalised",
         about="hexapod with carriages of any geometry (6-PUS): all six driven",
-        pose=six_dof.POSE,
         joints=families.joint_ranges(-span - reach, span + longest, 6, legs.CARRIAGE),
         command=command,
         parameters=(
@@ -83,19 +82,12 @@ def build(geometry: Geometry) -> Machine:
             *families.places("a", platform, sd, "platform joint"),
             *families.numbers("l", strut.tolist(), sd, "m", "length of strut"),
         ),
-        components=six_dof.COMPONENTS,
         home=legs.pose_at({}, home.tolist()),
         lever=size,
-        platform=six_dof.platform,
-        commanded=six_dof.commanded,
-        target=six_dof.target,
-        read_error=lambda c, twist: twist,
         base_frame=legs.GEOMETRY_FRAME,
         tool_axis=legs.GEOMETRY_TOOL_AXIS,
-        orientation=six_dof.ORIENTATION,
-        command_orientation=six_dof.ORIENTATION,
         family=family,
-        **_builder(along, as_rows(table["side"], 6)),  # type: ignore[arg-type]
+        **_builder(along, as_rows(table["side"], 6)),
     )
 
 

@@ -59,11 +59,10 @@ def build(geometry: Geometry) -> Machine:
     change = math.sqrt(3.0) * (reach + 2.0 * size * tilt)
     legs_range = families.around(lengths, change, 6, legs.LEG)
     sd = families.tolerance(table, float(lengths.mean()))
-    return Machine(
+    return six_dof.machine(
         name=NAME,
         source="Wang and Masory 1993, IEEE ICRA, 114-120, for the 42 parameters",
         about="hexapod of any geometry (6-UPS): x, y, z, tilt and spin driven",
-        pose=six_dof.POSE,
         joints=legs_range,
         command=six_dof.command(home.tolist(), reach, families.number(table, "tilt")),
         parameters=(
@@ -71,21 +70,14 @@ def build(geometry: Geometry) -> Machine:
             *families.places("a", platform, sd, "platform joint"),
             *families.numbers("l", [0.0] * 6, sd, "m", "zero of leg"),
         ),
-        components=six_dof.COMPONENTS,
         home=legs.pose_at({}, home.tolist()),
         lever=size,
         closure=closure,
-        platform=six_dof.platform,
-        commanded=six_dof.commanded,
-        target=six_dof.target,
         guess=guess,
-        read_error=lambda c, twist: twist,
         skeleton=skeleton,
         struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
         base_frame=legs.GEOMETRY_FRAME,
         tool_axis=legs.GEOMETRY_TOOL_AXIS,
-        orientation=six_dof.ORIENTATION,
-        command_orientation=six_dof.ORIENTATION,
         family=family,
     )
 

@@ -5,10 +5,11 @@ point, tilt and spin.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 
-from oed.model.machine import Component, Coordinate, Expr, Values
+from oed.model.machine import Component, Coordinate, Expr, Machine, Values
 from pkm_models.parts import coordinates
 from pkm_models.parts.rotation import tilt_torsion
 
@@ -46,3 +47,18 @@ def commanded(x: Values, tip: Expr) -> list[Expr]:
 def target(c: Values) -> list[Expr]:
     """A command's coordinates in the order of the pose's."""
     return [c[n] for n in (*XYZ, *ANGLES)]
+
+
+def machine(**fields: Any) -> Machine:
+    """A machine with such a platform; `fields` are those of its geometry and legs."""
+    return Machine(
+        pose=POSE,
+        components=COMPONENTS,
+        platform=platform,
+        commanded=commanded,
+        target=target,
+        read_error=lambda c, twist: twist,
+        orientation=ORIENTATION,
+        command_orientation=ORIENTATION,
+        **fields,
+    )

@@ -7,6 +7,7 @@ close to where the controller believes it to be.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from functools import cached_property
 
@@ -29,7 +30,7 @@ class Option:
     mounting_seconds   time to mount all set-ups, s
     candidate_seconds  time of each candidate, (C,), s
     travel             largest distance between a reading and its expected value, m or
-                       rad, at which it is still captured; None: unlimited
+                       rad, at which it is still captured; infinite: unlimited
     price              cost in money, in addition to the time
     operator           who can carry it out
     """
@@ -39,9 +40,14 @@ class Option:
     counts: tuple[int, ...]
     mounting_seconds: float
     candidate_seconds: Array
-    travel: float | None = None
+    travel: float = math.inf
     price: float = 0.0
     operator: str = ""
+
+    @property
+    def limits_travel(self) -> bool:
+        """Whether readings can be lost beyond the travel."""
+        return math.isfinite(self.travel)
 
     @property
     def measurement(self) -> Measurement:
@@ -146,7 +152,7 @@ def build_option(
     *,
     name: str,
     counts: Sequence[int],
-    travel: float | None = None,
+    travel: float = math.inf,
     whole_runs: bool = False,
     mounting_seconds: float | None = None,
     reading_seconds: float | None = None,

@@ -101,7 +101,7 @@ def choose(
         )
     everything = dataclasses.replace(everything, share=share)
     rest = dataclasses.replace(everything, base=everything.of(fixed)).subset(free)
-    size = rules.size if rules.only_size else None
+    size = rules.sole_size
     proven = size is not None and math.comb(len(free), size) <= ENUMERATED
     if size is not None and proven:
         selected, above, log_least = _enumerate(rest, size)

@@ -25,6 +25,7 @@ without that uncertainty.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -235,13 +236,11 @@ class RunNoise:
     """Noise of the runs: innovations of held-out readings given the others of a run."""
 
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self._factor = law.factor(problem)
-        self._chains: Chains | None = None
-        if isinstance(self._factor, LinearFactor):
-            if Chains.suit(self._factor.errors):
-                self._chains = Chains(self._factor.errors)
-            else:
-                self._factor = law.dense_factor(problem)
+        factor = law.factor(problem)
+        if isinstance(factor, LinearFactor) and not Chains.suit(factor.errors):
+            factor = law.dense_factor(problem)
+        self._factor = factor
+        self._hold_out = _innovations_of(factor)
 
     def score(self, values: Array) -> Array:
         """The noise's precision times values (N, k), as `Innovations` wants it."""
@@ -257,12 +256,16 @@ class RunNoise:
 
     def hold_out(self, held: Index) -> Innovations:
         """Readings held out; those of their run predict their noise."""
-        factor = self._factor
-        if isinstance(factor, DenseFactor):
-            return DenseInnovations(factor, held)
-        assert isinstance(factor, LinearFactor)
-        assert self._chains is not None
-        return LinearInnovations(factor, self._chains, held)
+        return self._hold_out(held)
+
+
+def _innovations_of(
+    factor: LinearFactor | DenseFactor,
+) -> Callable[[Index], Innovations]:
+    """Innovations by the readings held out; a linear factor's chains are shared."""
+    if isinstance(factor, LinearFactor):
+        return functools.partial(LinearInnovations, factor, Chains(factor.errors))
+    return functools.partial(DenseInnovations, factor)
 
 
 def _cholesky(matrix: Array) -> Array:

@@ -162,6 +162,13 @@ class Search:
         Parts are its effects in order, then its unknown remainder. Each form has its
         best size.
         """
+        shares = self._shares_of_forms(h, part)
+        return [(share, h.with_form(part, form, size)) for share, form, size in shares]
+
+    def _shares_of_forms(
+        self, h: Hypothesis, part: int
+    ) -> list[tuple[float, int, float]]:
+        """Probability, number and best size of each form of a part, likeliest first."""
         if part == len(h.effects):
             table = self._remainders.log_evidences(
                 self._grams_alone(h), self._selected(h)
@@ -177,10 +184,7 @@ class Search:
         shares = special.softmax(special.logsumexp(table, axis=1))
         best = sizes[np.argmax(table, axis=1)]
         order = np.argsort(-shares, kind="stable")
-        return [
-            (float(shares[k]), h.with_form(part, int(numbers[k]), float(best[k])))
-            for k in order
-        ]
+        return [(float(shares[k]), int(numbers[k]), float(best[k])) for k in order]
 
     def likeness(self, h: Hypothesis) -> dict[str, float]:
         """Probability of each form of a hypothesis' unknown remainder, in words.
@@ -188,9 +192,8 @@ class Search:
         The likeliest form comes first.
         """
         by_form: dict[str, float] = {}
-        for share, form in self.forms(h, len(h.effects)):
-            assert form.process is not None
-            about = self.processes.atoms[form.process].about
+        for share, form, _ in self._shares_of_forms(h, len(h.effects)):
+            about = self.processes.atoms[form].about
             by_form[about] = by_form.get(about, 0.0) + share
         return dict(sorted(by_form.items(), key=lambda item: -item[1]))
 

@@ -190,9 +190,17 @@ class WhitenedColumns:
         self.whole = np.asarray(np.einsum("nk,nk->k", white, white))
         self._columns = metric.remaining(white)
         residual = metric.scores(problem.residual[:, None])[:, 0]
-        self.size = metric.size
-        self.energy = float(residual @ residual)
-        self.base = _log_student(metric.log_det, self.energy, metric.size)
+        energy = float(residual @ residual)
+        none = np.empty(0)
+        #: the residual's own products, with no column
+        self._no_columns = Grams(
+            gram=np.empty((0, 0)),
+            b=none,
+            whole=none,
+            energy=energy,
+            size=metric.size,
+            base=_log_student(metric.log_det, energy, metric.size),
+        )
         #: (K,) projections of the residual
         self.b = self._columns.T @ residual
 
@@ -212,13 +220,11 @@ class WhitenedColumns:
     def grams(self, columns: slice | Index = slice(None)) -> Grams:
         """Grams of some columns; `base` is the log evidence of no gap."""
         some = self._columns[:, columns]
-        return Grams(
+        return dataclasses.replace(
+            self._no_columns,
             gram=some.T @ some,
             b=self.b[columns],
             whole=self.whole[columns],
-            energy=self.energy,
-            size=self.size,
-            base=self.base,
         )
 
     def with_others(self, others: WhitenedColumns) -> Array:

@@ -231,6 +231,9 @@ def _best(
     The second result is the number of all forms. Forms take much memory: those that are
     not among the best so far are not kept.
     """
+    if metric is None:
+        every = list(forms)
+        return every, len(every)
     best: list[tuple[float, int, Weighted]] = []
     waiting: list[tuple[int, Weighted]] = []
 
@@ -247,7 +250,7 @@ def _best(
     number = 0
     for number, weighted in enumerate(forms, start=1):
         waiting.append((number, weighted))
-        if metric is not None and len(waiting) > MANY:
+        if len(waiting) > MANY:
             keep_best()
     if best and waiting:
         keep_best()
@@ -256,10 +259,9 @@ def _best(
 
 
 def _scores(
-    problem: GapProblem, metric: Metric | None, forms: Sequence[Weighted]
+    problem: GapProblem, metric: Metric, forms: Sequence[Weighted]
 ) -> list[float]:
     """Log evidence of each form at its best atom and size, with its log weight."""
-    assert metric is not None
     ends = np.cumsum([0, *(len(form.names) for form, _ in forms)])
     columns = np.hstack([form.columns for form, _ in forms])
     whitened = evidence.WhitenedColumns(

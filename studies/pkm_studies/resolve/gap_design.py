@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
+from oed.design.plan_limits import Budget, DistanceLimit, ReadingTimes, SetupLimit
 from oed.design.rules import Rules
 from oed.gap.before.runs import Run
 from oed.measurement.measurement import Measurement, Series
@@ -162,28 +163,23 @@ def _rules(
             "some runs have a time and some have none", "give start_min to all or none"
         )
     cost = np.array([run.seconds for run in runs])
-    budget = None if table.budget_min is None else table.budget_min * MINUTE
+    time = ReadingTimes(cost)
+    if table.budget_min is not None:
+        time = Budget(cost, table.budget_min * MINUTE)
     if timed:
         # runs at stated times must not overlap, whatever their set-up: mounting has to
         # fit into the gaps between them
         starts = np.array([[run.condition["time"]] for run in runs])
-        return Rules(
-            size=table.runs,
-            budget=budget,
-            cost=cost,
-            position=starts,
-            min_distance=float(cost.max()),
-        )
+        apart = DistanceLimit(starts, float(cost.max()))
+        return Rules(size=table.runs, time=time, distance=apart)
     setups = list(dict.fromkeys(run.setup for run in runs))
     owner = np.array([setups.index(run.setup) for run in runs], dtype=np.intp)
-    return Rules(
-        size=table.runs,
-        budget=budget,
-        cost=cost,
-        setup=owner,
-        setup_cost=_mounting_times(setups, measurement, timing),
+    mounting = SetupLimit(
+        owner,
+        _mounting_times(setups, measurement, timing),
         mounted=tuple(sorted({int(k) for k in owner[:retained]})),
     )
+    return Rules(size=table.runs, time=time, setups=mounting)
 
 
 def _check_number(table: GapDesignTable, candidates: int, place: Place) -> None:

@@ -7,6 +7,7 @@ and field.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -206,7 +207,7 @@ def _option(
             series,
             name=table.name,
             counts=table.counts,
-            travel=None if travel is None else units.factor("mm") * travel,
+            travel=math.inf if travel is None else units.factor("mm") * travel,
             whole_runs=table.whole_runs,
             mounting_seconds=(
                 None if mounting is None else units.factor("min") * mounting

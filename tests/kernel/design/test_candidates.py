@@ -57,11 +57,11 @@ def test_prior_information_is_added_on_the_parameters() -> None:
 def test_readings_too_near_each_other_are_nearer_than_one() -> None:
     candidates = build(M, [SERIES], M.nominal, "tolerance")
     apart = np.array([0.0, 0.5, 0.0])
-    rules = candidates.rules(size=4, apart=apart)
-    assert rules.position is not None
-    assert rules.min_distance == 1.0
-    assert rules.position[:, 1] == pytest.approx(candidates.command[:, 1] / 0.5)
-    assert (rules.position[:, [0, 2]] == 0.0).all()
-    timed = candidates.rules(budget=100.0)
-    assert timed.cost is not None
-    assert timed.cost == pytest.approx(candidates.cost)
+    distance = candidates.rules(size=4, apart=apart).distance
+    assert distance is not None
+    assert distance.least == 1.0
+    assert distance.position[:, 1] == pytest.approx(candidates.command[:, 1] / 0.5)
+    assert (distance.position[:, [0, 2]] == 0.0).all()
+    time = candidates.rules(budget=100.0).time
+    assert time is not None
+    assert time.cost == pytest.approx(candidates.cost)

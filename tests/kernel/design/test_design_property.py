@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from oed.design import exchange
+from oed.design.plan_limits import Budget, SetupLimit
 from oed.design.rules import Rules
 
 CRITERIA = ("D", "A", "O5", "D", "A", "O5", "D", "E")
@@ -45,12 +46,11 @@ def problem(seed: int) -> Problem:
     if seed % 5 == 0:
         cost = rng.uniform(0.5, 2.0, count)
         rules = Rules(
-            budget=float(rng.uniform(n + 2, n + 6)) * 2.0,
-            cost=cost,
+            time=Budget(cost, float(rng.uniform(n + 2, n + 6)) * 2.0),
             size=None if seed % 2 else 12,
         )
     elif seed % 5 == 1:
-        rules = Rules(size=size, setup=rng.integers(0, 4, count), most_setups=2)
+        rules = Rules(size=size, setups=SetupLimit(rng.integers(0, 4, count), most=2))
     return Problem(blocks, prior, rules, CRITERIA[seed % 8], rank)
 
 

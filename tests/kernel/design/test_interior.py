@@ -87,9 +87,11 @@ def test_no_plan_exceeds_the_bound_of_the_path(seed: int, slope: float | None) -
     """F(z) = max l_min - z l_max, and kappa where there is no slope."""
     rows, prior, p = problem(seed)
     point = follow(p, slope, 1e-6)
-    assert point.weights.sum() == pytest.approx(SIZE)
-    values = spectrum(rows, prior, point.weights)
-    assert (point.least, point.largest) == pytest.approx((values[0], values[-1]))
+    assert point.plan.weights.sum() == pytest.approx(SIZE)
+    values = spectrum(rows, prior, point.plan.weights)
+    assert (point.plan.least, point.plan.largest) == pytest.approx(
+        (values[0], values[-1])
+    )
     assert 0.0 <= point.duality_gap <= 1.01e-6
     for plan in itertools.combinations(range(COUNT), SIZE):
         w = np.isin(np.arange(COUNT), plan).astype(float)
@@ -97,10 +99,10 @@ def test_no_plan_exceeds_the_bound_of_the_path(seed: int, slope: float | None) -
         if slope is None:
             assert low / high <= values[0] / values[-1] * (1.0 + 1e-5)
         else:
-            assert low - slope * high <= point.bound + 1e-9
+            assert low - slope * high <= point.dual.bound + 1e-9
     # nor do random weights
     rng = np.random.default_rng(seed)
     for w in SIZE * rng.dirichlet(np.ones(COUNT), 50):
         if slope is not None and w.max() <= 1.0:
             low, *_, high = spectrum(rows, prior, w)
-            assert low - slope * high <= point.bound + 1e-9
+            assert low - slope * high <= point.dual.bound + 1e-9

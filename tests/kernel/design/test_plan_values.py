@@ -11,6 +11,7 @@ from oed.design.criterion.determinant import Determinant
 from oed.design.criterion.spectrum import ExtremeEigenvalues
 from oed.design.criterion.variance import Variance
 from oed.design.evaluator import CriterionEvaluator
+from oed.design.plan_limits import Budget, SetupLimit
 from oed.design.rules import Rules
 from oed.design.search import improve, search, select_greedily
 from oed.design.setups import drop_untouched_columns, rank_combinations, thin
@@ -94,7 +95,7 @@ def test_searches_end_at_the_best_plan_and_below_the_bound(
 def test_a_budget_of_time_bounds_plans_of_any_size() -> None:
     criterion, (blocks, base) = CRITERIA["D"], problem(5)
     cost = np.random.default_rng(5).uniform(1.0, 3.0, COUNT)
-    rules = Rules(budget=7.0, cost=cost)
+    rules = Rules(time=Budget(cost, 7.0))
     upper = bound(blocks, criterion, rules, base)
     assert upper.weights @ cost == pytest.approx(7.0, rel=1e-3)
     for size in range(1, 8):
@@ -113,8 +114,9 @@ def test_the_best_two_set_ups_are_those_of_all_pairs() -> None:
     blocks[setup == 2] *= 3.0
     blocks[setup == 0] *= 2.5
     base, criterion = 0.05 * np.eye(N), CRITERIA["D"]
-    rules = Rules(size=6, setup=setup, most_setups=2)
-    (first, *_) = rank_combinations(blocks, criterion, base, rules)
+    setups = SetupLimit(setup, most=2)
+    rules = Rules(size=6, setups=setups)
+    (first, *_) = rank_combinations(blocks, criterion, base, rules, setups)
 
     def value(pair: tuple[int, ...]) -> float:
         # six readings of six: all of them
@@ -123,7 +125,9 @@ def test_the_best_two_set_ups_are_those_of_all_pairs() -> None:
 
     pairs = list(itertools.combinations(range(4), 2))
     assert first == max(pairs, key=value)
-    assert thin(rules, first).tolist() == np.flatnonzero(np.isin(setup, first)).tolist()
+    assert (
+        thin(setups, first).tolist() == np.flatnonzero(np.isin(setup, first)).tolist()
+    )
 
 
 def test_columns_that_no_block_touches_leave() -> None:

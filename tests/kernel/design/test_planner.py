@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -153,7 +154,7 @@ def test_machines_that_lose_readings_are_farther_off_than_their_covariance_says(
     assert np.trace(square[1]) > 1.25 * np.trace(covariance)
 
 
-def short_options(rows: list[np.ndarray], limit: float | None) -> list[Option]:
+def short_options(rows: list[np.ndarray], limit: float) -> list[Option]:
     """Options of eight readings each, with a travel."""
     return [
         linear_option(
@@ -177,7 +178,7 @@ def test_a_machine_that_no_reading_captures_bounds_every_plan() -> None:
         for _ in range(3)
     ]
     bounds = []
-    for limit in (10.0, None):
+    for limit in (10.0, math.inf):
         result = searched(short_options(rows, limit), THREE, 1e4, stages=2)
         assert result.bound.value <= result.most_accurate.value
         bounds.append(result.bound.value)
@@ -224,7 +225,7 @@ def test_a_rough_stage_comes_first_only_where_travel_asks_for_it() -> None:
     fine_rows = 300.0 * rng.standard_normal((12, 3))
     rough_rows = 20.0 * rng.standard_normal((12, 3))
 
-    def option(name: str, rows: np.ndarray, limit: float | None) -> Option:
+    def option(name: str, rows: np.ndarray, limit: float) -> Option:
         return linear_option(
             name,
             rows,
@@ -236,7 +237,10 @@ def test_a_rough_stage_comes_first_only_where_travel_asks_for_it() -> None:
         )
 
     def best_names(limit: float) -> tuple[str, ...]:
-        options = [option("fine", fine_rows, limit), option("rough", rough_rows, None)]
+        options = [
+            option("fine", fine_rows, limit),
+            option("rough", rough_rows, math.inf),
+        ]
         return searched(options, THREE, 1500.0, stages=2).best.names
 
     assert best_names(40.0)[0] == "rough"

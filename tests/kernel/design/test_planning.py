@@ -4,6 +4,7 @@ Simulated machines, closed forms, another solver, and all plans of small catalog
 """
 
 import dataclasses
+import math
 from itertools import pairwise
 
 import casadi as ca
@@ -29,7 +30,7 @@ TOLERANCE = np.array([p.tolerance for p in machine.parameters])
 
 
 def line_option(
-    number: int, limit: float | None = None, whole_runs: bool = False
+    number: int, limit: float = math.inf, whole_runs: bool = False
 ) -> Option:
     """An RM of Chang et al. on the paper's lines; its ruler's direction is unknown."""
     instrument = getattr(relative, f"rm{number}")

@@ -9,6 +9,7 @@ import pytest
 
 from oed.design import conic, exchange
 from oed.design.criterion import named
+from oed.design.plan_limits import Budget, DistanceLimit
 from oed.design.quotas import Quota, QuotaSet, equal_numbers
 from oed.design.rules import Rules
 
@@ -136,7 +137,7 @@ def test_quotas_hold_beside_a_least_distance() -> None:
     rows = rng.standard_normal((40, 3))
     high = position[:, 0] > 7.0
     quotas = QuotaSet((Quota("high", high, 2, 2),), 8)
-    rules = Rules(size=8, position=position, min_distance=0.5, quotas=quotas)
+    rules = Rules(size=8, distance=DistanceLimit(position, 0.5), quotas=quotas)
     choice = exchange.choose(rows, None, rng, rules=rules)
     places = position[choice.indices, 0]
     assert (np.diff(places) >= 0.5 - 1e-9).all()
@@ -147,7 +148,7 @@ def test_quotas_hold_beside_a_least_distance() -> None:
             rows,
             None,
             rng,
-            rules=Rules(size=8, position=position, min_distance=2.0, quotas=crowded),
+            rules=Rules(size=8, distance=DistanceLimit(position, 2.0), quotas=crowded),
         )
 
 
@@ -170,7 +171,7 @@ def test_quotas_that_contradict_each_other_are_named() -> None:
     with pytest.raises(ValueError, match="need the number of readings, and no budget"):
         Rules(size=3, quotas=quotas)
     with pytest.raises(ValueError, match="need the number of readings, and no budget"):
-        Rules(size=4, budget=1.0, cost=np.ones(8), quotas=quotas)
+        Rules(size=4, time=Budget(np.ones(8), 1.0), quotas=quotas)
 
 
 def test_a_condition_number_that_the_solver_misses_is_bounded_without_quotas(

@@ -145,7 +145,7 @@ def test_machines_without_travel_give_all_readings(rng: np.random.Generator) -> 
         option, chosen, as_knowledge(np.eye(N)), np.ones(3), 50, rng
     )
     assert machines.patterns.tolist() == [[1.0, 1.0, 1.0]]
-    assert machines.errors is None
+    assert machines.knowledge.errors is None
     rows = option.candidates.blocks[chosen, 0]
     information = (rows.T @ rows)[None]
     knowledge = machines.update(profile(information, N, N + 1), rng)
@@ -173,10 +173,10 @@ def test_drawn_machines_lose_what_is_beyond_the_travel(
     )
     captured = machines.patterns[machines.pattern_of]
     assert captured.mean(axis=0) == pytest.approx([0.3829, 1.0], abs=0.02)
-    assert machines.errors is not None
-    within = np.abs(machines.errors @ rows[0]) <= 1.0
+    assert machines.knowledge.errors is not None
+    within = np.abs(machines.knowledge.errors @ rows[0]) <= 1.0
     assert (captured[:, 0] > 0.0).tolist() == within.tolist()
-    assert machines.lost_readings.tolist() == (~within).tolist()
+    assert machines.knowledge.lost_readings.tolist() == (~within).tolist()
 
 
 def test_linear_readings_have_no_residual(rng: np.random.Generator) -> None:

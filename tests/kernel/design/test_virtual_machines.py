@@ -1,6 +1,7 @@
 """Virtual machines in a plan's stages: gantries of the oracle, read and fitted."""
 
 import functools
+import math
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ HOME = planar_2dof.machine.home_command
 
 
 @functools.cache
-def option(travel: float | None = None) -> Option:
+def option(travel: float = math.inf) -> Option:
     series = M.series("tracker", GRID)
     return build_option(
         planar_2dof.machine,

@@ -183,7 +183,7 @@ def _uncaptured(
     uncaptured = np.zeros((len(options) + 1, len(errors)), dtype=bool)
     uncaptured[-1] = True
     for k, option in enumerate(options):
-        if option.travel is None:
+        if not option.limits_travel:
             continue
         setup_errors = rng.standard_normal((len(errors), option.setup_columns))
         everything = np.arange(len(option.candidates))

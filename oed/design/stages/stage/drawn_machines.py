@@ -31,20 +31,14 @@ CERTAIN = 0.999
 class DrawnMachines:
     """Machines (P) before a stage.
 
-    covariances    (Q, n, n) of the parameters, in tolerance units
-    covariance_of  (P,) covariance of each machine
-    errors         (P, n) true minus believed parameters; None: N(0, covariance)
-    setup_errors   (P, s) of the set-ups' parameters and of errors that runs share
-    lost_readings  (P,) which machines have lost readings, up to this stage
-    patterns       (G, N) captured candidates, 1 or 0
-    pattern_of     (P,) pattern of each machine
+    knowledge     before the stage; `lost_readings` are those up to this stage
+    setup_errors  (P, s) of the set-ups' parameters and of errors that runs share
+    patterns      (G, N) captured candidates, 1 or 0
+    pattern_of    (P,) pattern of each machine
     """
 
-    covariances: Array
-    covariance_of: Index
-    errors: Array | None
+    knowledge: Knowledge
     setup_errors: Array
-    lost_readings: Mask
     patterns: Array
     pattern_of: Index
 
@@ -60,7 +54,7 @@ class DrawnMachines:
         """
         covariance_of, pattern_of = self._groups[0]
         total = information[pattern_of[groups]] + np.eye(information.shape[1])
-        n = self.covariances.shape[1]
+        n = self.knowledge.covariances.shape[1]
         total[:, :n, :n] += self._prior_information[covariance_of[groups]] - np.eye(n)
         return _inverses(total)
 
@@ -71,20 +65,20 @@ class DrawnMachines:
         covariance_of, pattern_of = self._groups[0]
         prior = self._prior_information[covariance_of]
         covariances = _inverses(prior + information.machine[pattern_of])
-        no_loss = ~self.lost_readings
+        before, lost = self.knowledge.errors, self.knowledge.lost_readings
+        no_loss = ~lost
         errors = None
-        if self.errors is None:
+        if before is None:
             no_loss = np.ones(len(self.group_of), dtype=bool)
         total = self._sum(covariances, no_loss)
-        if self.errors is not None:
+        if before is not None:
             noise = information.noise
-            known = self._known_part(self.errors, information)
-            normals = rng.standard_normal(self.errors.shape)
+            known = self._known_part(before, information)
+            normals = rng.standard_normal(before.shape)
             drawn = multiply_each(square_roots(noise), self.pattern_of, normals)
             errors = multiply_each(covariances, self.group_of, known - drawn)
             # A machine without losses has the error of its covariance. One with losses
             # is farther off: its mean square over the noise counts.
-            lost = self.lost_readings
             bias = multiply_each(covariances, self.group_of[lost], known[lost])
             scatter = covariances @ noise[pattern_of] @ covariances
             total = total + self._sum(scatter, lost) + bias.T @ bias
@@ -92,7 +86,7 @@ class DrawnMachines:
             covariances=covariances,
             covariance_of=self.group_of,
             errors=errors,
-            lost_readings=self.lost_readings,
+            lost_readings=lost,
             mean_square_error=total / len(self.group_of),
         )
 
@@ -100,18 +94,20 @@ class DrawnMachines:
     def _groups(self) -> tuple[tuple[Index, Index], Index]:
         """Covariance and pattern (K,) of each group, and each machine's group (P,)."""
         patterns = len(self.patterns)
-        number = self.covariance_of * patterns + self.pattern_of
+        number = self.knowledge.covariance_of * patterns + self.pattern_of
         groups, group_of = np.unique(number, return_inverse=True)
         return (groups // patterns, groups % patterns), group_of
 
     @cached_property
     def _prior_information(self) -> Array:
         """S^-1 (Q, n, n)."""
-        return np.asarray(np.linalg.inv(self.covariances))
+        return np.asarray(np.linalg.inv(self.knowledge.covariances))
 
     def _known_part(self, errors: Array, information: ProfiledInformation) -> Array:
         """S^-1 d - K u (P, n) for errors d (P, n)."""
-        of_machine = multiply_each(self._prior_information, self.covariance_of, errors)
+        of_machine = multiply_each(
+            self._prior_information, self.knowledge.covariance_of, errors
+        )
         by_setup = information.by_setup
         return of_machine - multiply_each(by_setup, self.pattern_of, self.setup_errors)
 
@@ -140,20 +136,18 @@ def draw_machines(
     probability  (N,) that each chosen candidate is captured
     """
     extra = option.unknowns - knowledge.columns
-    if option.travel is None or probability.min() >= CERTAIN:
+    if not option.limits_travel or probability.min() >= CERTAIN:
         return _all_captured(knowledge, extra, len(chosen), rng)
     drawn = knowledge.repeat(max(draws // knowledge.machines, 1))
     errors = drawn.draw_errors(rng)
     setup_errors = rng.standard_normal((drawn.machines, extra))
     of_setups = setup_errors[:, : option.setup_columns]
     captured = travel.is_captured(option, chosen, errors, of_setups)
+    lost = drawn.lost_readings | ~captured.all(axis=1)
     patterns, pattern_of = np.unique(captured, axis=0, return_inverse=True)
     return DrawnMachines(
-        covariances=drawn.covariances,
-        covariance_of=drawn.covariance_of,
-        errors=errors,
+        knowledge=dataclasses.replace(drawn, errors=errors, lost_readings=lost),
         setup_errors=setup_errors,
-        lost_readings=drawn.lost_readings | ~captured.all(axis=1),
         patterns=patterns.astype(float),
         pattern_of=pattern_of.ravel(),
     )
@@ -165,11 +159,8 @@ def _all_captured(
     """The machines of `knowledge`, all of which give all chosen candidates."""
     drawn = knowledge.machines if knowledge.errors is not None else 0
     return DrawnMachines(
-        covariances=knowledge.covariances,
-        covariance_of=knowledge.covariance_of,
-        errors=knowledge.errors,
+        knowledge=knowledge,
         setup_errors=rng.standard_normal((drawn, extra)),
-        lost_readings=knowledge.lost_readings,
         patterns=np.ones((1, chosen)),
         pattern_of=np.zeros(knowledge.machines, dtype=np.intp),
     )

@@ -98,7 +98,7 @@ def predict_stage(
         rms = residual.rms
         if residual.columns is not None:
             information = _information_with_residual(
-                option, chosen, machines.patterns, residual
+                option, chosen, machines.patterns, rms, residual.columns
             )
     profiled = profile(information, knowledge.columns, option.unknowns)
     posterior = machines.update(profiled, rng)
@@ -182,21 +182,23 @@ def _information_with_residual(
     option: Option,
     chosen: Index,
     patterns: Array,
-    residual: linearisation.LinearisationResidual,
+    rms: Array,
+    columns: Array,
 ) -> Array:
-    """Information (G, w + m, w + m) with the columns of the residual.
+    """Information (G, w + m, w + m) with the residual's columns (G, readings, m).
+
+    rms  (readings,) of the residual, SI
 
     Readings which no machine reaches carry no information.
     """
-    assert residual.columns is not None
     rows = linearisation.whitened_rows(option, chosen)
     counts = linearisation.reading_counts(option, chosen)
     candidate_of = np.repeat(np.arange(len(chosen)), counts)
-    reachable = np.isfinite(residual.rms)
+    reachable = np.isfinite(rms)
     grams = []
-    for pattern, columns in zip(patterns, residual.columns, strict=True):
+    for pattern, of_pattern in zip(patterns, columns, strict=True):
         captured = (pattern[candidate_of] > 0.0) & reachable
-        grams.append(_gram(np.hstack([rows, columns])[captured]))
+        grams.append(_gram(np.hstack([rows, of_pattern])[captured]))
     return np.array(grams)
 
 

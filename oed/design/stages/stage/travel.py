@@ -32,7 +32,7 @@ def capture_probability(
     Single readings have a closed form. Whole runs are counted on machines drawn with
     `rng`.
     """
-    if option.travel is None:
+    if not option.limits_travel:
         return np.ones(len(option.candidates))
     first, count = option.candidates.members.T
     knowledge = as_knowledge(prior)
@@ -51,7 +51,7 @@ def capture_probability_bound(option: Option, prior: Prior) -> Array:
 
     A run is no more likely to be captured than its least likely reading.
     """
-    if option.travel is None:
+    if not option.limits_travel:
         return np.ones(len(option.candidates))
     probability = _reading_probability(option, as_knowledge(prior))
     members = option.candidates.members
@@ -67,7 +67,6 @@ def is_captured(
     errors        (P, n) of the machines' parameters, in tolerance units
     setup_errors  (P, s) of the set-ups' parameters, in tolerance units
     """
-    assert option.travel is not None
     deviation = np.hstack([errors, setup_errors]) @ option.first_channel_slopes.T
     within = np.abs(deviation) <= option.travel
     first, count = option.candidates.members[chosen].T
@@ -79,7 +78,6 @@ def is_captured(
 
 def _reading_probability(option: Option, knowledge: Knowledge) -> Array:
     """Probability (readings,) that each reading by itself is within the travel."""
-    assert option.travel is not None
     slopes, n = option.first_channel_slopes, option.machine_columns
     machine_slopes = slopes[:, :n]
     setup_variance = np.sum(slopes[:, n:] ** 2, axis=1)

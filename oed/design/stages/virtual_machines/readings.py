@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -38,14 +39,14 @@ class VirtualStage:
     series         planned readings
     candidate      (readings,) candidate that each number belongs to
     first_channel  (readings,) which numbers are first channels: the travel limits them
-    travel         m or rad; None: unlimited
+    travel         m or rad; infinite: unlimited
     """
 
     measurement: Measurement
     series: tuple[Series, ...]
     candidate: Index
     first_channel: Mask
-    travel: float | None
+    travel: float
 
     def read(
         self,
@@ -65,7 +66,7 @@ class VirtualStage:
         exact = measurement.try_readings(sent, truth)
         # a pose that cannot be assembled cannot be read
         lost = np.isnan(exact)
-        if self.travel is not None:
+        if math.isfinite(self.travel):
             deviation = np.abs(exact - measurement.try_readings(sent, expected))
             lost |= self.first_channel & ~(deviation <= self.travel)
         candidates = int(self.candidate[-1]) + 1

@@ -86,13 +86,10 @@ def chosen_pool(problem: DesignProblem, chosen: Choice) -> tuple[Index, Array]:
 
 def _without_costs(problem: DesignProblem, pool: Index) -> Rules:
     """The rules over a pool of candidates, without time and number of set-ups."""
-    return dataclasses.replace(
-        problem.rules.subset(pool),
-        most_setups=None,
-        budget=None,
-        cost=None,
-        setup_cost=None,
-    )
+    rules, setups = problem.rules.subset(pool), None
+    if rules.setups is not None:
+        setups = dataclasses.replace(rules.setups, seconds=None, most=None)
+    return dataclasses.replace(rules, time=None, setups=setups)
 
 
 def _with_fewest(

@@ -50,7 +50,7 @@ def choose_robust(
         choice = robust.choose(
             blocks,
             within,
-            dataclasses.replace(problem.rules.subset(pool), most_setups=None),
+            problem.rules.subset(pool).without_most_setups,
             rng,
             risk=table.risk,
             tail_share=table.level,

@@ -13,12 +13,14 @@ import math
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design import bounds, branch, exchange, setups
+from oed.design import bounds, branch, exchange
 from oed.design.blocks import information, project_on_estimable
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, ExtremeEigenvalues, PowerMean
 from oed.design.exchange import Choice
+from oed.design.plan_limits import SetupLimit
 from oed.design.rules import MAX_COMBINATIONS, Rules
+from oed.design.setups import rank_combinations
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -30,28 +32,32 @@ class DesignProblem:
     rounds: int
 
     @property
+    def setups(self) -> SetupLimit:
+        """Set-ups of the candidates, and the rule about them."""
+        return self.rules.setups or SetupLimit(self.candidates.setup)
+
+    @property
     def mounted(self) -> Index:
         """Set-ups that are mounted already."""
-        return np.array(self.rules.mounted, dtype=np.intp)
+        return np.array(self.setups.mounted, dtype=np.intp)
 
     @property
     def new_setups(self) -> Index:
         """Set-ups that a plan would have to mount."""
-        used = () if self.rules.setup is None else self.rules.setup
-        return np.setdiff1d(used, self.mounted)
+        return self.setups.mountable
 
     @property
     def selects_setups(self) -> bool:
         """Whether the search has to find out which set-ups to mount."""
-        count, rules = len(self.new_setups), self.rules
-        too_many = rules.most_setups is not None and rules.most_setups < count
-        costly = rules.budget is not None and count > 1
+        count, most = len(self.new_setups), self.setups.most
+        too_many = most is not None and most < count
+        costly = self.rules.budget is not None and count > 1
         return self.candidates.prior is not None and (too_many or costly)
 
     @property
     def bound_ignores_setups(self) -> bool:
         """Whether the bound allows any number of set-ups: too many combinations."""
-        count, most = len(self.new_setups), self.rules.most_setups
+        count, most = len(self.new_setups), self.setups.most
         if most is None:
             return False
         return sum(math.comb(count, k) for k in range(1, most + 1)) > MAX_COMBINATIONS
@@ -95,7 +101,6 @@ def best_plan(
     """The best plan found, with its certificate. Raises ValueError where none exists."""
     c = problem.candidates
     if not problem.selects_setups:
-        rules = dataclasses.replace(problem.rules, most_setups=None)
         return exchange.choose(
             c.blocks,
             None,
@@ -103,7 +108,7 @@ def best_plan(
             criterion,
             prior=c.prior,
             rounds=problem.rounds,
-            rules=rules,
+            rules=problem.rules.without_most_setups,
         )
     plans: list[Index] = []
     refusals: list[ValueError] = []
@@ -138,16 +143,15 @@ def _combinations(
 
     The best few of the largest number, or within a budget the best of each number.
     """
-    c, rules, count = problem.candidates, problem.rules, len(problem.new_setups)
-    ranking = _smooth(criterion)
-    if rules.budget is None:
-        return setups.rank_combinations(c.blocks, ranking, c.prior_information, rules)
+    c = problem.candidates
+    given = c.blocks, _smooth(criterion), c.prior_information, problem.rules
+    if problem.rules.budget is None:
+        return rank_combinations(*given, problem.setups)
     combinations = []
-    for most in range(1, min(rules.most_setups or count, count) + 1):
-        limited = dataclasses.replace(rules, most_setups=most)
-        combinations += setups.rank_combinations(
-            c.blocks, ranking, c.prior_information, limited
-        )[:1]
+    largest = problem.setups.most_of(len(problem.new_setups))
+    for most in range(1, largest + 1):
+        limited = dataclasses.replace(problem.setups, most=most)
+        combinations += rank_combinations(*given, limited)[:1]
     return combinations
 
 
@@ -171,7 +175,7 @@ def _best_within(
     mounted = np.union1d(setup_indices, problem.mounted)
     pool = np.flatnonzero(np.isin(c.setup, mounted))
     basis = problem.columns(mounted)
-    rules = dataclasses.replace(problem.rules.subset(pool), most_setups=None)
+    rules = problem.rules.subset(pool).without_most_setups
     choice = exchange.choose(
         c.blocks[pool] @ basis,
         None,

@@ -150,15 +150,15 @@ def _problem(
         ) from error
     if table.prior or request.retained:
         pool = pool.with_prior(_prior_information(study_criteria, measurement))
+    mounted = {s.setup for s in request.retained}
     rules = pool.rules(
         size=table.size,
         budget=_budget(table, request, measurement),
         most_setups=table.setups_max,
+        mounted=tuple(k for k, name in enumerate(pool.setups) if name in mounted),
         apart=request.least_distance,
+        quotas=request.quotas,
     )
-    mounted = {s.setup for s in request.retained}
-    positions = tuple(k for k, name in enumerate(pool.setups) if name in mounted)
-    rules = dataclasses.replace(rules, mounted=positions, quotas=request.quotas)
     return DesignProblem(pool, rules, table.starts)
 
 

@@ -118,8 +118,8 @@ def _least_before(separations: Sequence[SeparationRecord]) -> float | None:
 def _times(covariates: pd.DataFrame, design: GapDesignRequest, rules: Rules) -> Array:
     """Time of each reading (n,), s, where the runs follow one another."""
     mounting = dict.fromkeys((run.setup for run in design.runs), 0.0)
-    if rules.setup_cost is not None:
-        mounting = dict(zip(mounting, rules.setup_cost.tolist(), strict=True))
+    if rules.setups is not None and rules.setups.seconds is not None:
+        mounting = dict(zip(mounting, rules.setups.seconds.tolist(), strict=True))
     seconds = {(run.setup, run.name): run.seconds for run in design.runs}
     clock, mounted, times = 0.0, "", []
     for (setup, name), rows in covariates.groupby(["setup", "run"], sort=False):
