@@ -22,8 +22,6 @@ DAMPING = (1e-10, 1e-6, 1e-3, 1e-1, 1e1)
 AT_BOUND = 1e-13
 #: halvings of a straight step, and the least share of it
 HALVINGS, LEAST_SHARE = 20, 1e-6
-#: bisections of a projection
-BISECTIONS = 60
 
 
 def newton_steps(
@@ -73,7 +71,7 @@ def _one_step(
         longest = longest or (step, free)
         total = float(weights[free].sum())
         bent = weights.copy()
-        bent[free] = _project(weights[free] + step, total, caps[free])
+        bent[free] = project_to_sum(weights[free] + step, total, caps[free])
         if objective.value(active, bent) > value:
             return bent
     # last: it releases one weight at a time, and wide blocks have hundreds to release
@@ -165,17 +163,29 @@ def _straight_step(
     return None
 
 
-def _project(wanted: Array, total: float, caps: Array) -> Array:
+def project_to_sum(wanted: Array, total: float, caps: Array) -> Array:
     """The nearest weights within 0 and the caps that have the sum `total`."""
-    low, high = float((wanted - caps).min()), float(wanted.max())
-    for _ in range(BISECTIONS):
-        shift = 0.5 * (low + high)
-        if np.clip(wanted - shift, 0.0, caps).sum() > total:
-            low = shift
-        else:
-            high = shift
-    projected = np.clip(wanted - high, 0.0, caps)
+    shift = _shift_to_sum(wanted, total, caps)
+    projected = np.minimum(np.maximum(wanted - shift, 0.0), caps)
     inside = (projected > 0) & (projected < caps)
     if inside.any():
         projected[inside] += (total - projected.sum()) / inside.sum()
-    return np.clip(projected, 0.0, caps)
+    return np.minimum(np.maximum(projected, 0.0), caps)
+
+
+def _shift_to_sum(wanted: Array, total: float, caps: Array) -> float:
+    """The number to subtract from all weights, so that within 0 and the caps they have
+    the sum `total`.
+
+    The sum is piecewise linear in the shift: it bends where a weight leaves its cap, and
+    where one reaches 0.
+    """
+    bends = np.concatenate([wanted - caps, wanted])
+    order = np.argsort(bends)
+    bends = bends[order]
+    inside = np.cumsum(np.where(order < len(wanted), 1.0, -1.0))
+    drops = inside[:-1] * np.diff(bends)
+    sums = caps.sum() - np.append(0.0, np.cumsum(drops))
+    last = max(int(np.count_nonzero(sums > total)) - 1, 0)
+    excess = sums[last] - total
+    return float(bends[last] + excess / max(inside[last], 1.0))

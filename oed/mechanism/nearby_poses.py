@@ -44,7 +44,7 @@ class NearbyPoses:
         p = np.repeat(vectors, n, axis=0)
         x, sizes = start.reshape(m * n, nx).copy(), []
         for _ in range(2):
-            misfit = self._kinematics.equations.misfit(x, q, p)[0]
+            (misfit,) = self._kinematics.equations.misfit(x, q, p)
             step = (self._inverse @ misfit.reshape(m, n, nx, 1)).reshape(m * n, nx)
             x -= step
             sizes.append(np.abs(step).max(axis=1))

@@ -86,7 +86,7 @@ class PowerMean:
         relative = eigenvalues / eigenvalues[0]
         differences = self._divided_differences(relative)
         turned = blocks @ eigenvectors
-        products = np.einsum("ckn,ckm->cnm", turned, turned, optimize=True)
+        products = np.einsum("ckn,ckm->cnm", turned, turned)
         rows = (products * np.sqrt(-differences)).reshape(len(blocks), -1)
         tau = float(np.sum(relative**-self.p)) * eigenvalues[0] ** 2
         g = slopes(blocks, self.support(m).root)

@@ -50,7 +50,7 @@ def evaluate_shortlist(
     first = [np.argsort(-rank, kind="stable")[:places] for rank in ranks]
     shortlist = np.unique(np.concatenate(first))
     added = blocks[shortlist]
-    sums = m + np.einsum("ckn,ckm->cnm", added, added, optimize=True)
+    sums = m + np.einsum("ckn,ckm->cnm", added, added)
     values = np.full(len(blocks), -np.inf)
     eigenvalues = np.asarray(np.linalg.eigvalsh(sums), dtype=float)
     values[shortlist] = of_eigenvalues(eigenvalues)

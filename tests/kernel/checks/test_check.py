@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from oed.checks.blind import unseen_mistakes
-from oed.checks.check import CheckedSession, check_session
+from oed.checks.check import CheckedSession, _exchanged, check_session
 from oed.checks.findings import Severity
 from oed.checks.mistakes import Alternatives
+from oed.checks.outliers import find_outliers
 from oed.checks.session import SessionReadings
 
 SIGMA = 0.5e-6
@@ -52,6 +53,28 @@ def test_a_gross_error_is_set_aside_with_its_row() -> None:
     found = [f for f in result.findings if f.severity == Severity.OUTLIER]
     assert [f.rows for f in found] == [clean().rows([11])]
     assert not result.bad_fit
+
+
+def exchanged(y: np.ndarray) -> tuple[int, int] | None:
+    session = clean().with_y(y)
+    outliers = find_outliers(session, np.empty(0, dtype=np.intp))
+    assert outliers is not None
+    assert {one.reading for one in outliers.far} == {4, 9}
+    return _exchanged(session, outliers)
+
+
+def test_two_readings_that_were_exchanged_are_named() -> None:
+    y = clean().y.copy()
+    y[[4, 9]] = y[[9, 4]]
+    pair = exchanged(y)
+    assert pair is not None
+    assert set(pair) == {4, 9}
+
+
+def test_two_gross_errors_are_not_said_to_be_exchanged() -> None:
+    y = clean().y.copy()
+    y[[4, 9]] += 80.0 * SIGMA, 130.0 * SIGMA
+    assert exchanged(y) is None
 
 
 def test_readings_in_inches_are_a_mistake() -> None:

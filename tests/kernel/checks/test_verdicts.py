@@ -79,6 +79,33 @@ def test_one_far_reading_is_no_misfit_of_the_others() -> None:
     assert spoiled.log_posterior < clean.log_posterior
 
 
+def test_readings_left_out_are_anywhere_about_nominal() -> None:
+    """Each of them has SciPy's Cauchy density, and may be any of all readings."""
+    rows = machines.readings("a3", 3)
+    rows.loc[17, "length_mm"] += 80.0 * SIGMA
+    rows.loc[41, "length_mm"] -= 120.0 * SIGMA
+    session = machines.session("a3", rows)
+    solution = fit(session)
+    assert solution is not None
+    rest, log_density = explain._without_outliers(solution)
+    assert len(rest.session) == len(session) - 2
+    given, far = Given(session), [17, 41]
+    law = stats.cauchy(given.predicted[far], 3.0 * given.spread[far])
+    exact = law.logpdf(session.y[far]).sum() - 2.0 * np.log(len(session))
+    assert log_density == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize("most", [5, 24, 48, 60])
+def test_a_sample_has_the_first_and_the_last_reading(
+    monkeypatch: pytest.MonkeyPatch, most: int
+) -> None:
+    monkeypatch.setattr(explain, "MOST_READINGS", most)
+    session = machines.session("a3", machines.readings("a3", 3))
+    sample = explain._sample(session)
+    assert len(sample) == min(most, len(session))
+    assert sample.y[[0, -1]] == pytest.approx(session.y[[0, -1]])
+
+
 def candidate(
     what: str, log_posterior: float, kind: str = "unit", ratio: float = 1.0
 ) -> explain.Undone:

@@ -170,6 +170,18 @@ def test_rows_become_readings_with_their_poses() -> None:
     np.testing.assert_allclose(readings.series[0].command, [[0.1, 0.2]])
 
 
+def test_a_table_has_two_hundred_columns_at_most() -> None:
+    """Columns without a name count as well."""
+    for spare, accepted in ((194, True), (195, False)):
+        header, cells = [*HEADER, *[""] * spare], ["a", "1", "1", "5", "1", "2"]
+        numbered = [(1, header), (2, [*cells, *[""] * spare])]
+        if accepted:
+            assert len(table.from_rows(numbered, "x.csv").columns) == len(HEADER)
+            continue
+        with pytest.raises(ReadingsError, match="201 columns are too many"):
+            table.from_rows(numbered, "x.csv")
+
+
 def test_cables_that_stretch_are_longer_than_paid_out() -> None:
     machine = dataclasses.replace(
         cables_planar.machine,

@@ -10,6 +10,8 @@ import pytest
 
 from oed.design import condition, exchange, relaxation
 from oed.design.criterion import named
+from oed.design.criterion.determinant import Determinant
+from oed.design.objective import CriterionObjective
 from oed.design.whitening import whiten
 
 DIRECTIONS, SIZE, COUNT = 8, 14, 200
@@ -158,3 +160,16 @@ def test_white_candidates_are_within_their_stated_rounding() -> None:
     assert 0.0 < error.max() <= white.rounding.rows
     information = white.blocks[:, 0].T @ white.blocks[:, 0] + white.prior
     np.testing.assert_allclose(information, np.eye(DIRECTIONS), atol=1e-6)
+
+
+def test_the_rounding_of_slopes_is_that_of_the_largest() -> None:
+    """A candidate with a tiny slope beside it, of no weight, makes it no less."""
+    large, tiny = np.diag([3.0, 4.0])[None], np.full((1, 2, 2), 1e-6)
+    objectives = [
+        CriterionObjective(Determinant(2), blocks, np.eye(2))
+        for blocks in (large, np.concatenate([large, tiny]))
+    ]
+    first, second = (o.tangent(np.array([0]), np.ones(1)) for o in objectives)
+    assert second.slopes[0] == pytest.approx(first.slopes[0])
+    assert second.slopes[1] < 1e-9 * second.slopes[0]
+    assert 0.0 < first.rounding <= second.rounding

@@ -1,6 +1,8 @@
 """Clearance of struts, bar and surroundings, and moves between poses."""
 
 import dataclasses
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,11 +13,34 @@ from kernel import a3_plans
 from kernel.bar_series import CUP, bar, planar_series, tips
 from kernel.cases import CASES
 from oed.design import feasible
-from oed.design.clearance import Clearance, Surroundings
+from oed.design.clearance import Clearance, Surroundings, cup_place
 from oed.design.feasible import ReadingLimits
 from oed.design.segments import Capsule, point_distance, segment_distance, sphere
 from oed.measurement.measurement import Measurement
 from pkm_models.machines import planar_2dof
+
+
+@pytest.mark.parametrize("others", [(), ("length",)])
+def test_a_bar_is_held_where_its_settings_say(others: tuple[str, ...]) -> None:
+    """At the three settings of its place, whether it has others or none; without one of
+    them, at the tool point of its teach pose.
+    """
+    place = dict(zip(("at_x", "at_y", "at_z"), CUP, strict=True))
+    mounted = bar().setups["bar"]
+    settings = {**place, **dict.fromkeys(others, 0.3)}
+    teach = (0.2, 0.4)
+
+    def held_at(settings: dict[str, float]) -> np.ndarray:
+        known = SimpleNamespace(
+            settings=settings, teach=teach, tool=(0.0, 0.0, 0.0), instrument=mounted
+        )
+        kinematics = bar().kinematics
+        some = SimpleNamespace(setups={"bar": known}, kinematics=kinematics)
+        return cup_place(cast(Measurement, some), "bar")
+
+    assert held_at(settings) == pytest.approx(np.array(CUP))
+    del settings["at_y"]
+    assert held_at(settings) == pytest.approx(tips(np.array([teach]))[0])
 
 
 def test_distances_of_segments_are_the_least_found_by_search(

@@ -5,7 +5,7 @@ import pytest
 from scipy import optimize
 
 from oed.design.criterion.determinant import Determinant
-from oed.design.newton import newton_steps, scale_to_size
+from oed.design.newton import newton_steps, project_to_sum, scale_to_size
 from oed.design.objective import CriterionObjective
 
 
@@ -50,3 +50,29 @@ def test_steps_end_at_the_constrained_maximum(seed: int) -> None:
         options={"ftol": 1e-12, "maxiter": 500},
     )
     assert objective.value(active, weights) == pytest.approx(-other.fun, abs=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_projection_is_the_root_that_brentq_finds(seed: int) -> None:
+    """Caps that are equal or not, and sums from almost nothing to almost all of them."""
+    rng = np.random.default_rng(seed)
+    caps = np.full(9, 0.7) if seed % 2 else rng.uniform(0.1, 2.0, 9)
+    wanted = np.round(rng.standard_normal(9), 1)  # some are equal
+    for share in (1e-6, 0.2, 0.5, 0.8, 1.0 - 1e-6):
+        total = share * float(caps.sum())
+
+        def excess(shift: float, total: float = total) -> float:
+            return float(np.clip(wanted - shift, 0.0, caps).sum()) - total
+
+        root = optimize.brentq(excess, -4.0, 4.0, xtol=1e-14)
+        projected = project_to_sum(wanted, total, caps)
+        assert projected == pytest.approx(np.clip(wanted - root, 0.0, caps), abs=1e-12)
+        assert projected.sum() == pytest.approx(total, rel=1e-14)
+
+
+def test_a_projection_onto_the_sum_of_the_caps_is_the_caps() -> None:
+    caps = np.array([0.3, 1.0, 2.0])
+    assert project_to_sum(np.array([5.0, -1.0, 0.0]), 3.3, caps) == pytest.approx(caps)
+    assert project_to_sum(np.array([5.0, -1.0, 0.0]), 0.0, caps) == pytest.approx(
+        np.zeros(3)
+    )

@@ -10,6 +10,7 @@ from oracles import planar_geometry
 from kernel import plan_catalogues as catalogues
 from oed.design.stages.option import Option, build_option
 from oed.design.stages.stage.prediction import PlanStage
+from oed.design.stages.virtual_machines import refit
 from oed.design.stages.virtual_machines.propagation import propagate
 from oed.design.stages.virtual_machines.readings import prepare_stages
 from oed.design.stages.virtual_machines.refit import refit_machines
@@ -119,6 +120,37 @@ def test_refitted_machines_are_the_regularised_solution(
         exact = covariance * np.outer(scale, scale)
         found = fit.covariance[np.ix_(M.free, M.free)]
         assert np.diag(found) == pytest.approx(np.diag(exact), rel=1e-3)
+
+
+def test_a_machine_fitted_alone_is_as_among_the_others(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One whose fit among the others does not converge, and lost readings."""
+    series = [M.series("tracker", GRID)]
+    truth = M.nominal + M.tolerance * rng.standard_normal((3, 13))
+    sigma = M.sigma(series)
+    y = M.readings(series, truth) + sigma * rng.standard_normal((3, 36))
+    captured = np.ones((3, 36), dtype=bool)
+    captured[1, :6] = False
+    arguments = (M, series, y, captured, np.tile(M.nominal, (3, 1)))
+    together = refit_machines(*arguments)
+    fit_all = refit._refits
+    calls = []
+
+    def without_the_second(
+        problem: refit._CapturedReadings, z: np.ndarray
+    ) -> list[refit.Refit | None]:
+        calls.append(len(z))
+        fits = fit_all(problem, z)
+        return fits if len(z) == 1 else [fits[0], None, fits[2]]
+
+    monkeypatch.setattr(refit, "_refits", without_the_second)
+    apart = refit_machines(*arguments)
+    assert calls == [3, 1]
+    sd = np.sqrt(np.diag(together[1].covariance)[M.free])
+    change = (apart[1].theta - together[1].theta)[M.free]
+    assert np.abs(change / sd).max() < 1e-3
+    assert apart[1].covariance == pytest.approx(together[1].covariance, rel=1e-6)
 
 
 def test_errors_over_the_workspace_are_the_oracles(rng: np.random.Generator) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from oed.estimation.fitter import Minima, minimise
+from oed.estimation.fitter import Minima, _Steps, minimise
 from oed.mechanism.kinematics import AssemblyError
 
 
@@ -141,3 +141,32 @@ def test_machines_without_slopes_or_residuals_do_not_stop_the_others() -> None:
     assert minima.converged.tolist() == [False, True, False]
     assert np.isfinite(minima.residual).all(axis=1).tolist() == [False, True, False]
     assert np.allclose(minima.z[1], minimise(problem, np.zeros((3, 2))).z[1])
+
+
+def test_rounding_that_is_allowed_is_that_of_each_machines_own_readings() -> None:
+    """By hand: residuals that are off by e change sums of r^2 by 2 |r| e at the most,
+    and by e^2, which is nothing.
+    """
+    residual = np.array([[3.0, -4.0, 0.0], [10.0, 0.0, 20.0]])
+    rounding = np.array([[1e-3, 1e-4, 1.0], [1e-2, 7.0, 1e-5]])
+    problem = Rounded(residual, rounding)
+    steps = _Steps(problem, np.zeros((2, 1)), np.ones(1))
+    by_hand = np.array([2.0 * (3e-3 + 4e-4), 2.0 * (1e-1 + 2e-4)])
+    every = steps._rounding(np.arange(2))
+    assert every == pytest.approx(by_hand, rel=1e-6)
+    for one in range(2):
+        assert steps._rounding(np.array([one])) == pytest.approx(every[[one]])
+
+
+@dataclasses.dataclass
+class Rounded:
+    """Residuals (m, N) that are the same everywhere, with their rounding errors."""
+
+    values: np.ndarray
+    rounding: np.ndarray
+
+    def residuals(self, machines: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return self.values[machines]
+
+    def slopes(self, machines: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.zeros((*self.values[machines].shape, z.shape[1]))

@@ -13,6 +13,7 @@ from scipy import special
 
 from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
 from oed.gap import procedure as diagnosing
+from oed.gap.cause import search as searching_one
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import PRIOR
@@ -133,6 +134,44 @@ def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
         next(h for h in search.run() if h.key == (frozenset(), False))
     )
     assert alone.log_evidence > known.log_evidence - 12.0
+
+
+def test_an_unknown_is_added_to_the_most_probable_sets(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And to none at all, where not all sets are extended."""
+    monkeypatch.setattr(searching_one, "SETS", 2)
+    problem = planted(readings(4), BOW, {"leg 1": 2.0, "leg 2": -1.0}, turns=2.0)
+    process = dataclasses.replace(BOW, name="process")
+    effects, remainders = (library.build(problem, e) for e in (EFFECTS, [process]))
+    search = Search(problem, effects, remainders, stated_law(problem), 0.0)
+    hypotheses = search.run()
+    known = [h for h in hypotheses if not h.key[1]]
+    best = sorted(known, key=lambda h: h.score)[-2:]
+    mixed = {h.key[0] for h in hypotheses if h.key[1]}
+    assert len(known) > 3
+    assert mixed == {frozenset(), *(h.key[0] for h in best)}
+
+
+def test_pairs_extend_the_most_probable_single_effects_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Bows of 1.7 and 2.3 turns together are likeliest, but one of 2 turns is so alone:
+    a search that extends one single effect does not come to the pair of them.
+    """
+    monkeypatch.setattr(searching_one, "BEHIND", 1e6)
+    problem = planted(readings(4), BOW, {"leg 1": 5.0}, turns=1.7)
+    problem = planted(problem, BOW, {"leg 1": 5.0}, turns=2.3)
+    effects = tuple(
+        dataclasses.replace(BOW, name=f"bow {turns}", constants={"turns": (turns,)})
+        for turns in (1.7, 2.0, 2.3)
+    )
+    both = {"bow 1.7", "bow 2.3"}
+    assert set(_search(problem, effects).run()[0].effects) >= both
+    monkeypatch.setattr(searching_one, "SETS", 1)
+    pairs = [h.effects for h in _search(problem, effects).run() if len(h.effects) == 2]
+    assert len(pairs) == 2
+    assert all("bow 2.0" in pair for pair in pairs)
 
 
 def test_untestable_without_its_covariates() -> None:

@@ -99,6 +99,17 @@ def test_volume_is_the_log_determinant_of_the_parameters_information():
     )
 
 
+def test_a_pool_has_a_direction_for_each_parameter_and_each_target():
+    """As many as a plan of all runs determines: its parameters, and one a target."""
+    candidates = pool()
+    everything = candidates.of(np.arange(candidates.count))
+    parameters = everything[: candidates.size, : candidates.size]
+    determined = np.linalg.matrix_rank(parameters)
+    targets = len(candidates.lambdas(everything))
+    assert targets > 1
+    assert candidates.directions == determined + targets
+
+
 def test_slopes_and_curvature_are_those_of_differences_and_the_line_lies_above():
     objective = dataclasses.replace(pool(), share=0.3)
     rng = np.random.default_rng(0)

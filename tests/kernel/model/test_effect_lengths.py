@@ -6,7 +6,7 @@ import effects_sample
 import numpy as np
 import pytest
 
-from oed.model.effect import Effect
+from oed.model.effect import Column, Effect, State
 from oed.model.expected_size import with_expected_size
 from pkm_models.effects import backlash, friction, servo_lag
 
@@ -21,6 +21,31 @@ def test_travel_after_a_reversal_is_in_proportion_to_the_expected_size(
     again = with_expected_size(larger, "m", effect.proportional["distance"])
     assert again.constants["distance"] == pytest.approx(usual)
     assert with_expected_size(effect, "K", 1.0).constants == effect.constants
+
+
+@pytest.mark.parametrize("size", [0.5e-6, 30e-6])
+def test_scales_keep_their_ratio_to_the_expected_size(size: float) -> None:
+    """The largest textbook column of the unit has the size; by hand, all others follow.
+    Columns of another unit stay as they are.
+    """
+    scales = {"leg 1": 4e-6, "leg 2": 8e-6, "bend": 16e-6, "warm": 3.0}
+
+    def columns(state: State) -> list[Column]:
+        shaped = {name: name == "bend" for name in scales}
+        return [
+            Column(name, scale, shape=shaped[name]) for name, scale in scales.items()
+        ]
+
+    effect = dataclasses.replace(
+        backlash.effect, columns=columns, constants={}, units={"warm": "K"}
+    )
+    (state, *_) = effects_sample.session("a3_head").states
+    resized = with_expected_size(effect, "m", size)
+    by_hand = {"leg 1": size / 2, "leg 2": size, "bend": 2 * size, "warm": 3.0}
+    assert {c.name: c.scale for c in resized.columns(state)} == pytest.approx(by_hand)
+    warmer = with_expected_size(effect, "K", 6.0)
+    by_hand = {**scales, "warm": 6.0}
+    assert {c.name: c.scale for c in warmer.columns(state)} == pytest.approx(by_hand)
 
 
 @pytest.mark.parametrize("machine", ["a3_head", "linear_delta"])

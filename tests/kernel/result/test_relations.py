@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from types import ModuleType
 
@@ -149,6 +150,36 @@ def test_positioning_is_of_the_components_in_a_known_unit(
     assert found == ([] if field is None else [field])
 
 
+def budget() -> dict[str, object]:
+    """A budget of the components of the whole result, by two sources and two effects."""
+    sizes = dict.fromkeys(whole()["prediction"]["components"], 1.0)
+    parts = dict.fromkeys(("share", "size", "without", "halved"), sizes)
+    effect = dict.fromkeys(("effect", "about", "expected", "remedy"), "gravity")
+    effect |= dict.fromkeys(("size", "with_it", "far"), sizes)
+    return {
+        "predicted": sizes,
+        "lines": [{"source": name, "kind": "instrument", **parts} for name in "ab"],
+        "unmodelled": [effect, effect],
+    }
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        *(f"lines/1/{name}" for name in ("share", "size", "without", "halved")),
+        *(f"unmodelled/1/{name}" for name in ("size", "with_it", "far")),
+    ],
+)
+def test_a_line_of_a_budget_is_named_by_its_number(part: str) -> None:
+    plain = whole()
+    plain["prediction"]["budget"] = json.loads(json.dumps(budget()))
+    assert not list(relations.breaches(report_fixture.result_of(plain)))
+    put(f"prediction/budget/{part}", {"furlong": 1.0})(plain)
+    found = fields(relations.breaches(report_fixture.result_of(plain)))
+    path = part.replace("/1/", "[2].")
+    assert set(found) == {f"prediction.budget.{path}"}
+
+
 @pytest.mark.parametrize(("change", "field"), OTHER_TYPES)
 def test_another_type_is_refused_by_its_field(change: Change, field: str) -> None:
     plain = whole()
@@ -167,6 +198,16 @@ def fields(*breaches: Iterator[Breach]) -> list[str]:
 def test_numbers_that_no_result_has_are_found_anywhere() -> None:
     tree = {"a": [1.0, {"b": float("inf")}], "c": (2.0, -1e101), "d": "text"}
     assert fields(base.number_breaches("", tree)) == ["a[2].b", "c[2]"]
+
+
+@pytest.mark.parametrize("place", ["seconds", "estimate/chi2", "estimate/residuals/3"])
+def test_the_field_of_a_number_that_no_result_has_is_its_place(place: str) -> None:
+    """It is the whole path, and nothing stands before it."""
+    plain = whole()
+    put(place, 1e101)(plain)
+    result = report_fixture.result_of(plain)
+    path = place.replace("/", ".").replace(".3", "[4]")
+    assert path in fields(relations.breaches(result))
 
 
 def test_tables_and_points_have_their_sizes() -> None:
