@@ -60,15 +60,25 @@ class LawNoise(Noise):
         """Root of the covariance over the stated noise."""
         return factor_of(self.structure, self.law)
 
+    @functools.cached_property
+    def _effects(self) -> LowRankRoot:
+        """Root of 1 + U U^T, of the whitened columns U of effects."""
+        return LowRankRoot.of(self._factor.whiten_in_place(self.structure.effects))
+
     def whiten(self, values: Array) -> Array:
         """Whitened values: (N,), (N, n), with readings first."""
         standard = self.structure.standardise(values)
         wide = standard[:, None] if values.ndim == 1 else standard
-        return self._factor.whiten_in_place(wide).reshape(values.shape)
+        white = self._factor.whiten_in_place(wide)
+        if self.structure.has_effects:
+            white = self._effects.whiten(white)
+        return white.reshape(values.shape)
 
     def whiten_back(self, values: Array) -> Array:
         """W^T Y, for Y (N,) or (N, n)."""
         wide = values[:, None] if values.ndim == 1 else values
+        if self.structure.has_effects:
+            wide = self._effects.whiten(wide)
         back = self._factor.whiten_back(wide[self._factor.order])
         if self.structure.decouple is not None:
             back = self.structure.decouple.T @ back
@@ -79,6 +89,11 @@ class LawNoise(Noise):
     def precision_diagonal(self) -> Array:
         """Diagonal (N,) of Sigma^-1; channels share no error but those of a reading."""
         diagonal = self._factor.precision_diagonal()
+        if self.structure.has_effects:
+            explained = self._factor.whiten_back(
+                self._effects.explained_root[self._factor.order]
+            )
+            diagonal = diagonal - (explained**2).sum(axis=1)
         if self.structure.decouple is None:
             return np.asarray(diagonal / self.structure.unit**2)
         return np.asarray(self.structure.decouple.power(2).T @ diagonal)
@@ -90,11 +105,40 @@ class LawNoise(Noise):
         return self.structure.restore(errors).reshape(shape)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class LowRankRoot:
+    """Symmetric root of (1 + U U^T)^-1, for U (N, k).
+
+    basis   (N, k) orthonormal;  values  (k,) singular values of U
+    """
+
+    basis: Array
+    values: Array
+
+    @classmethod
+    def of(cls, columns: Array) -> LowRankRoot:
+        """The root for U (N, k)."""
+        basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+        return cls(basis, values)
+
+    def whiten(self, values: Array) -> Array:
+        """(1 + U U^T)^(-1/2) Y, for Y (N, m)."""
+        shrink = 1.0 - 1.0 / np.sqrt(1.0 + self.values**2)
+        return values - self.basis @ (shrink[:, None] * (self.basis.T @ values))
+
+    @property
+    def explained_root(self) -> Array:
+        """R (N, k) with R R^T = 1 - (1 + U U^T)^-1."""
+        return self.basis * (self.values / np.sqrt(1.0 + self.values**2))
+
+
 def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
     """Noise of readings under the first of some laws, SI."""
     law = laws.take([0])
     shared = (structure.columns * law.sizes[0, structure.kinds]) ** 2
     sd = law.scale[0, structure.group] * np.sqrt(1.0 + shared.sum(axis=1))
+    if structure.has_effects:
+        sd = np.sqrt(sd**2 + (structure.effects**2).sum(axis=1))
     return LawNoise(structure.unit * sd, structure=structure, law=law)
 
 

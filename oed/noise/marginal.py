@@ -53,7 +53,8 @@ class ResidualModel:
 
     def solve(self, laws: Laws) -> Solutions:
         """Log marginal likelihood and posterior of z under each law."""
-        size = self.slopes.size + self.slopes.shape[0]
+        width = 1 + self.slopes.shape[1] + self.structure.effects.shape[1]
+        size = len(self.residual) * width
         step = max(1, BATCH_NUMBERS // size)
         parts = [
             self._solve(laws.take(slice(k, k + step)))

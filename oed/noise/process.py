@@ -10,7 +10,8 @@ seated anew, with slopes c, and shared the errors that instrument and study stat
 
 White and carried error have a banded root (`oed.noise.banded`); what a run shares is a
 matrix of a few columns, taken out by the Woodbury identity (`oed.noise.shared`). Both are
-linear in the number of readings.
+linear in the number of readings. Effects that the model lacks are columns that all
+readings share, V, with C + V V^T for C.
 """
 
 from __future__ import annotations
@@ -153,7 +154,16 @@ class Whitening:
             log_variances = self._factor.log_variances.reshape(len(alone), -1)
             alone += log_variances.sum(axis=1)
         inner = self._columns[1]
-        return alone + taken_out(inner, inner[..., :0], self._amounts)[1]
+        alone += taken_out(inner, inner[..., :0], self._amounts)[1]
+        if not self.structure.has_effects:
+            return alone
+        return np.asarray(alone + np.linalg.slogdet(self._of_effects)[1])
+
+    @functools.cached_property
+    def _of_effects(self) -> Array:
+        """1 + V^T C^-1 V (L, k, k) of the effects' columns V."""
+        effects = self.structure.effects
+        return self._gram_of_noise(effects) + np.eye(effects.shape[1])
 
     @property
     def _amounts(self) -> Array:
@@ -161,7 +171,24 @@ class Whitening:
         return self.laws.sizes[:, self.structure.kinds]
 
     def gram(self, values: Array) -> Array:
-        """Products Y^T C^-1 Y (L, m, m), for standardised Y (N, m) or (L, N, m)."""
+        """Products Y^T C^-1 Y (L, m, m), for standardised Y (N, m) or (L, N, m).
+
+        Effects are taken out by the Woodbury identity.
+        """
+        if not self.structure.has_effects:
+            return self._gram_of_noise(values)
+        effects, count = self.structure.effects, values.shape[-1]
+        repeated = np.broadcast_to(effects, (*values.shape[:-2], *effects.shape))
+        whole = self._gram_of_noise(np.concatenate([values, repeated], axis=-1))
+        across = whole[:, count:, :count]
+        # kept for the determinant, which is mostly asked for next
+        of_effects = whole[:, count:, count:] + np.eye(len(effects.T))
+        self.__dict__["_of_effects"] = of_effects
+        solved = np.linalg.solve(of_effects, across)
+        return whole[:, :count, :count] - across.swapaxes(1, 2) @ solved
+
+    def _gram_of_noise(self, values: Array) -> Array:
+        """The same without effects."""
         batch = values if values.ndim == 3 else values[None]
         scaled = self._on_chains(batch) / self._chain_scale[:, :, None]
         differences, solved = self._halves(scaled)
@@ -199,7 +226,11 @@ class Whitening:
         of_reading = amounts[:, self.structure.run[self.structure.chain]]
         common = np.einsum("lnk,nk->ln", of_reading, self.structure.columns)
         scale = self.laws.scale[:, self.structure.group]
-        return np.asarray(scale * (single[:, *self.structure.slot] + common))
+        errors = scale * (single[:, *self.structure.slot] + common)
+        if self.structure.has_effects:
+            effects = self.structure.effects
+            errors += rng.standard_normal((count, len(effects.T))) @ effects.T
+        return np.asarray(errors)
 
     def _carried_along(self, white: Array) -> Array:
         """Errors (L, C, T) of unit size that are carried along, of white ones."""

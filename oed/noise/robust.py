@@ -8,6 +8,8 @@ machine is taken for an outlier.
 
 from __future__ import annotations
 
+import numpy as np
+
 from oed.base.arrays import Array
 from oed.noise import outliers
 from oed.noise.law_noise import factor_of
@@ -27,6 +29,8 @@ def robust_residuals(
     """
     if len(residual) < FEWEST:
         return residual.copy()
+    if structure.has_effects:
+        slopes = np.hstack([slopes, structure.effects])
     precision = outliers.with_columns(factor_of(structure, laws), slopes)
     result = outliers.detect(
         residual, precision, outliers.ROBUST_DENSITIES, structure.statement

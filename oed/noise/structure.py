@@ -37,6 +37,8 @@ class ReadingStructure:
     columns    (N, K) errors that a run shares, in units of the stated noise
     kinds      (K,) LEVEL, KNOWN, RENEWED, STATED_LEVEL or STATED_SEAT
     statement  of the parts that all readings have: what is carried along, tails
+    effects    (N, k) changes per standard deviation of independent normal coefficients
+               that all readings share: what the model lacks, in units of the stated noise
     """
 
     names: tuple[str, ...]
@@ -49,6 +51,12 @@ class ReadingStructure:
     columns: Array
     kinds: Index
     statement: NoiseStatement = NOTHING_STATED
+    effects: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def has_effects(self) -> bool:
+        """Whether effects that the model lacks widen the covariance."""
+        return bool(self.effects.size)
 
     def __len__(self) -> int:
         return len(self.group)

@@ -1,0 +1,108 @@
+"""Effects that all readings share, in the covariance: against dense matrices and draws."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from kernel.dense_noise import dense_covariance
+from oed.measurement.measurement import Measurement
+from oed.measurement.reading_structure import reading_structure
+from oed.model.instrument import mount
+from oed.noise.law_noise import noise_under
+from oed.noise.prior import noise_prior
+from oed.noise.process import Laws, Whitening
+from oed.noise.robust import robust_residuals
+from oed.noise.structure import ReadingStructure
+from pkm_models.instruments import ball_bar
+from pkm_models.machines import a3_head
+
+EFFECTS = 5
+
+
+@pytest.fixture(scope="module")
+def structure() -> ReadingStructure:
+    """Runs of a ball bar, with five columns of effects."""
+    machine = a3_head.machine
+    m = Measurement(machine, [mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))])
+    psi = np.tile(np.linspace(-3.0, 3.0, 12), 3)
+    heights = np.repeat([1.15, 1.2, 1.25], 12)
+    command = np.column_stack([heights, psi, np.full(36, 0.4)])
+    series = m.series("bar", command, run=[f"z {z}" for z in heights])
+    bare = reading_structure(m, [series], m.nominal)
+    columns = 3.0 * np.random.default_rng(1).standard_normal((len(bare), EFFECTS))
+    return dataclasses.replace(bare, effects=columns)
+
+
+@pytest.fixture(scope="module")
+def laws(structure: ReadingStructure) -> Laws:
+    prior = noise_prior(structure)
+    draws = np.random.default_rng(2).standard_normal((3, prior.dimensions))
+    return prior.laws(draws)
+
+
+def dense(structure: ReadingStructure, laws: Laws, k: int) -> np.ndarray:
+    noise = dense_covariance(structure, laws.take([k]))
+    return noise + structure.effects @ structure.effects.T
+
+
+def test_products_and_determinant_are_those_of_dense_matrices(
+    structure: ReadingStructure, laws: Laws
+) -> None:
+    y = np.random.default_rng(3).standard_normal((len(structure), 4))
+    whitening = Whitening(structure, laws)
+    determinant_first = Whitening(structure, laws).log_determinant
+    gram = whitening.gram(y)
+    for k in range(len(laws)):
+        covariance = dense(structure, laws, k)
+        exact = y.T @ np.linalg.solve(covariance, y)
+        assert gram[k] == pytest.approx(exact, rel=1e-9, abs=1e-9)
+        log_determinant = np.linalg.slogdet(covariance)[1]
+        assert whitening.log_determinant[k] == pytest.approx(log_determinant, abs=1e-8)
+        assert determinant_first[k] == pytest.approx(log_determinant, abs=1e-8)
+
+
+def test_readings_of_each_law_of_their_own(
+    structure: ReadingStructure, laws: Laws
+) -> None:
+    y = np.random.default_rng(4).standard_normal((len(laws), len(structure), 1))
+    gram = Whitening(structure, laws).gram(y)
+    for k in range(len(laws)):
+        exact = y[k, :, 0] @ np.linalg.solve(dense(structure, laws, k), y[k, :, 0])
+        assert gram[k, 0, 0] == pytest.approx(exact, rel=1e-9)
+
+
+def test_noise_under_a_law_whitens_with_the_effects(
+    structure: ReadingStructure, laws: Laws
+) -> None:
+    noise = noise_under(structure, laws)
+    unit = structure.unit
+    precision = np.linalg.inv(dense(structure, laws, 0) * unit[:, None] * unit)
+    white = noise.whiten(np.eye(len(structure)))
+    scale = np.abs(precision).max()
+    assert white.T @ white == pytest.approx(precision, abs=1e-9 * scale)
+    back = noise.whiten_back(white)
+    assert back == pytest.approx(precision, abs=1e-9 * scale)
+    diagonal = noise.precision_diagonal()
+    assert diagonal == pytest.approx(np.diag(precision), rel=1e-7)
+    of_dense = np.sqrt(np.diag(dense(structure, laws, 0))) * unit
+    assert noise.sigma == pytest.approx(of_dense, rel=1e-9)
+
+
+def test_draws_have_the_covariance(structure: ReadingStructure, laws: Laws) -> None:
+    count = 4000
+    errors = Whitening(structure, laws.take([0] * count)).draw(np.random.default_rng(5))
+    wanted = np.diag(dense(structure, laws, 0))
+    ratio = (errors**2).mean(axis=0) / wanted
+    # 4000 draws: a standard error of 2.2 %
+    assert np.abs(ratio - 1.0).max() < 0.12
+
+
+def test_what_effects_explain_is_not_far_off(
+    structure: ReadingStructure, laws: Laws
+) -> None:
+    residual = 10.0 * structure.effects[:, 0]
+    slopes = np.zeros((len(structure), 1))
+    law = laws.take([0])
+    kept = robust_residuals(structure, law, residual, slopes)
+    assert kept == pytest.approx(residual)
