@@ -8,6 +8,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.estimation.coordinates import IdentifiableCoordinates
+from oed.estimation.discrepancy import SampledEffects
 from oed.noise.covariance import Noise
 from oed.noise.marginal import NoisePosterior
 
@@ -52,6 +53,7 @@ class Estimate:
     warnings          sentences that a user must read
     noise_posterior   of the noise law; None where the noise is as stated
     robust_readings   (N,) readings, SI, with those far off replaced; None likewise
+    effects           draws of effects that the model lacks; None where none were allowed
 
     >>> import numpy as np
     >>> from oed import Measurement, mount
@@ -86,6 +88,7 @@ class Estimate:
     warnings: tuple[str, ...]
     noise_posterior: NoisePosterior | None = None
     robust_readings: Array | None = None
+    effects: SampledEffects | None = None
 
     @property
     def sd(self) -> Array:

@@ -20,6 +20,8 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.estimation import fit_warnings
 from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
+from oed.estimation.discrepancy import Discrepancy
+from oed.estimation.effects_stage import EffectsStart, LinearReadings, fit_effects
 from oed.estimation.estimate import Estimate, FitStage
 from oed.estimation.fitter import PRECISION, minimise
 from oed.estimation.readings_problem import ReadingsProblem
@@ -29,9 +31,10 @@ from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise, as_noise
 from oed.noise.law_noise import noise_under
 from oed.noise.marginal import ResidualModel, integrate, most_probable
-from oed.noise.prior import noise_prior
+from oed.noise.prior import NoisePrior, noise_prior
 from oed.noise.process import stated_laws
 from oed.noise.robust import robust_residuals
+from oed.noise.structure import ReadingStructure
 
 __all__ = ["Estimate", "IdentificationError", "fit_machines", "identify"]
 
@@ -59,6 +62,8 @@ def identify(
     noise: Noise | Array | None = None,
     start: Array | None = None,
     max_iterations: int = 100,
+    discrepancy: Discrepancy | None = None,
+    rng: np.random.Generator | None = None,
 ) -> Estimate:
     """Fit all readings y (N,), SI.
 
@@ -71,6 +76,9 @@ def identify(
     noise           of the readings; as stated by default
     start           (n,) where to begin; nominal by default
     max_iterations  of each solution
+    discrepancy     what effects that the model lacks can do to the readings. They are
+                    integrated over with the noise law, which is then estimated
+    rng             for their draws; a fixed seed by default
 
     Raises IdentificationError, and AssemblyError where the start cannot be assembled.
 
@@ -102,8 +110,14 @@ def identify(
             fit, stated, theta, residuals, patterns
         )
         done.append(stage)
-    last = _integrated_stage if estimate_noise else _last_stage
-    estimate = last(fit, stated, theta, residuals, stages[-1])
+    if discrepancy is not None:
+        rng = np.random.default_rng(0) if rng is None else rng
+        estimate = _stage_with_effects(
+            fit, stated, theta, residuals, stages[-1], discrepancy, rng
+        )
+    else:
+        last = _integrated_stage if estimate_noise else _last_stage
+        estimate = last(fit, stated, theta, residuals, stages[-1])
     estimate = dataclasses.replace(
         estimate,
         residuals_before=residuals_before,
@@ -273,9 +287,27 @@ def _integrated_stage(
     structure = reading_structure(fit.measurement, fit.series, first.theta)
     freedom = len(structure) - first.coordinates.basis.shape[1]
     prior = noise_prior(structure, freedom)
+    return _integrate_law(fit, stated, first, structure, prior)
+
+
+def _integrate_law(
+    fit: _Fit,
+    stated: Noise,
+    first: Estimate,
+    structure: ReadingStructure,
+    prior: NoisePrior,
+    near: Array | None = None,
+) -> Estimate:
+    """Fit, outliers and law in turn from an estimate; then the law is integrated over.
+
+    near  (d,) coordinates of the law where they begin; the stated law by default
+    """
     theta, noise, law = first.theta, stated, stated_laws(structure)
+    if near is not None:
+        law = prior.laws(near[None])
+        noise = noise_under(structure, law)
     robust = fit
-    mode = None
+    mode = near
     for _ in range(NOISE_ROUNDS):
         coordinates = fit.coordinates(theta, stated, first.prior_sd)
         z, iterations = robust.solve(noise, coordinates, theta)
@@ -310,6 +342,56 @@ def _integrated_stage(
         stages=(stage,),
         noise_posterior=posterior,
         robust_readings=robust.y,
+    )
+
+
+def _stage_with_effects(
+    fit: _Fit,
+    stated: Noise,
+    theta: Array,
+    start_residuals: Array,
+    patterns: Sequence[str],
+    discrepancy: Discrepancy,
+    rng: np.random.Generator,
+) -> Estimate:
+    """The last stage from theta (n,), with effects and noise law integrated over."""
+    without = _integrated_stage(fit, stated, theta, start_residuals, patterns)
+    exact = _last_stage(fit, stated, theta, start_residuals, patterns)
+    posterior = without.noise_posterior
+    if posterior is None:
+        raise IdentificationError("the noise law has no posterior")
+    structure, prior = posterior.structure, posterior.prior
+
+    def linearise(about: Array) -> LinearReadings:
+        coordinates = fit.coordinates(about, stated, exact.prior_sd)
+        jacobian = fit.measurement.jacobian(fit.series, about)
+        slopes = structure.standardise(jacobian @ coordinates.basis)
+        z = coordinates.from_theta(about)
+        residual = structure.standardise(fit.residuals(about)) + slopes @ z
+        return LinearReadings(about, coordinates, residual, slopes)
+
+    fitted = fit_effects(
+        linearise,
+        structure,
+        prior,
+        stated_laws(structure),
+        discrepancy,
+        [
+            EffectsStart(exact.theta, None),
+            EffectsStart(without.theta, posterior.mode),
+        ],
+        rng,
+    )
+    first = dataclasses.replace(exact, theta=fitted.theta)
+    estimate = _integrate_law(fit, stated, first, fitted.structure, prior, fitted.mode)
+    null = estimate.coordinates.null_basis
+    return dataclasses.replace(
+        estimate,
+        theta=fitted.theta,
+        z=estimate.coordinates.from_theta(fitted.theta),
+        covariance=fitted.covariance + null @ null.T,
+        residuals=fit.residuals(fitted.theta),
+        effects=fitted.sampled,
     )
 
 

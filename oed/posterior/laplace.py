@@ -27,12 +27,14 @@ DRAWS, MOST_ROUNDS = 2000, 30
 class ApproximateDraws:
     """Draws of parameters (m, n), SI, and coordinates (m, d) of the law.
 
-    worth  number of independent draws that they are worth; None: all
+    worth    number of independent draws that they are worth; None: all
+    effects  (m, k) coefficients of effects that belong to them; k is 0 without effects
     """
 
     theta: Array
     noise_law: Array
     worth: float | None = None
+    effects: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def draw_approximation(
@@ -51,37 +53,61 @@ def draw_approximation(
     latter others are drawn. Raises AssemblyError at the estimate, OutOfBoundsError where
     hardly any draw keeps to the bounds.
     """
+    if estimate.effects is not None:
+        count = len(estimate.effects.theta)
     parts: list[Array] = []
     laws: list[Array] = []
+    effects: list[Array] = []
     missing = count
     for _ in range(MOST_ROUNDS):
-        z, law = _draw_points(estimate, rng, count)
+        points = _draw_points(estimate, rng, count)
+        z, law = points.z, points.law
         theta = draw_parameters(measurement, series, y, estimate, z, rng)
         assembled = np.isfinite(theta).all(axis=1)
         inside = assembled & measurement.in_bounds(theta)
         parts.append(theta[inside][:missing])
         laws.append(law[inside][:missing])
+        effects.append(points.effects[inside][:missing])
         missing -= int(inside.sum())
         if missing <= 0 or (inside == assembled).all():
-            return ApproximateDraws(np.concatenate(parts), np.concatenate(laws))
+            return ApproximateDraws(
+                np.concatenate(parts),
+                np.concatenate(laws),
+                effects=np.concatenate(effects),
+            )
     raise OutOfBoundsError(measurement, theta[assembled])
 
 
 def draw_coordinates(estimate: Estimate, rng: np.random.Generator, count: int) -> Array:
     """Draws (count, r) of the identifiable coordinates."""
-    return _draw_points(estimate, rng, count)[0]
+    return _draw_points(estimate, rng, count).z
 
 
-def _draw_points(
-    estimate: Estimate, rng: np.random.Generator, count: int
-) -> tuple[Array, Array]:
-    """Draws (count, r) of the identifiable coordinates, (count, d) of the noise law's."""
-    if estimate.noise_posterior is not None:
-        return estimate.noise_posterior.draw(rng, count)
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Points:
+    """Draws of identifiable coordinates (m, r), of the law's (m, d), of effects (m, k)."""
+
+    z: Array
+    law: Array
+    effects: Array
+
+
+def _draw_points(estimate: Estimate, rng: np.random.Generator, count: int) -> _Points:
+    """`count` draws; with effects, those that were drawn with them, in a drawn order."""
+    posterior, none = estimate.noise_posterior, np.zeros((count, 0))
+    if estimate.effects is not None and posterior is not None:
+        sampled = estimate.effects
+        number = rng.permutation(np.arange(count) % len(sampled.theta))
+        coordinates = estimate.coordinates
+        z = (sampled.theta[number] - coordinates.origin) @ coordinates.dual.T
+        _, law = posterior.draw(rng, count)
+        return _Points(z, law, sampled.coefficients[number])
+    if posterior is not None:
+        return _Points(*posterior.draw(rng, count), none)
     dual = estimate.coordinates.dual
     root = covariance_root(dual @ estimate.covariance @ dual.T)
     normal = rng.standard_normal((count, len(estimate.z)))
-    return estimate.z + normal @ root.T, np.zeros((count, 0))
+    return _Points(estimate.z + normal @ root.T, none, none)
 
 
 def draw_parameters(

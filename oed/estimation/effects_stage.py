@@ -1,0 +1,259 @@
+"""Parameters, effects and noise law together: the effects' draws.
+
+Residuals about nominal parameters are r = H z + G b + e, with z ~ N(0, I), the effects'
+coefficients b of uncertain sizes and e of a noise law. In turn, sizes and coefficients
+are drawn under a law (`oed.estimation.effect_sizes`), and the most probable law is found
+with the effects at the sizes drawn. A large error can pass for noise or for an effect:
+both the stated law and that of a fit without effects are starts, weighed by evidence.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from scipy import special
+
+from oed.base.arrays import Array, Index, Mask
+from oed.estimation import effect_sizes
+from oed.estimation.coordinates import IdentifiableCoordinates
+from oed.estimation.discrepancy import Discrepancy, SampledEffects
+from oed.estimation.effect_sizes import EffectDraws
+from oed.noise.marginal import ResidualModel, most_probable
+from oed.noise.prior import NoisePrior
+from oed.noise.process import Laws, Whitening
+from oed.noise.robust import robust_residuals
+from oed.noise.structure import ReadingStructure
+
+#: rounds of effects and law; draws in each, and at the end
+ROUNDS, PARTICLES, DRAWS = 3, 150, 400
+#: sweeps of the draws in each round
+SWEEPS = 4
+#: singular values of the effects' columns, in units of the noise, below which they are
+#: left out of the covariance
+FAINT = 0.1
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class LinearReadings:
+    """Standardised readings to first order about parameters theta (n,).
+
+    coordinates  identifiable ones, z (r,)
+    residual     (N,) about nominal parameters, z = 0
+    slopes       (N, r) over z
+    """
+
+    theta: Array
+    coordinates: IdentifiableCoordinates
+    residual: Array
+    slopes: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class EffectsStart:
+    """Where effects are sought from: parameters (n,) and the law's coordinates (d,).
+
+    mode  None: the stated law
+    """
+
+    theta: Array
+    mode: Array | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FittedEffects:
+    """Effects, and where the fit of the parameters goes on.
+
+    sampled    the draws
+    structure  of the readings, with the effects at the sizes drawn
+    theta      (n,) mean parameters
+    covariance (n, n) of the parameters, without directions that no reading determines
+    mode       (d,) coordinates of the most probable law
+    """
+
+    sampled: SampledEffects
+    structure: ReadingStructure
+    theta: Array
+    covariance: Array
+    mode: Array
+
+
+Linearise = Callable[[Array], LinearReadings]
+
+
+def fit_effects(
+    linearise: Linearise,
+    structure: ReadingStructure,
+    prior: NoisePrior,
+    stated: Laws,
+    discrepancy: Discrepancy,
+    starts: list[EffectsStart],
+    rng: np.random.Generator,
+) -> FittedEffects:
+    """Draw effects with the parameters, from all starts.
+
+    linearise  readings about some parameters (n,)
+    stated     the stated law, one of some laws
+    """
+    columns = structure.standardise(discrepancy.columns)
+    fits = [
+        _Alternation(linearise, structure, prior, discrepancy, columns, rng).run(
+            start, stated
+        )
+        for start in starts
+    ]
+    weights = special.softmax([fit.log_evidence for fit in fits])
+    number = rng.choice(len(fits), size=DRAWS, p=weights)
+    best = fits[int(np.argmax(weights))]
+    parts = [fit.taken(np.flatnonzero(number == k)) for k, fit in enumerate(fits)]
+    means = np.vstack([p[4] for p in parts])
+    theta = means.mean(axis=0)
+    offsets = means - theta
+    within = sum(w * fit.within() for w, fit in zip(weights, fits, strict=True))
+    sampled = SampledEffects(
+        discrepancy=discrepancy,
+        coefficients=np.vstack([p[0] for p in parts]),
+        sizes=np.vstack([p[1] for p in parts]),
+        theta=np.vstack([p[2] for p in parts]),
+        faulty=float(np.concatenate([p[3] for p in parts]).mean()),
+    )
+    widened = _scaled_columns(columns, sampled.rms_sizes[discrepancy.group])
+    return FittedEffects(
+        sampled=sampled,
+        structure=dataclasses.replace(structure, effects=widened),
+        theta=theta,
+        covariance=np.asarray(within + offsets.T @ offsets / len(offsets)),
+        mode=best.mode,
+    )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Settled:
+    """Draws of effects under a most probable law, and their evidence.
+
+    z, means    (m, r) of the coordinates, drawn given each draw of the effects, and means
+    covariance  (r, r) of z given the effects
+    """
+
+    linear: LinearReadings
+    draws: EffectDraws
+    z: Array
+    means: Array
+    covariance: Array
+    mode: Array
+    log_evidence: float
+
+    def taken(self, rows: Index) -> tuple[Array, Array, Array, Mask, Array]:
+        """Coefficients, sizes, parameters, faulty and mean parameters, of some draws."""
+        draws, to_theta = self.draws, self.linear.coordinates.to_theta
+        return (
+            draws.coefficients[rows],
+            draws.sizes[rows],
+            to_theta(self.z[rows]),
+            draws.faulty[rows],
+            to_theta(self.means[rows]),
+        )
+
+    def within(self) -> Array:
+        """Covariance (n, n) of the parameters given the effects, SI."""
+        basis = self.linear.coordinates.basis
+        return np.asarray(basis @ self.covariance @ basis.T)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Alternation:
+    """Effects and law in turn."""
+
+    linearise: Linearise
+    structure: ReadingStructure
+    prior: NoisePrior
+    discrepancy: Discrepancy
+    columns: Array
+    rng: np.random.Generator
+
+    def run(self, start: EffectsStart, stated: Laws) -> _Settled:
+        """From one start."""
+        theta, law = start.theta, stated
+        mode = np.zeros(len(self.prior.names))
+        if start.mode is not None:
+            mode, law = start.mode, self.prior.laws(start.mode[None])
+        linear = self.linearise(theta)
+        draws = self._draw(law, linear, linear.residual, PARTICLES, SWEEPS)
+        for _ in range(ROUNDS):
+            linear = self.linearise(theta)
+            clean = self._clean(law, linear, draws)
+            draws = self._draw(law, linear, clean, PARTICLES, SWEEPS)
+            mode = self._most_probable_law(linear, clean, draws, mode)
+            law = self.prior.laws(mode[None])
+            means, _ = self._coordinates(law, linear, clean, draws)
+            theta = linear.coordinates.to_theta(means.mean(axis=0))
+        draws = self._draw(law, linear, clean, DRAWS, 2 * SWEEPS)
+        means, covariance = self._coordinates(law, linear, clean, draws)
+        root = np.linalg.cholesky(covariance)
+        z = means + self.rng.standard_normal(means.shape) @ root.T
+        centre = np.zeros(linear.slopes.shape[1])
+        alone = ResidualModel(self.structure, linear.residual, linear.slopes, centre)
+        evidence = float(alone.solve(law).log_marginal[0]) - 0.5 * float(mode @ mode)
+        evidence += draws.log_evidence
+        return _Settled(linear, draws, z, means, covariance, mode, evidence)
+
+    def _widened(self, draws: EffectDraws) -> Array:
+        """Columns of the effects at the root mean square of their coefficients."""
+        sizes = np.sqrt((draws.sizes**2).mean(axis=0))
+        return _scaled_columns(self.columns, sizes[self.discrepancy.group])
+
+    def _clean(self, law: Laws, linear: LinearReadings, draws: EffectDraws) -> Array:
+        """Residuals (N,) about nominal, with those far off replaced."""
+        structure = dataclasses.replace(self.structure, effects=self._widened(draws))
+        return robust_residuals(structure, law, linear.residual, linear.slopes)
+
+    def _draw(
+        self, law: Laws, linear: LinearReadings, clean: Array, count: int, final: int
+    ) -> EffectDraws:
+        """Draws of the effects, with the parameters integrated out."""
+        gram = Whitening(self.structure, law).gram(
+            np.column_stack([linear.slopes, clean, self.columns])
+        )[0]
+        r = linear.slopes.shape[1]
+        precision = gram[:r, :r] + np.eye(r)
+        left = gram[r:, r:] - gram[r:, :r] @ np.linalg.solve(precision, gram[:r, r:])
+        return effect_sizes.sample(
+            0.5 * (left[1:, 1:] + left[1:, 1:].T),
+            left[1:, 0],
+            self.discrepancy.members(),
+            self.discrepancy.unknown,
+            self.rng,
+            count,
+            final,
+        )
+
+    def _most_probable_law(
+        self, linear: LinearReadings, clean: Array, draws: EffectDraws, near: Array
+    ) -> Array:
+        """Coordinates (d,) of the most probable law with the effects integrated out."""
+        slopes = np.hstack([linear.slopes, self._widened(draws)])
+        middle = np.zeros(slopes.shape[1])
+        model = ResidualModel(self.structure, clean, slopes, middle)
+        centre = model.solve(self.prior.laws(near[None])).mean[0]
+        about = ResidualModel(self.structure, clean - slopes @ centre, slopes, centre)
+        return most_probable(about, self.prior, near)
+
+    def _coordinates(
+        self, law: Laws, linear: LinearReadings, clean: Array, draws: EffectDraws
+    ) -> tuple[Array, Array]:
+        """Means (m, r) of z given each draw of the effects, and covariance (r, r)."""
+        gram = Whitening(self.structure, law).gram(
+            np.column_stack([linear.slopes, clean, self.columns])
+        )[0]
+        r = linear.slopes.shape[1]
+        covariance = np.linalg.inv(gram[:r, :r] + np.eye(r))
+        score = gram[:r, r, None] - gram[:r, r + 1 :] @ draws.coefficients.T
+        return (covariance @ score).T, covariance
+
+
+def _scaled_columns(columns: Array, sizes: Array) -> Array:
+    """Principal columns (N, k) of effects at their sizes (k,), those that count."""
+    scaled = columns * sizes
+    squares, axes = np.linalg.eigh(scaled.T @ scaled)
+    return np.asarray(scaled @ axes[:, squares > FAINT**2])
