@@ -1,0 +1,204 @@
+"""What a machine's effects do to readings and workspace, per expected size.
+
+An effect depends on its constants nonlinearly: its coefficients at some of them stand
+side by side, and share its variance. The columns of a group (an effect in one leg) are
+then replaced by their few principal ones, of what the readings see and of what the tool
+does at the same poses, so that errors that no reading shows stay.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.accuracy.maps import ErrorMaps, Reference
+from oed.base.arrays import Array
+from oed.compensate.effects.effect_maps import (
+    ActingForm,
+    SessionStates,
+    effect_maps,
+    workspace_state,
+)
+from oed.estimation.discrepancy import Discrepancy
+from oed.gap.data.problem import GapProblem
+from oed.gap.data.signature import Signature
+from oed.gap.forms.unknown import unknown_effects
+from oed.model.effect import Effect, State
+
+#: most values of an effect's constants that stand side by side
+FORMS = 16
+#: share of a group's variance that its principal columns hold
+WHOLE = 0.995
+#: root mean square change of the readings, in units of the noise, and of the tool, m,
+#: below which a group changes nothing
+NOTHING = 1e-4, 1e-12
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ExpectedColumns:
+    """Effects of a machine at their expected sizes.
+
+    discrepancy  what they do to the readings
+    forms        effects at their constants, with all of their coefficients
+    mixing       (a, k) of all a coefficients of the forms in each of the k columns
+    """
+
+    discrepancy: Discrepancy
+    forms: tuple[ActingForm, ...]
+    mixing: Array
+
+    def workspace_maps(
+        self,
+        session: SessionStates,
+        theta: Array,
+        command: Array,
+        reference: Reference,
+        rng: np.random.Generator,
+    ) -> ErrorMaps:
+        """Pose errors per unit of each column at commands (n, n_dof), in drawn states."""
+        state = workspace_state(session, theta, command, rng)
+        kinematics = session.measurement.kinematics
+        parameters = theta[: len(session.measurement.machine.parameters)]
+        maps = effect_maps(
+            kinematics, self.forms, state, parameters, command, reference
+        )
+        return dataclasses.replace(
+            maps, raw=maps.raw @ self.mixing, remaining=maps.remaining @ self.mixing
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Group:
+    """One group's coefficients at all of its constants.
+
+    readings  (N, a) changes, in units of the noise;  tool (m, a) displacements, m
+    places    (form, coefficient) of each
+    share     that a coefficient at one of the constants has, in standard deviations
+    """
+
+    name: str
+    unknown: bool
+    readings: Array
+    tool: Array
+    places: list[tuple[int, str]]
+    share: float
+
+    @property
+    def size(self) -> float:
+        """Root mean square change of the readings by all coefficients together."""
+        return float(np.sqrt((self.readings**2).sum(axis=1).mean()))
+
+    def principal(self) -> Array:
+        """Combinations (a, k) of the coefficients that hold the variance."""
+        parts = [_unit(self.readings), _unit(self.tool)]
+        _, values, rows = np.linalg.svd(np.vstack(parts), full_matrices=False)
+        squares = values**2
+        before = np.cumsum(squares) - squares
+        return np.asarray(rows[before <= WHOLE * squares.sum()].T)
+
+
+def _unit(values: Array) -> Array:
+    norm = float(np.linalg.norm(values))
+    return values / norm if norm else values
+
+
+def expected_columns(
+    problem: GapProblem, effects: Sequence[Effect]
+) -> ExpectedColumns | None:
+    """Columns of the effects that the machine can have, and of unknown ones.
+
+    Unknown effects are as large as known ones usually are: their unit changes the
+    readings by the median of what known ones do at their expected sizes. None where no
+    effect changes a reading.
+    """
+    machine = problem.measurement.machine
+    forms: list[ActingForm] = []
+    groups: list[_Group] = []
+    for effect in effects:
+        if effect.unfit(machine) is None:
+            groups += _groups_of(problem, effect, forms, unknown=False)
+    sizes = [group.size for group in groups if group.size > NOTHING[0]]
+    if not sizes:
+        return None
+    typical = float(np.median(sizes))
+    for effect in unknown_effects():
+        for group in _groups_of(problem, effect, forms, unknown=True):
+            if group.size > NOTHING[0]:
+                groups.append(group)
+    return _assembled(problem, forms, groups, typical)
+
+
+def _groups_of(
+    problem: GapProblem, effect: Effect, forms: list[ActingForm], *, unknown: bool
+) -> list[_Group]:
+    """The groups of one effect; its forms are appended to `forms`."""
+    grid = effect.constant_grid()
+    tried = np.unique(np.linspace(0, len(grid) - 1, FORMS).round().astype(int))
+    found: list[tuple[int, Signature, dict[str, Array]]] = []
+    for constants in (grid[k] for k in tried):
+        signature = problem.signature(effect, constants)
+        tool = _tool_changes(problem.states, effect, constants)
+        if signature.names:
+            found.append((len(forms), signature, tool))
+            forms.append(ActingForm(effect, constants, signature.names))
+    labels = dict.fromkeys(label for _, s, _ in found for label in s.labels)
+    share = 1.0 / np.sqrt(max(len(found), 1))
+    groups = []
+    for label in labels:
+        readings, displaced, places = [], [], []
+        for number, signature, tool in found:
+            for k, name in enumerate(signature.names):
+                if signature.labels[k] == label:
+                    readings.append(signature.columns[:, k])
+                    displaced.append(tool[name])
+                    places.append((number, name))
+        name = f"{effect.name}: {label}" if label else effect.name
+        changes = problem.in_noise_units(np.column_stack(readings))
+        moved = share * np.column_stack(displaced)
+        groups.append(_Group(name, unknown, share * changes, moved, places, share))
+    return groups
+
+
+def _tool_changes(
+    states: Sequence[State], effect: Effect, constants: dict[str, float]
+) -> dict[str, Array]:
+    """Displacements (m,) of the tool by joints, by coefficient, over all series, m."""
+    ends = np.cumsum([0, *(3 * len(state) for state in states)])
+    result: dict[str, Array] = {}
+    for start, state in zip(ends, states, strict=False):
+        for column in effect.columns(state, **constants):
+            values = result.setdefault(column.name, np.zeros(ends[-1]))
+            moved = np.zeros((len(state), 3))
+            for joint, change in column.joints.items():
+                moved += state.twist[:, :3, joint] * change[:, None]
+            values[start : start + moved.size] += column.scale * moved.ravel()
+    return result
+
+
+def _assembled(
+    problem: GapProblem, forms: list[ActingForm], groups: list[_Group], typical: float
+) -> ExpectedColumns:
+    """All groups side by side."""
+    at: dict[tuple[int, str], int] = {}
+    for number, form in enumerate(forms):
+        for name in form.names:
+            at[number, name] = len(at)
+    columns, mixing, owner = [], [], []
+    for g, group in enumerate(groups):
+        combinations = group.principal()
+        if group.unknown:
+            combinations = combinations * typical / group.size
+        columns.append(group.readings @ combinations)
+        block = np.zeros((len(at), combinations.shape[1]))
+        block[[at[place] for place in group.places]] = group.share * combinations
+        mixing.append(block)
+        owner += [g] * combinations.shape[1]
+    discrepancy = Discrepancy(
+        columns=np.hstack(columns) * problem.sigma[:, None],
+        group=np.array(owner, dtype=np.intp),
+        names=tuple(group.name for group in groups),
+        unknown=np.array([group.unknown for group in groups]),
+    )
+    return ExpectedColumns(discrepancy, tuple(forms), np.hstack(mixing))

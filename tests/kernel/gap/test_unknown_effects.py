@@ -1,0 +1,70 @@
+"""Effects of no known form: what they move, and with which sign."""
+
+import numpy as np
+import pytest
+from effects_sample import session
+
+from oed.gap.forms.unknown import (
+    PLACES,
+    TIMES,
+    UNIT,
+    over_places,
+    over_time,
+    unknown_effects,
+)
+from oed.model.effect import Column, State
+
+EFFECTS = {effect.name: effect for effect in unknown_effects()}
+
+
+@pytest.fixture(scope="module", params=["planar_2dof", "linear_delta", "hexaglide"])
+def state(request: pytest.FixtureRequest) -> State:
+    return session(request.param).states[0]
+
+
+def columns(name: str, state: State) -> dict[str, Column]:
+    made = list(EFFECTS[name].columns(state))
+    assert len({c.name for c in made}) == len(made)
+    return {c.name: c for c in made}
+
+
+def test_an_error_of_the_tool_displaces_it_along_one_axis(state: State) -> None:
+    terms = over_places(state)
+    for k in (0, 3):
+        moved = np.zeros((len(state), 3))
+        for joint, change in columns("unknown tool place", state)[
+            f"z {k + 1}"
+        ].joints.items():
+            moved += state.twist[:, :3, joint] * change[:, None]
+        assert moved[:, 2] == pytest.approx(terms[:, k], abs=1e-6)
+        assert np.abs(moved[:, :2]).max() < 1e-6
+
+
+def test_an_error_with_the_direction_changes_its_sign(state: State) -> None:
+    there, back = state.direction > 0, state.direction < 0
+    plain = columns("unknown tool place", state)["z 1"]
+    reversing = columns("unknown tool direction", state)["z 1"]
+    for joint, change in reversing.joints.items():
+        assert change[there] == pytest.approx(plain.joints[joint][there])
+        assert change[back] == pytest.approx(-plain.joints[joint][back])
+
+
+def test_joints_err_one_by_one_and_readings_by_channel(state: State) -> None:
+    of_joints = columns("unknown joints time", state)
+    assert {c.label for c in of_joints.values()} == {
+        f"leg {i + 1}" for i in state.limbs
+    }
+    assert all(len(c.joints) == 1 for c in of_joints.values())
+    of_readings = columns("unknown readings place", state)
+    assert {channel for c in of_readings.values() for channel in c.reading} == set(
+        state.channels
+    )
+    assert all(c.scale == UNIT for c in of_readings.values())
+
+
+def test_terms_are_independent_and_fall_with_their_order(state: State) -> None:
+    places, times = over_places(state), over_time(state)
+    assert places.shape == (len(state), PLACES)
+    assert times.shape == (len(state), TIMES)
+    assert np.abs(places).max(axis=0)[0] > np.abs(places).max(axis=0)[-1]
+    assert np.linalg.matrix_rank(times) == TIMES
