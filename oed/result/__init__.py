@@ -26,6 +26,7 @@ from oed.result.design import (
 )
 from oed.result.fit import (
     CombinationEstimate,
+    EffectSizeRecord,
     EstimateSection,
     Marginal,
     ParameterEstimate,
@@ -116,6 +117,7 @@ __all__ = [
     "DrawingLabel",
     "EffectEstimate",
     "EffectNote",
+    "EffectSizeRecord",
     "EffectTable",
     "EstimateSection",
     "GapBeforeSection",

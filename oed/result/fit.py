@@ -37,6 +37,23 @@ class CombinationEstimate(Record, frozen=True):
     unit: str
 
 
+class EffectSizeRecord(Record, frozen=True):
+    """An effect beside the geometry, in the readings.
+
+    size     root mean square size over the draws, in expected sizes; `low` and `high`
+             are ends of its 95 % interval
+    change   root mean square change of the readings by it, in units of the stated noise
+    unknown  whether it stands for effects of no known form
+    """
+
+    name: str
+    size: float
+    low: float
+    high: float
+    change: float
+    unknown: bool
+
+
 class EstimateSection(Record, frozen=True):
     """Least squares with tolerance priors. rms and residuals are in the fine unit of
     their channel, `units`.
@@ -58,6 +75,10 @@ class EstimateSection(Record, frozen=True):
     combinations: list[CombinationEstimate] = []
     # read, or read against, each once; none where only joints are recorded
     commands: list[dict[str, float]] = []
+    # effects beside the geometry, the largest first, and the probability that one is
+    # present; none where the study allows none
+    effects: list[EffectSizeRecord] = []
+    faulty: float | None = None
 
 
 class Marginal(Record, frozen=True):

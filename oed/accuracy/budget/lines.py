@@ -40,7 +40,10 @@ LINEARISATION = "linearisation"
 #: name of what is not known of the noise
 NOISE_LAW = "estimated noise"
 
-LineKind = Kind | Literal["linearisation"]
+#: name of what effects that the model lacks add
+UNMODELLED = "effects beside the geometry"
+
+LineKind = Kind | Literal["linearisation", "unmodelled"]
 #: machines drawn
 MACHINES = 48
 
@@ -90,6 +93,7 @@ def budget_of(
     *,
     estimated: Array | None = None,
     predicted: Array | None = None,
+    unmodelled: Array | None = None,
 ) -> Budget:
     """The budget of errors `maps.raw` (n, k, p) @ delta.
 
@@ -97,6 +101,7 @@ def budget_of(
                over; that of the model by default
     predicted  (k,) variance that is predicted with what is not linear, mean over the
                workspace, SI
+    unmodelled (k,) part of it that effects which the model lacks add
     """
     lines = [_line(model, maps.raw, part) for part in model.parts()]
     variance = mean_variance(maps.raw, model.covariance())
@@ -104,6 +109,9 @@ def budget_of(
         of_estimate = mean_variance(maps.raw, estimated)
         lines.append(Line(NOISE_LAW, "noise law", of_estimate - variance))
         variance = of_estimate
+    if unmodelled is not None:
+        lines.append(Line(UNMODELLED, "unmodelled", unmodelled))
+        variance = variance + unmodelled
     if predicted is not None:
         lines.append(Line(LINEARISATION, "linearisation", predicted - variance))
         variance = predicted

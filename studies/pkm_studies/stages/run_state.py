@@ -36,6 +36,7 @@ from pkm_studies.study import Study
 if TYPE_CHECKING:
     import pandas as pd
 
+    from oed.compensate.effects.expected_columns import ExpectedColumns
     from oed.compensate.effects.fit import CorrectedEstimate
 
 
@@ -63,6 +64,7 @@ class Stream(enum.IntEnum):
     REFERENCES = 18
     TOOLS = 19
     LAPLACE = 20
+    SIZES = 21
 
 
 class HeldOut(NamedTuple):
@@ -211,11 +213,13 @@ class Fitted(Measured):
     """A run whose readings are fitted.
 
     estimate   identified parameters
+    effect_columns  what effects beside the geometry do; None where none are allowed
     posterior  draws about the estimate, where the study asks for them
     corrected  parameters and effects, estimated together
     """
 
     estimate: Estimate
+    effect_columns: ExpectedColumns | None = None
     posterior: Posterior | None = None
     corrected: CorrectedEstimate | None = None
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.accuracy.budget import BudgetModel, budget_model, variance_over_machines
+from oed.accuracy.budget.lines import mean_variance
 from oed.accuracy.maps import (
     ErrorMaps,
     Reference,
@@ -18,6 +19,8 @@ from oed.accuracy.maps import (
 from oed.accuracy.prediction import Prediction
 from oed.base.arrays import Array
 from oed.compensate import NO_TOOL
+from oed.compensate.effects.effect_maps import SessionStates
+from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.estimation.estimate import Estimate
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
@@ -38,6 +41,8 @@ class ParameterKnowledge:
                          the estimate; None before any reading
     worth                number of independent draws that these are worth; None: all
     estimated            (np, np) of the estimate, where it holds more than the model
+    effects              what acts beside the parameters, and is not compensated; None
+                         where nothing is allowed to
     """
 
     measurement: Measurement
@@ -48,15 +53,36 @@ class ParameterKnowledge:
     draws: Array | None = None
     worth: float | None = None
     estimated: Array | None = None
+    effects: ActingEffects | None = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ActingEffects:
+    """Effects that act on the machine beside its parameters.
+
+    columns  what they do per unit of each coefficient
+    session  the states in which they acted
+    theta    (n,) parameters about which their maps hold, SI
+    draws    (m, k) of the coefficients, one for each draw of the parameters
+    """
+
+    columns: ExpectedColumns
+    session: SessionStates
+    theta: Array
+    draws: Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Accuracy:
-    """A prediction, the maps that it rests on, and its mean variances (k,), SI."""
+    """A prediction, the maps that it rests on, and its mean variances (k,), SI.
+
+    unmodelled  (k,) part of the variances by effects beside the parameters; None without
+    """
 
     prediction: Prediction
     maps: ErrorMaps
     variance: Array
+    unmodelled: Array | None = None
 
 
 def planned(measurement: Measurement, series: Sequence[Series]) -> ParameterKnowledge:
@@ -77,6 +103,7 @@ def identified(
     series: Sequence[Series],
     estimate: Estimate,
     known: ApproximateDraws,
+    effects: ActingEffects | None = None,
 ) -> ParameterKnowledge:
     """After a fit: the estimate, and draws of what is known of the parameters."""
     count = len(measurement.machine.parameters)
@@ -93,6 +120,7 @@ def identified(
         draws=draws,
         worth=known.worth,
         estimated=estimated,
+        effects=effects,
     )
 
 
@@ -117,22 +145,77 @@ def accuracy(
     count = len(measurement.machine.parameters)
     result = {}
     for reference in references:
-        predicted = prediction.predict(
-            maps[reference],
-            measurement.prior_covariance[:count, :count],
-            known.covariance,
-            rng,
-            mean=known.mean,
-            known=_remaining(known, command, reference, tool),
-            draws=known.draws,
-            worth=known.worth,
-            reference=reference,
-            variance=variances.get(reference),
-        )
+        remaining = _remaining(known, command, reference, tool)
+        if known.effects is None or known.draws is None or known.mean is None:
+            predicted = prediction.predict(
+                maps[reference],
+                measurement.prior_covariance[:count, :count],
+                known.covariance,
+                rng,
+                mean=known.mean,
+                known=remaining,
+                draws=known.draws,
+                worth=known.worth,
+                reference=reference,
+                variance=variances.get(reference),
+            )
+        else:
+            predicted = _with_effects(
+                known,
+                known.effects,
+                known.draws,
+                known.mean,
+                maps[reference],
+                remaining,
+                reference,
+                rng,
+            )
         spreads = predicted.fully_corrected
         variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
-        result[reference] = Accuracy(predicted, maps[reference], variance)
+        unmodelled = None
+        if known.effects is not None:
+            geometry = mean_variance(maps[reference].raw, known.covariance)
+            unmodelled = variance - geometry
+        result[reference] = Accuracy(predicted, maps[reference], variance, unmodelled)
     return result
+
+
+def _with_effects(
+    known: ParameterKnowledge,
+    effects: ActingEffects,
+    parameters: Array,
+    mean: Array,
+    maps: ErrorMaps,
+    remaining: Array | None,
+    reference: Reference,
+    rng: np.random.Generator,
+) -> Prediction:
+    """Accuracy with effects that act beside the parameters and stay as they are.
+
+    parameters  (m, np) draws about the estimate;  mean  (np,) identified errors
+    """
+    acting = effects.columns.workspace_maps(
+        effects.session, effects.theta, maps.command, reference, rng
+    )
+    both = ErrorMaps(
+        command=maps.command,
+        names=maps.names,
+        raw=np.concatenate([maps.raw, acting.raw], axis=2),
+        remaining=np.concatenate([maps.remaining, np.zeros_like(acting.raw)], axis=2),
+    )
+    draws = np.hstack([parameters, effects.draws])
+    second_moment = draws.T @ draws / len(draws)
+    return prediction.predict(
+        both,
+        second_moment,
+        second_moment,
+        rng,
+        mean=np.concatenate([mean, np.zeros(len(effects.draws.T))]),
+        known=remaining,
+        draws=draws,
+        worth=known.worth,
+        reference=reference,
+    )
 
 
 def _remaining(

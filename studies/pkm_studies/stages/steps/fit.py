@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import msgspec
 
 from oed.base.arrays import Array
 from oed.checks.goodness import goodness_of_estimate
+from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.estimation import fit_warnings, identification, run_prediction
-from oed.measurement.measurement import Series, mode_jumps
+from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
+from pkm_studies.stages.fit.effects import expected_effects, with_effects
 from pkm_studies.stages.fit.estimate import combination_estimates, estimate_section
 from pkm_studies.stages.fit.goodness import fit_figures, surprises, with_left_out
 from pkm_studies.stages.fit.noise import (
@@ -35,7 +35,8 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     """
     readings, measurement = state.readings, state.measurement
     state.progress.stage("identification")
-    estimate = _identify(state, readings.series, readings.y, start)
+    columns = expected_effects(state, start)
+    estimate = _identify(state, start, columns)
     _refuse_mode_jump(state, estimate.theta)
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
     if state.identifiability is not None:
@@ -45,7 +46,9 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     runs = run_prediction.predict_runs(measurement, readings.series, estimate)
     goodness = with_left_out(_goodness(state, estimate), runs)
     section = _without_resolved_warning(section, goodness, estimate)
-    fitted = promote(Fitted, state, estimate=estimate)
+    if columns is not None:
+        section = with_effects(section, estimate, columns, measurement, readings.series)
+    fitted = promote(Fitted, state, estimate=estimate, effect_columns=columns)
     fitted = fitted.with_sections(estimate=section, goodness=goodness)
     return fitted.with_warnings(*section.warnings, *surprises(runs))
 
@@ -64,18 +67,20 @@ def _without_resolved_warning(
 
 
 def _identify(
-    state: Measured, series: Sequence[Series], y: Array, start: Array | None
+    state: Measured, start: Array | None, columns: ExpectedColumns | None
 ) -> identification.Estimate:
     """The fit; where it fails, the error opens with what the check of readings found."""
     try:
         return identification.identify(
             state.measurement,
-            series,
-            y,
+            state.readings.series,
+            state.readings.y,
             stages=state.resolved.identification_stages,
             estimate_noise=state.estimates_noise,
             start=start,
             max_iterations=state.study.identify.max_iterations,
+            discrepancy=None if columns is None else columns.discrepancy,
+            rng=state.rng(Stream.SIZES),
         )
     except identification.IdentificationError as error:
         raise with_finding(state, error) from error
@@ -120,9 +125,12 @@ def _refuse_mode_jump(state: Measured, theta: Array) -> None:
 
 
 def sample_posterior(state: Fitted) -> Fitted:
-    """Sample the posterior about the estimate."""
+    """Sample the posterior about the estimate.
+
+    With effects beside the geometry the fit has drawn it already.
+    """
     table = state.study.posterior
-    if not table.enabled:
+    if not table.enabled or state.estimate.effects is not None:
         return state
     posterior.import_samplers()
     state.progress.stage("posterior")

@@ -21,11 +21,16 @@ from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
 from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.stages.fit.effects import session_states
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
 from pkm_studies.stages.predict.held_out import held_out_sections
-from pkm_studies.stages.predict.knowledge import Accuracy, ParameterKnowledge
+from pkm_studies.stages.predict.knowledge import (
+    Accuracy,
+    ActingEffects,
+    ParameterKnowledge,
+)
 from pkm_studies.stages.predict.virtual_machines import realised_accuracy
 from pkm_studies.stages.run_state import (
     Fitted,
@@ -86,8 +91,22 @@ def _knowledge(state: Scheduled) -> ParameterKnowledge:
     series = state.readings.series
     if not isinstance(state, Fitted) or state.readings.truth is not None:
         return knowledge.planned(state.measurement, series)
+    draws = _draws(state)
     return knowledge.identified(
-        state.measurement, series, state.estimate, _draws(state)
+        state.measurement, series, state.estimate, draws, _acting_effects(state, draws)
+    )
+
+
+def _acting_effects(state: Fitted, draws: ApproximateDraws) -> ActingEffects | None:
+    """Effects of the fit, in the states of its readings; None without effects."""
+    columns = state.effect_columns
+    if columns is None:
+        return None
+    return ActingEffects(
+        columns=columns,
+        session=session_states(state),
+        theta=state.estimate.theta,
+        draws=draws.effects,
     )
 
 
@@ -116,7 +135,11 @@ def _section(
     """The section with its budget."""
     machine, planned = state.measurement.machine, known.mean is None
     budget = budget_of(
-        known.model, main.maps, estimated=known.estimated, predicted=main.variance
+        known.model,
+        main.maps,
+        estimated=known.estimated,
+        predicted=main.variance,
+        unmodelled=main.unmodelled,
     )
     mode = "plan" if planned else "identified"
     section = accuracy.accuracy_section(

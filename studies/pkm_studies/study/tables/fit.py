@@ -43,12 +43,16 @@ class IdentifyTable(StudyTable, frozen=True, kw_only=True):
 
     stages          patterns of the parameters freed in turn; by default all at once
     max_iterations  of each stage
+    effects         effects that may act beside the geometry, by name, or "catalogue":
+                    all that the machine can have. They widen the result, and the
+                    prediction holds them
     """
 
     stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(
         default_factory=lambda: [["*"]]
     )
     max_iterations: Count = 50
+    effects: Literal["none", "catalogue"] | list[str] = "none"
 
 
 #: what predicted errors refer to

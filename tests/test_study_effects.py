@@ -1,0 +1,104 @@
+"""`effects` of [identify]: what is allowed, refused, reported and predicted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bar_readings
+import numpy as np
+import pytest
+import sample
+import test_bad_fit
+
+from pkm_studies.commands import cli
+
+
+def run(folder: Path, lines: str = "") -> tuple[dict[str, Any], Path]:
+    """Result of a run of two ball bars on an independent head, and its folder."""
+    folder.mkdir()
+    study, readings = test_bad_fit.write(folder, bar_readings.a3_readings(0))
+    study.write_text(study.read_text() + lines)
+    out = folder / "out"
+    assert (
+        cli.main(
+            ["identify", str(study), "--readings", str(readings), "--out", str(out)]
+        )
+        == 0
+    )
+    return json.loads((out / "result.json").read_text()), out
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any]]:
+    """Without the field, without effects, and with the catalogue's."""
+    folder = tmp_path_factory.mktemp("effects")
+    lines = {
+        "default": "",
+        "none": '\n[identify]\neffects = "none"\n',
+        "catalogue": '\n[identify]\neffects = "catalogue"\n',
+    }
+    return {name: run(folder / name, text)[0] for name, text in lines.items()}
+
+
+def test_without_effects_nothing_changes(results: dict[str, dict[str, Any]]) -> None:
+    for section in ("estimate", "prediction", "goodness"):
+        assert results["none"][section] == results["default"][section]
+
+
+def test_effects_are_reported_with_their_sizes(
+    results: dict[str, dict[str, Any]],
+) -> None:
+    estimate = results["catalogue"]["estimate"]
+    effects = estimate["effects"]
+    assert {"backlash: leg 1", "unknown tool place"} <= {e["name"] for e in effects}
+    changes = [effect["change"] for effect in effects]
+    assert changes == sorted(changes, reverse=True)
+    assert all(e["low"] <= e["size"] for e in effects)
+    assert 0.0 <= estimate["faulty"] <= 1.0
+    assert results["none"]["estimate"]["effects"] == []
+
+
+def test_the_prediction_holds_the_effects(results: dict[str, dict[str, Any]]) -> None:
+    without, with_effects = (results[n]["prediction"] for n in ("none", "catalogue"))
+    lines = {line["source"]: line for line in with_effects["budget"]["lines"]}
+    shares = {
+        name: sum(line["share"][name] for line in lines.values())
+        for name in with_effects["components"]
+    }
+    assert "effects beside the geometry" in lines
+    assert all(abs(share - 1.0) < 1e-6 for share in shares.values())
+    ratio = [
+        with_effects["components"][n]["after"]["rms"] / c["after"]["rms"]
+        for n, c in without["components"].items()
+    ]
+    assert np.median(ratio) > 1.0
+
+
+def test_a_name_that_is_no_effect_is_refused() -> None:
+    text = sample.changed(
+        sample.STUDY, ("[noise]", "[identify]\neffects = 3\n\n[noise]")
+    )
+    assert "effects" in sample.refused(text).field
+
+
+def test_an_unknown_effect_is_refused_by_its_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, readings = test_bad_fit.write(tmp_path, bar_readings.a3_readings(0))
+    study.write_text(study.read_text() + '\n[identify]\neffects = ["backlsh"]\n')
+    code = cli.main(
+        [
+            "identify",
+            str(study),
+            "--readings",
+            str(readings),
+            "--out",
+            str(tmp_path / "o"),
+        ]
+    )
+    assert code == 2
+    error = capsys.readouterr().err
+    assert "identify.effects[1]" in error
+    assert "backlsh" in error
