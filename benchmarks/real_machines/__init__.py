@@ -1,0 +1,1 @@
+"""Accuracy on machines with small effects, by an independent generator."""

@@ -1,0 +1,171 @@
+"""Machines with small effects, drawn by the second generator, and what they do at their poses."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.second import adapter
+from benchmarks.second.cases import GENERATOR
+from oed import dataset
+from oed.base.arrays import Array
+from oed.measurement.measurement import Measurement
+from oed.model.effect import Effect
+from pkm_studies import study as studies
+from pkm_studies.resolve import gap as resolve_gap
+from pkm_studies.resolve import resolved as resolve
+
+MM = 1e-3
+HEALTHY = (0.6, 1.4)
+
+
+@dataclasses.dataclass(eq=False)
+class Bench:
+    """A drawn machine, read.
+
+    measurement, series, y, covariates, gravity, effects   what a user has
+    command  (n, n_dof) commanded poses, SI; tool (n, 3) of each
+    shift    (n, 3) true displacement of the tool point at the nominal joints, m
+    """
+
+    measurement: Measurement
+    series: tuple[Any, ...]
+    y: Array
+    covariates: Any
+    gravity: Any
+    effects: tuple[Effect, ...]
+    command: Array
+    tool: Array
+    shift: Array
+    case: Any
+    shift_geometry: Any = None
+    setup_names: Any = None
+    times: Any = None
+
+
+def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
+    """A machine with all effects small, and one of sqrt(lambda) `size` (0: none).
+
+    level   "healthy": all effects together of sqrt(lambda) .6 to 1.4; "rigid": none
+    """
+    sys.path.insert(0, str(GENERATOR))
+    import make  # the generator's own modules
+    from effects import LAWS, LISTED, noise
+    from oracle import Oracle
+    from truth import Pert
+
+    from design import design
+
+    key = [seed, adapter.MACHINES.index(machine), round(size), int(level == "healthy")]
+    rng = np.random.default_rng(key)
+    c = design(machine, rng, False)
+    geometry = Pert()
+    for _, sd, P in c.params():
+        geometry = geometry + P * (sd * rng.normal())
+    law = "white" if level == "rigid" else str(rng.choice(LAWS))
+    errors, sigma, _ = noise(c, rng, law)
+    oracle = Oracle(c, geometry, sigma)
+    total = Pert()
+    if level == "healthy":
+        parts = []
+        for make_effect, machines in LISTED.values():
+            if machine in machines:
+                f, _ = make_effect(c, rng)
+                a, *_ = oracle.size(f, 1.0)
+                parts.append((f, a * np.exp(rng.normal(0, 0.7))))
+        want = rng.uniform(*HEALTHY)
+        scale = 1.0
+        for _ in range(8):
+            total = Pert()
+            for f, a in parts:
+                total = total + f(a * scale)
+            lam = oracle.lam(oracle.signature(total))
+            scale *= want / max(lam, 1e-9)
+    name = ""
+    if size:
+        name, f, _, a, *_ = make.sized(c, rng, oracle, LISTED, machine, size)
+        total = total + f(a)
+    y = np.round(c.readings(geometry + total) + errors, 6)
+    x, R = c.solve(geometry + total)
+    P = geometry + total
+    tip = x + np.einsum("nij,nj->ni", R, np.broadcast_to(P.f("T"), (c.n, 3))) + P.f("X")
+    x_g, R_g = c.solve(geometry)
+    tip_g = (
+        x_g
+        + np.einsum("nij,nj->ni", R_g, np.broadcast_to(geometry.f("T"), (c.n, 3)))
+        + geometry.f("X")
+    )
+    c.sensed = make.sensors(c, rng)
+    label = dict(kind="single")
+    out.mkdir(parents=True, exist_ok=True)
+    stem = out / "case"
+    make.write(c, y, label, stem)
+    path, readings = adapter.write_case(stem, out / "study")
+    study = studies.load(path)
+    resolved = resolve.resolve(study, readings=[])
+    request = resolve_gap.gap_request(study, resolved.machine)
+    measurement = resolved.measurement_with(resolved.setups)
+    data = dataset.load(readings, measurement)
+    tools = np.array([q.get("tool_mm", 0.0) for q in c.setups])[c.setup] * MM
+    command = _command(measurement.machine, c)
+    bench = Bench(
+        measurement=measurement,
+        series=data.series,
+        y=data.y,
+        covariates=data.covariates,
+        gravity=request.gravity,
+        effects=request.effects,
+        command=command,
+        tool=np.column_stack([0 * tools, 0 * tools, tools]),
+        shift=(tip - c.x0) * MM,
+        shift_geometry=(tip_g - c.x0) * MM,
+        case=dict(name=name, law=law),
+        setup_names=[c.setups[k]["name"] for k in c.setup],
+        times=c.t,
+    )
+    return bench
+
+
+def _command(machine, c):
+    values = []
+    for coordinate in machine.command:
+        unit = MM if coordinate.unit == "m" else np.pi / 180
+        suffix = "mm" if coordinate.unit == "m" else "deg"
+        column = c.cmd.get(f"{coordinate.name}_{suffix}")
+        values.append(
+            np.zeros(c.n) if column is None else np.asarray(column, float) * unit
+        )
+    return np.column_stack(values)
+
+
+def displacement(bench: Bench, theta: Array) -> Array:
+    """Displacements (m, n, 3) of the tool point at the nominal joints with theta (m, np)."""
+    kinematics = bench.measurement.kinematics
+    nominal = kinematics.machine.nominal
+    result = np.zeros((len(theta), len(bench.command), 3))
+    for tool in np.unique(bench.tool, axis=0):
+        rows = np.flatnonzero((bench.tool == tool).all(axis=1))
+        x, q = kinematics.inverse(bench.command[rows], nominal, tool)
+        _, start, _ = kinematics.frames(x, tool)
+        reached, _ = kinematics.try_forward(q, theta, x)
+        _, point, _ = kinematics.frames(reached.reshape(-1, x.shape[1]), tool)
+        result[:, rows] = point.reshape(len(theta), len(rows), 3) - start
+    return result
+
+
+def free_of_frame(points: Array, error: Array, components: Array) -> Array:
+    """Errors (m, n, 3) without their best small rigid motion."""
+    basis = [np.broadcast_to(np.eye(3)[k], points.shape) for k in components]
+    centred = points - points.mean(axis=0)
+    axes = range(3) if len(components) == 3 else [0]
+    basis += [np.cross(np.eye(3)[k], centred) for k in axes]
+    B = np.stack([b[:, components].ravel() for b in basis], axis=1)
+    U, s, _ = np.linalg.svd(B, full_matrices=False)
+    U = U[:, s > 1e-9 * s[0]]
+    flat = error[..., components].reshape(*error.shape[:-2], -1)
+    flat = flat - (flat @ U) @ U.T
+    return flat
