@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import bar_readings
+import leg_scale
 import numpy as np
 import pytest
 import sample
@@ -15,19 +16,22 @@ import test_bad_fit
 from pkm_studies.commands import cli
 
 
-def run(folder: Path, lines: str = "") -> tuple[dict[str, Any], Path]:
-    """Result of a run of two ball bars on an independent head, and its folder."""
+def run(folder: Path, lines: str) -> dict[str, Any]:
+    """Result of a fit of two ball bars on an independent head."""
     folder.mkdir()
     study, readings = test_bad_fit.write(folder, bar_readings.a3_readings(0))
     study.write_text(study.read_text() + lines)
+    return identified(study, readings)[0]
+
+
+def identified(study: Path, readings: Path) -> tuple[dict[str, Any], int]:
+    """Result and exit code."""
+    folder = study.parent
     out = folder / "out"
-    assert (
-        cli.main(
-            ["identify", str(study), "--readings", str(readings), "--out", str(out)]
-        )
-        == 0
+    code = cli.main(
+        ["identify", str(study), "--readings", str(readings), "--out", str(out)]
     )
-    return json.loads((out / "result.json").read_text()), out
+    return json.loads((out / "result.json").read_text()), code
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +43,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
         "none": '\n[identify]\neffects = "none"\n',
         "catalogue": '\n[identify]\neffects = "catalogue"\n',
     }
-    return {name: run(folder / name, text)[0] for name, text in lines.items()}
+    return {name: run(folder / name, text) for name, text in lines.items()}
 
 
 def test_without_effects_nothing_changes(results: dict[str, dict[str, Any]]) -> None:
@@ -102,3 +106,28 @@ def test_an_unknown_effect_is_refused_by_its_name(
     error = capsys.readouterr().err
     assert "identify.effects[1]" in error
     assert "backlsh" in error
+
+
+def test_a_bad_fit_is_good_where_effects_explain_it(tmp_path: Path) -> None:
+    """A hexapod whose leg 1 goes 1 % too far, by formulas of its own."""
+    results = {}
+    for name in ("none", "catalogue"):
+        folder = tmp_path / name
+        folder.mkdir()
+        study = leg_scale.write(folder, leg_scale.readings(0.01))
+        without_diagnosis = study.read_text().replace('[gap]\neffects = ["all"]\n', "")
+        allowed = f'[identify]\neffects = "{name}"\n'
+        study.write_text(without_diagnosis + allowed)
+        results[name] = identified(study, folder / "readings.csv")
+    alone, code = results["none"]
+    assert code == 1
+    assert alone["goodness"]["bad_fit"]
+    assert alone["prediction"] is None
+    allowed, code = results["catalogue"]
+    assert code == 0
+    assert not allowed["goodness"]["bad_fit"]
+    first = allowed["goodness"]["findings"][0]
+    assert first.startswith("With effects beside the geometry")
+    assert allowed["prediction"] is not None
+    assert allowed["estimate"]["faulty"] > 0.9
+    assert allowed["estimate"]["effects"][0]["name"] == "encoder_scale: leg 1"

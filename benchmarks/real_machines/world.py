@@ -42,7 +42,6 @@ class Bench:
     tool: Array
     shift: Array
     case: Any
-    shift_geometry: Any = None
     setup_names: Any = None
     times: Any = None
 
@@ -69,22 +68,7 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     law = "white" if level == "rigid" else str(rng.choice(LAWS))
     errors, sigma, _ = noise(c, rng, law)
     oracle = Oracle(c, geometry, sigma)
-    total = Pert()
-    if level == "healthy":
-        parts = []
-        for make_effect, machines in LISTED.values():
-            if machine in machines:
-                f, _ = make_effect(c, rng)
-                a, *_ = oracle.size(f, 1.0)
-                parts.append((f, a * np.exp(rng.normal(0, 0.7))))
-        want = rng.uniform(*HEALTHY)
-        scale = 1.0
-        for _ in range(8):
-            total = Pert()
-            for f, a in parts:
-                total = total + f(a * scale)
-            lam = oracle.lam(oracle.signature(total))
-            scale *= want / max(lam, 1e-9)
+    total = _small_effects(machine, c, oracle, rng) if level == "healthy" else Pert()
     name = ""
     if size:
         name, f, _, a, *_ = make.sized(c, rng, oracle, LISTED, machine, size)
@@ -93,12 +77,6 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     x, R = c.solve(geometry + total)
     P = geometry + total
     tip = x + np.einsum("nij,nj->ni", R, np.broadcast_to(P.f("T"), (c.n, 3))) + P.f("X")
-    x_g, R_g = c.solve(geometry)
-    tip_g = (
-        x_g
-        + np.einsum("nij,nj->ni", R_g, np.broadcast_to(geometry.f("T"), (c.n, 3)))
-        + geometry.f("X")
-    )
     c.sensed = make.sensors(c, rng)
     label = dict(kind="single")
     out.mkdir(parents=True, exist_ok=True)
@@ -122,12 +100,32 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
         command=command,
         tool=np.column_stack([0 * tools, 0 * tools, tools]),
         shift=(tip - c.x0) * MM,
-        shift_geometry=(tip_g - c.x0) * MM,
         case=dict(name=name, law=law),
         setup_names=[c.setups[k]["name"] for k in c.setup],
         times=c.t,
     )
     return bench
+
+
+def _small_effects(machine, c, oracle, rng):
+    """All effects of the machine's kind, together of a size of `HEALTHY`."""
+    from effects import LISTED
+    from truth import Pert
+
+    parts = []
+    for make_effect, machines in LISTED.values():
+        if machine in machines:
+            f, _ = make_effect(c, rng)
+            amount, *_ = oracle.size(f, 1.0)
+            parts.append((f, amount * np.exp(rng.normal(0, 0.7))))
+    wanted = rng.uniform(*HEALTHY)
+    scale = 1.0
+    for _ in range(8):
+        total = Pert()
+        for f, amount in parts:
+            total = total + f(amount * scale)
+        scale *= wanted / max(oracle.lam(oracle.signature(total)), 1e-9)
+    return total
 
 
 def _command(machine, c):

@@ -29,7 +29,7 @@ from oed.design.criterion import (
     Variance,
     named,
 )
-from oed.design.plan_limits import Budget, DistanceLimit, SetupLimit
+from oed.design.plan_limits import DistanceLimit, SetupLimit, TimeBudget
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
 from oed.identifiability.information import Scaling, column_scale
@@ -146,7 +146,7 @@ class Candidates:
         if apart is not None:
             position = self.command / np.where(apart > 0, apart, np.inf)
             distance = DistanceLimit(position, 1.0)
-        time = None if budget is None else Budget(self.cost, budget)
+        time = None if budget is None else TimeBudget(self.cost, budget)
         mounting = None if budget is None else self.setup_cost
         setups = SetupLimit(self.setup, mounting, most_setups, mounted)
         return Rules(

@@ -23,7 +23,7 @@ class ReadingTimes:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Budget(ReadingTimes):
+class TimeBudget(ReadingTimes):
     """Time of C candidates, `cost` (C,), of which a plan may take `available`; s."""
 
     available: float

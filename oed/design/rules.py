@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
-from oed.design.plan_limits import Budget, DistanceLimit, ReadingTimes, SetupLimit
+from oed.design.plan_limits import DistanceLimit, ReadingTimes, SetupLimit, TimeBudget
 from oed.design.quotas import QuotaSet
 
 #: combinations of set-ups that are bounded one by one, at the most
@@ -62,9 +62,9 @@ class Rules:
                 raise ValueError("quotas need the number of readings, and no budget")
 
     @property
-    def budget(self) -> Budget | None:
+    def budget(self) -> TimeBudget | None:
         """The time available, where it is limited."""
-        return self.time if isinstance(self.time, Budget) else None
+        return self.time if isinstance(self.time, TimeBudget) else None
 
     @property
     def limits_setups(self) -> bool:
@@ -165,7 +165,7 @@ class Rules:
         """Whether a plan keeps its quotas; the other rules hold by construction."""
         return self.quotas is None or self.quotas.satisfied(chosen)
 
-    def _times_after_adding(self, chosen: Index, budget: Budget) -> Array:
+    def _times_after_adding(self, chosen: Index, budget: TimeBudget) -> Array:
         """Times (C,) of a plan, s, with each of the candidates."""
         more = budget.cost
         if self.setups is not None:

@@ -14,6 +14,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
+from oed.noise.covariance import Noise
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,3 +65,14 @@ class SampledEffects:
     def changes(self) -> Array:
         """Mean change (N,) of the readings by all effects, SI."""
         return np.asarray(self.discrepancy.columns @ self.coefficients.mean(axis=0))
+
+    def freedom(self, noise: Noise, jacobian: Array) -> float:
+        """Degrees of freedom that parameters and effects take from the readings.
+
+        By what the sum of squares of draws is above that of their mean, whitened by the
+        noise. jacobian (N, n) is that of the readings.
+        """
+        of_theta = jacobian @ (self.theta - self.theta.mean(axis=0)).T
+        offsets = self.coefficients - self.coefficients.mean(axis=0)
+        white = noise.whiten(of_theta + self.discrepancy.columns @ offsets.T)
+        return float((white**2).sum() / len(offsets))

@@ -36,7 +36,7 @@ FAINT = 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class LinearReadings:
+class ReadingsAbout:
     """Standardised readings to first order about parameters theta (n,).
 
     coordinates  identifiable ones, z (r,)
@@ -79,7 +79,7 @@ class FittedEffects:
     mode: Array
 
 
-Linearise = Callable[[Array], LinearReadings]
+Linearise = Callable[[Array], ReadingsAbout]
 
 
 def fit_effects(
@@ -136,7 +136,7 @@ class _Settled:
     covariance  (r, r) of z given the effects
     """
 
-    linear: LinearReadings
+    linear: ReadingsAbout
     draws: EffectDraws
     z: Array
     means: Array
@@ -203,13 +203,13 @@ class _Alternation:
         sizes = np.sqrt((draws.sizes**2).mean(axis=0))
         return _scaled_columns(self.columns, sizes[self.discrepancy.group])
 
-    def _clean(self, law: Laws, linear: LinearReadings, draws: EffectDraws) -> Array:
+    def _clean(self, law: Laws, linear: ReadingsAbout, draws: EffectDraws) -> Array:
         """Residuals (N,) about nominal, with those far off replaced."""
         structure = dataclasses.replace(self.structure, effects=self._widened(draws))
         return robust_residuals(structure, law, linear.residual, linear.slopes)
 
     def _draw(
-        self, law: Laws, linear: LinearReadings, clean: Array, count: int, final: int
+        self, law: Laws, linear: ReadingsAbout, clean: Array, count: int, final: int
     ) -> EffectDraws:
         """Draws of the effects, with the parameters integrated out."""
         gram = Whitening(self.structure, law).gram(
@@ -217,10 +217,10 @@ class _Alternation:
         )[0]
         r = linear.slopes.shape[1]
         precision = gram[:r, :r] + np.eye(r)
-        left = gram[r:, r:] - gram[r:, :r] @ np.linalg.solve(precision, gram[:r, r:])
+        reduced = gram[r:, r:] - gram[r:, :r] @ np.linalg.solve(precision, gram[:r, r:])
         return effect_sizes.sample(
-            0.5 * (left[1:, 1:] + left[1:, 1:].T),
-            left[1:, 0],
+            0.5 * (reduced[1:, 1:] + reduced[1:, 1:].T),
+            reduced[1:, 0],
             self.discrepancy.members(),
             self.discrepancy.unknown,
             self.rng,
@@ -229,7 +229,7 @@ class _Alternation:
         )
 
     def _most_probable_law(
-        self, linear: LinearReadings, clean: Array, draws: EffectDraws, near: Array
+        self, linear: ReadingsAbout, clean: Array, draws: EffectDraws, near: Array
     ) -> Array:
         """Coordinates (d,) of the most probable law with the effects integrated out."""
         slopes = np.hstack([linear.slopes, self._widened(draws)])
@@ -240,7 +240,7 @@ class _Alternation:
         return most_probable(about, self.prior, near)
 
     def _coordinates(
-        self, law: Laws, linear: LinearReadings, clean: Array, draws: EffectDraws
+        self, law: Laws, linear: ReadingsAbout, clean: Array, draws: EffectDraws
     ) -> tuple[Array, Array]:
         """Means (m, r) of z given each draw of the effects, and covariance (r, r)."""
         gram = Whitening(self.structure, law).gram(

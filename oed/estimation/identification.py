@@ -4,10 +4,6 @@ Minimised is |W (y - f(theta))|^2 + |z|^2 over the identifiable coordinates z (s
 `oed.estimation.coordinates`), where W whitens the noise. Where asked for, the noise law is
 estimated from the readings too and integrated over (`oed.noise.marginal`): theta is the
 mean over laws, its covariance holds what is not known of the noise.
-
-Many machines with known noise are fitted at once over u, theta = nominal + T u, T the root
-of the prior covariance. The minimum is the same: where the gradient is zero, u has no part
-in the directions that no reading determines.
 """
 
 from __future__ import annotations
@@ -21,9 +17,9 @@ from oed.base.arrays import Array
 from oed.estimation import fit_warnings
 from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
 from oed.estimation.discrepancy import Discrepancy
-from oed.estimation.effects_stage import EffectsStart, LinearReadings, fit_effects
+from oed.estimation.effects_stage import EffectsStart, ReadingsAbout, fit_effects
 from oed.estimation.estimate import Estimate, FitStage
-from oed.estimation.fitter import PRECISION, minimise
+from oed.estimation.fitter import minimise
 from oed.estimation.readings_problem import ReadingsProblem
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
@@ -36,16 +32,11 @@ from oed.noise.process import stated_laws
 from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
 
-__all__ = ["Estimate", "IdentificationError", "fit_machines", "identify"]
+__all__ = ["Estimate", "IdentificationError", "identify"]
 
 #: rounds of fit and noise law, and change of a law's coordinates, in prior standard
 #: deviations, below which they have settled
 NOISE_ROUNDS, SETTLED = 6, 0.03
-#: distance to the minimum, in posterior standard deviations, at which a stage before the
-#: last ends: it finds a start
-NEAR = 0.1
-#: entries of the slopes of all machines that are held in memory at once
-ENTRIES = 4_000_000
 
 
 class IdentificationError(RuntimeError):
@@ -362,13 +353,13 @@ def _stage_with_effects(
         raise IdentificationError("the noise law has no posterior")
     structure, prior = posterior.structure, posterior.prior
 
-    def linearise(about: Array) -> LinearReadings:
+    def linearise(about: Array) -> ReadingsAbout:
         coordinates = fit.coordinates(about, stated, exact.prior_sd)
         jacobian = fit.measurement.jacobian(fit.series, about)
         slopes = structure.standardise(jacobian @ coordinates.basis)
         z = coordinates.from_theta(about)
         residual = structure.standardise(fit.residuals(about)) + slopes @ z
-        return LinearReadings(about, coordinates, residual, slopes)
+        return ReadingsAbout(about, coordinates, residual, slopes)
 
     fitted = fit_effects(
         linearise,
@@ -385,65 +376,21 @@ def _stage_with_effects(
     first = dataclasses.replace(exact, theta=fitted.theta)
     estimate = _integrate_law(fit, stated, first, fitted.structure, prior, fitted.mode)
     null = estimate.coordinates.null_basis
+    residuals = fit.residuals(fitted.theta)
+    white = stated.whiten(residuals - fitted.sampled.changes)
+    law_alone = noise_under(structure, prior.laws(fitted.mode[None]))
+    jacobian = fit.measurement.jacobian(fit.series, fitted.theta)
     return dataclasses.replace(
         estimate,
         theta=fitted.theta,
+        chi2=float(white @ white),
+        dof=len(fit.y) - fitted.sampled.freedom(law_alone, jacobian),
         z=estimate.coordinates.from_theta(fitted.theta),
         covariance=fitted.covariance + null @ null.T,
-        residuals=fit.residuals(fitted.theta),
+        residuals=residuals,
         effects=fitted.sampled,
     )
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-# -- many machines at once -------------------------------------------------------------
-
-
-def fit_machines(
-    measurement: Measurement,
-    series: Sequence[Series],
-    y: Array,
-    *,
-    stages: Sequence[Sequence[str]] = (("*",),),
-) -> Array:
-    """Parameters theta (m, n), SI, of m machines with readings y (m, N), SI.
-
-    stages  patterns of parameter names, freed in turn, as in `identify`
-
-    Raises IdentificationError where a machine cannot be fitted.
-    """
-    size = max(1, ENTRIES // (y.shape[1] * len(measurement.parameters)))
-    parts = [
-        _fit_together(measurement, series, y[start : start + size], stages)
-        for start in range(0, len(y), size)
-    ]
-    return np.vstack(parts)
-
-
-def _fit_together(
-    measurement: Measurement,
-    series: Sequence[Series],
-    y: Array,
-    stages: Sequence[Sequence[str]],
-) -> Array:
-    noise = measurement.noise(series)
-    theta = np.repeat(measurement.nominal[None], len(y), axis=0)
-    converged = np.ones(len(y), dtype=bool)
-    for k, patterns in enumerate(stages, 1):
-        freed = measurement.freed(patterns)
-        basis = measurement.prior_root(freed)[:, freed]
-        origin = np.where(freed, measurement.nominal, theta)
-        offset = (theta - origin)[:, freed]
-        start = np.asarray(np.linalg.solve(basis[freed], offset.T).T, dtype=float)
-        problem = ReadingsProblem(measurement, series, noise, y, origin, basis)
-        precision = PRECISION if k == len(stages) else NEAR
-        minima = minimise(problem, start, precision=precision)
-        theta = origin + minima.z @ basis.T
-        converged &= minima.converged
-    # a fit of its own says what is wrong
-    for row in np.flatnonzero(~converged):
-        theta[row] = identify(measurement, series, y[row], stages=stages).theta
-    return theta

@@ -70,7 +70,7 @@ class ExpectedColumns:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _Group:
+class _EffectGroup:
     """One group's coefficients at all of its constants.
 
     readings  (N, a) changes, in units of the noise;  tool (m, a) displacements, m
@@ -115,7 +115,7 @@ def expected_columns(
     """
     machine = problem.measurement.machine
     forms: list[ActingForm] = []
-    groups: list[_Group] = []
+    groups: list[_EffectGroup] = []
     for effect in effects:
         if effect.unfit(machine) is None:
             groups += _groups_of(problem, effect, forms, unknown=False)
@@ -132,23 +132,23 @@ def expected_columns(
 
 def _groups_of(
     problem: GapProblem, effect: Effect, forms: list[ActingForm], *, unknown: bool
-) -> list[_Group]:
+) -> list[_EffectGroup]:
     """The groups of one effect; its forms are appended to `forms`."""
     grid = effect.constant_grid()
     tried = np.unique(np.linspace(0, len(grid) - 1, FORMS).round().astype(int))
-    found: list[tuple[int, Signature, dict[str, Array]]] = []
+    signatures: list[tuple[int, Signature, dict[str, Array]]] = []
     for constants in (grid[k] for k in tried):
         signature = problem.signature(effect, constants)
         tool = _tool_changes(problem.states, effect, constants)
         if signature.names:
-            found.append((len(forms), signature, tool))
+            signatures.append((len(forms), signature, tool))
             forms.append(ActingForm(effect, constants, signature.names))
-    labels = dict.fromkeys(label for _, s, _ in found for label in s.labels)
-    share = 1.0 / np.sqrt(max(len(found), 1))
+    labels = dict.fromkeys(label for _, s, _ in signatures for label in s.labels)
+    share = 1.0 / np.sqrt(max(len(signatures), 1))
     groups = []
     for label in labels:
         readings, displaced, places = [], [], []
-        for number, signature, tool in found:
+        for number, signature, tool in signatures:
             for k, name in enumerate(signature.names):
                 if signature.labels[k] == label:
                     readings.append(signature.columns[:, k])
@@ -157,7 +157,9 @@ def _groups_of(
         name = f"{effect.name}: {label}" if label else effect.name
         changes = problem.in_noise_units(np.column_stack(readings))
         moved = share * np.column_stack(displaced)
-        groups.append(_Group(name, unknown, share * changes, moved, places, share))
+        groups.append(
+            _EffectGroup(name, unknown, share * changes, moved, places, share)
+        )
     return groups
 
 
@@ -178,7 +180,10 @@ def _tool_changes(
 
 
 def _assembled(
-    problem: GapProblem, forms: list[ActingForm], groups: list[_Group], typical: float
+    problem: GapProblem,
+    forms: list[ActingForm],
+    groups: list[_EffectGroup],
+    typical: float,
 ) -> ExpectedColumns:
     """All groups side by side."""
     at: dict[tuple[int, str], int] = {}

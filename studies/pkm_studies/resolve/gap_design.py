@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from oed.design.plan_limits import Budget, DistanceLimit, ReadingTimes, SetupLimit
+from oed.design.plan_limits import DistanceLimit, ReadingTimes, SetupLimit, TimeBudget
 from oed.design.rules import Rules
 from oed.gap.before.runs import Run
 from oed.measurement.measurement import Measurement, Series
@@ -165,7 +165,7 @@ def _rules(
     cost = np.array([run.seconds for run in runs])
     time = ReadingTimes(cost)
     if table.budget_min is not None:
-        time = Budget(cost, table.budget_min * MINUTE)
+        time = TimeBudget(cost, table.budget_min * MINUTE)
     if timed:
         # runs at stated times must not overlap, whatever their set-up: mounting has to
         # fit into the gaps between them

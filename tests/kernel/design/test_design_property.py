@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from oed.design import exchange
-from oed.design.plan_limits import Budget, SetupLimit
+from oed.design.plan_limits import SetupLimit, TimeBudget
 from oed.design.rules import Rules
 
 CRITERIA = ("D", "A", "O5", "D", "A", "O5", "D", "E")
@@ -46,7 +46,7 @@ def problem(seed: int) -> Problem:
     if seed % 5 == 0:
         cost = rng.uniform(0.5, 2.0, count)
         rules = Rules(
-            time=Budget(cost, float(rng.uniform(n + 2, n + 6)) * 2.0),
+            time=TimeBudget(cost, float(rng.uniform(n + 2, n + 6)) * 2.0),
             size=None if seed % 2 else 12,
         )
     elif seed % 5 == 1:

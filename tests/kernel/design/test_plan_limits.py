@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design.plan_limits import Budget, DistanceLimit, SetupLimit
+from oed.design.plan_limits import DistanceLimit, SetupLimit, TimeBudget
 from oed.design.rules import Rules
 
 COUNT, SETUPS = 12, 4
@@ -15,17 +15,17 @@ MOUNTING = (30.0, 10.0, 50.0, 20.0)
 MOUNTED = (1,)
 
 
-def limits(seed: int) -> tuple[SetupLimit, Budget, DistanceLimit]:
+def limits(seed: int) -> tuple[SetupLimit, TimeBudget, DistanceLimit]:
     rng = np.random.default_rng(seed)
     setups = SetupLimit(
         rng.integers(0, SETUPS, COUNT), np.array(MOUNTING), most=2, mounted=MOUNTED
     )
-    budget = Budget(rng.uniform(1.0, 5.0, COUNT), 70.0)
+    budget = TimeBudget(rng.uniform(1.0, 5.0, COUNT), 70.0)
     return setups, budget, DistanceLimit(rng.uniform(0.0, 6.0, (COUNT, 1)), 0.8)
 
 
 def is_allowed(
-    plan: set[int], setups: SetupLimit, budget: Budget, distance: DistanceLimit
+    plan: set[int], setups: SetupLimit, budget: TimeBudget, distance: DistanceLimit
 ) -> bool:
     """Whether a plan keeps the rules, by their definition."""
     used = {int(setups.setup[k]) for k in plan} - set(MOUNTED)
@@ -82,4 +82,4 @@ def test_a_plan_needs_a_limit_and_a_budget_needs_times() -> None:
     with pytest.raises(ValueError, match="a number of readings or a budget"):
         Rules()
     with pytest.raises(ValueError, match="positive cost"):
-        Budget(np.zeros(3), 10.0)
+        TimeBudget(np.zeros(3), 10.0)

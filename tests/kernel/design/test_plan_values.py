@@ -11,7 +11,7 @@ from oed.design.criterion.determinant import Determinant
 from oed.design.criterion.spectrum import ExtremeEigenvalues
 from oed.design.criterion.variance import Variance
 from oed.design.evaluator import CriterionEvaluator
-from oed.design.plan_limits import Budget, SetupLimit
+from oed.design.plan_limits import SetupLimit, TimeBudget
 from oed.design.rules import Rules
 from oed.design.search import improve, search, select_greedily
 from oed.design.setups import drop_untouched_columns, rank_combinations, thin
@@ -95,7 +95,7 @@ def test_searches_end_at_the_best_plan_and_below_the_bound(
 def test_a_budget_of_time_bounds_plans_of_any_size() -> None:
     criterion, (blocks, base) = CRITERIA["D"], problem(5)
     cost = np.random.default_rng(5).uniform(1.0, 3.0, COUNT)
-    rules = Rules(time=Budget(cost, 7.0))
+    rules = Rules(time=TimeBudget(cost, 7.0))
     upper = bound(blocks, criterion, rules, base)
     assert upper.weights @ cost == pytest.approx(7.0, rel=1e-3)
     for size in range(1, 8):

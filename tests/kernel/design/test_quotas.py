@@ -9,7 +9,7 @@ import pytest
 
 from oed.design import conic, exchange
 from oed.design.criterion import named
-from oed.design.plan_limits import Budget, DistanceLimit
+from oed.design.plan_limits import DistanceLimit, TimeBudget
 from oed.design.quotas import Quota, QuotaSet, equal_numbers
 from oed.design.rules import Rules
 
@@ -171,7 +171,7 @@ def test_quotas_that_contradict_each_other_are_named() -> None:
     with pytest.raises(ValueError, match="need the number of readings, and no budget"):
         Rules(size=3, quotas=quotas)
     with pytest.raises(ValueError, match="need the number of readings, and no budget"):
-        Rules(size=4, time=Budget(np.ones(8), 1.0), quotas=quotas)
+        Rules(size=4, time=TimeBudget(np.ones(8), 1.0), quotas=quotas)
 
 
 def test_a_condition_number_that_the_solver_misses_is_bounded_without_quotas(

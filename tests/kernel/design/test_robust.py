@@ -9,7 +9,7 @@ import pytest
 
 from oed.design import robust
 from oed.design.criterion import Determinant, ExtremeEigenvalues, Variance
-from oed.design.plan_limits import Budget
+from oed.design.plan_limits import TimeBudget
 from oed.design.rules import Rules
 
 
@@ -101,7 +101,9 @@ def test_risks_are_ordered() -> None:
 def test_budget_and_refusals(rng: np.random.Generator) -> None:
     table, _ = scenarios(1, 30, 4, 3)
     cost = rng.uniform(1.0, 3.0, 30)
-    choice = robust.choose(table, Determinant(3), Rules(time=Budget(cost, 15.0)), rng)
+    choice = robust.choose(
+        table, Determinant(3), Rules(time=TimeBudget(cost, 15.0)), rng
+    )
     assert cost[choice.indices].sum() <= 15.0
     assert choice.summary.value <= choice.summary.bound
     with pytest.raises(ValueError, match="needs a smooth criterion"):

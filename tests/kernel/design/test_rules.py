@@ -7,6 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
+from oed.design.plan_limits import SetupLimit, TimeBudget
 from oed.design.rules import Rules
 
 SETUP = np.array([0, 0, 1, 2, 2, 2, 3])
@@ -23,7 +24,7 @@ def test_plans_of_a_number_of_set_ups_are_bounded_over_each_combination(
     most: int,
 ) -> None:
     """Of more set-ups than there are, over all of them."""
-    rules = Rules(size=3, setup=SETUP, most_setups=most)
+    rules = Rules(size=3, setups=SetupLimit(SETUP, most=most))
     by_hand = [set(c) for c in itertools.combinations(range(4), min(most, 4))]
     assert combinations(rules) == by_hand
 
@@ -31,11 +32,8 @@ def test_plans_of_a_number_of_set_ups_are_bounded_over_each_combination(
 def test_where_mounting_counts_fewer_set_ups_leave_more_of_the_budget() -> None:
     cost = np.array([1.0, 2.0, 4.0, 8.0])
     rules = Rules(
-        budget=7.0,
-        cost=np.ones(len(SETUP)),
-        setup=SETUP,
-        setup_cost=cost,
-        most_setups=2,
+        time=TimeBudget(np.ones(len(SETUP)), 7.0),
+        setups=SetupLimit(SETUP, cost, most=2),
     )
     every = [set(c) for k in (1, 2) for c in itertools.combinations(range(4), k)]
     times = [float(cost[list(c)].sum()) for c in every]

@@ -11,7 +11,7 @@ import pytest
 
 from kernel import a3_plans, gap_a3
 from oed.design import exchange
-from oed.design.plan_limits import Budget, SetupLimit
+from oed.design.plan_limits import SetupLimit, TimeBudget
 from oed.design.rules import Rules
 from oed.gap.before import choose, detect, runs
 from oed.gap.before.forms import ROOM
@@ -222,7 +222,7 @@ def test_budget_pays_runs_and_mounting():
     tool = np.array([0 if r.setup == "cup" else 1 for r in candidates])
     cost = np.array([r.seconds for r in candidates])
     rules = Rules(
-        time=Budget(cost, 1900.0),
+        time=TimeBudget(cost, 1900.0),
         setups=SetupLimit(tool, np.array([900.0, 900.0])),
     )
     choice = choose.choose(pool(), rules, np.random.default_rng(0), rounds=3)

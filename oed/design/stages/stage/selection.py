@@ -10,7 +10,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design.criterion import Criterion
 from oed.design.evaluator import CriterionEvaluator
-from oed.design.plan_limits import Budget
+from oed.design.plan_limits import TimeBudget
 from oed.design.rules import Rules
 from oed.design.search import improve, select_greedily
 from oed.design.stages.option import Option
@@ -47,7 +47,7 @@ def select_readings(
     if np.ptp(time) == 0.0:  # readings of equal length: their number limits the time
         rules = Rules(size=count)
     else:
-        rules = Rules(size=count, time=Budget(time, seconds))
+        rules = Rules(size=count, time=TimeBudget(time, seconds))
         designs.append(_shortest(time, count, seconds))
     evaluator = CriterionEvaluator(blocks, criterion, base)
     designs.append(select_greedily(evaluator, rules, 0.0, level=0))

@@ -18,9 +18,12 @@ from oed.result import CorrectedSection, GoodnessSection, MistakeRecord, trust
 
 def resolves(corrected: CorrectedSection, findings: Sequence[CheckFinding]) -> bool:
     """Whether the fit with effects is good, and no finding remains that spoils it."""
-    return not corrected.warnings and all(
-        f.severity > Severity.BAD_FIT or _is_about_the_fit(f) for f in findings
-    )
+    return not corrected.warnings and may_be_resolved(findings)
+
+
+def may_be_resolved(findings: Sequence[CheckFinding]) -> bool:
+    """Whether effects may be behind every finding that spoils the fit."""
+    return all(f.severity > Severity.BAD_FIT or is_about_the_fit(f) for f in findings)
 
 
 def resolved_section(
@@ -40,14 +43,29 @@ def resolved_sentences(
     """Alarms of the fit without effects, and what is true with them."""
     ratio = trust.noise_ratio(corrected.chi2, corrected.dof)
     effects = " and ".join(corrected.constants)
-    fit = "the readings fit"
-    if ratio is not None:
-        fit = f"the residuals are {ratio:.2g} times the stated noise"
-    opening = f"With {effects} in the model {fit}, and the corrected values count."
+    opening = (
+        f"With {effects} in the model {_fit(ratio)}, and the corrected values count."
+    )
+    return sentences_with(opening, findings)
+
+
+def _fit(ratio: float | None) -> str:
+    if ratio is None:
+        return "the readings fit"
+    return f"the residuals are {ratio:.2g} times the stated noise"
+
+
+def allowed_effects_sentence(ratio: float | None) -> str:
+    """How the readings fit with the effects that the study allows."""
+    return f"With effects beside the geometry {_fit(ratio)}."
+
+
+def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, str]:
+    """Alarms of the fit without effects, each after what is true with them."""
     return {
         f.sentence: f"{opening} Without: {f.sentence[:1].lower()}{f.sentence[1:]}"
         for f in findings
-        if _is_about_the_fit(f)
+        if is_about_the_fit(f)
     }
 
 
@@ -85,7 +103,7 @@ def with_turned_runs(
     )
 
 
-def _is_about_the_fit(finding: CheckFinding) -> bool:
+def is_about_the_fit(finding: CheckFinding) -> bool:
     """Whether an effect of the machine may be behind a finding."""
     kinds = ("fit", *PHYSICAL)
     return finding.severity <= Severity.BAD_FIT and finding.kind in kinds

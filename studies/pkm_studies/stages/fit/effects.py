@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import msgspec
 import numpy as np
+from scipy import special
 
 from oed.base.arrays import Array
+from oed.checks.judgement import KNOWN_TO
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.compensate.effects.fit import EffectReadings
@@ -16,8 +19,9 @@ from oed.estimation.estimate import Estimate
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
-from oed.result import EffectSizeRecord, EstimateSection
+from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
 from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.run_state import Fitted, Measured
 
@@ -114,3 +118,37 @@ def with_effects(
         )
     records.sort(key=lambda record: -record.change)
     return msgspec.structs.replace(section, effects=records, faulty=sampled.faulty)
+
+
+def judged_with_effects(
+    state: Measured, section: GoodnessSection, estimate: Estimate
+) -> tuple[Measured, GoodnessSection]:
+    """The state and its goodness where the alarms of the check are true with effects.
+
+    The check looked at a fit without effects. Where the fit with them is good, its alarms
+    become remarks.
+    """
+    checked = state.checked
+    ratio = trust.noise_ratio(estimate.chi2, estimate.dof)
+    figures = msgspec.structs.replace(
+        section,
+        chi2=estimate.chi2,
+        dof=estimate.dof,
+        p_low=float(special.chdtr(estimate.dof, estimate.chi2)),
+        p_high=float(special.chdtrc(estimate.dof, estimate.chi2)),
+    )
+    if checked is None or not checked.bad_fit:
+        return state, figures
+    # a stated noise is known to a factor only
+    good = not trust.chi2_is_large(estimate.chi2 / KNOWN_TO**2, estimate.dof)
+    if not (good and alarm.may_be_resolved(checked.findings)):
+        return state, section
+    opening = alarm.allowed_effects_sentence(ratio)
+    true = alarm.sentences_with(opening, checked.findings)
+    remaining = tuple(f for f in checked.findings if not alarm.is_about_the_fit(f))
+    resolved = state.replace(
+        checked=dataclasses.replace(checked, findings=remaining),
+        warnings=tuple(true.get(w, w) for w in state.warnings),
+    )
+    sentences = [true.get(sentence, sentence) for sentence in section.findings]
+    return resolved, msgspec.structs.replace(figures, findings=sentences, bad_fit=False)

@@ -10,7 +10,7 @@ from oed import compensate
 from oed.accuracy import prediction
 from oed.accuracy.prediction import Reference, Spread
 from oed.base.arrays import Array
-from oed.estimation.identification import fit_machines
+from oed.estimation.machine_fits import fit_machines
 from oed.measurement import simulation
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import Kinematics

@@ -11,7 +11,11 @@ from oed.estimation import fit_warnings, identification, run_prediction
 from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
-from pkm_studies.stages.fit.effects import expected_effects, with_effects
+from pkm_studies.stages.fit.effects import (
+    expected_effects,
+    judged_with_effects,
+    with_effects,
+)
 from pkm_studies.stages.fit.estimate import combination_estimates, estimate_section
 from pkm_studies.stages.fit.goodness import fit_figures, surprises, with_left_out
 from pkm_studies.stages.fit.noise import (
@@ -45,6 +49,8 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         section = msgspec.structs.replace(section, combinations=combinations)
     runs = run_prediction.predict_runs(measurement, readings.series, estimate)
     goodness = with_left_out(_goodness(state, estimate), runs)
+    if columns is not None:
+        state, goodness = judged_with_effects(state, goodness, estimate)
     section = _without_resolved_warning(section, goodness, estimate)
     if columns is not None:
         section = with_effects(section, estimate, columns, measurement, readings.series)
