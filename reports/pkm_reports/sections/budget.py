@@ -27,7 +27,7 @@ KINDS: Final = {
     "set-up": "what the unknowns of the set-ups cost: where a cup or a tracker stands",
     "effects": "what is not known of the effects in the model",
     "prior": "what the readings leave to the tolerances",
-    "unmodelled": "what effects beside the geometry add, which compensation leaves",
+    "unmodelled": "what is not known of effects beside the geometry",
     "linearisation": "what a linear calculation leaves out",
     "interpolation": "what lies between the nodes of a grid",
     "rounding": "printed digits",

@@ -201,16 +201,20 @@ def _with_effects(
         command=maps.command,
         names=maps.names,
         raw=np.concatenate([maps.raw, acting.raw], axis=2),
-        remaining=np.concatenate([maps.remaining, np.zeros_like(acting.raw)], axis=2),
+        # compensation of the parameters leaves what is known of the effects
+        remaining=np.concatenate([maps.remaining, acting.raw], axis=2),
     )
-    draws = np.hstack([parameters, effects.draws])
+    of_effects = effects.draws.mean(axis=0)
+    if remaining is not None:
+        remaining = remaining + acting.raw @ of_effects
+    draws = np.hstack([parameters, effects.draws - of_effects])
     second_moment = draws.T @ draws / len(draws)
     return prediction.predict(
         both,
         second_moment,
         second_moment,
         rng,
-        mean=np.concatenate([mean, np.zeros(len(effects.draws.T))]),
+        mean=np.concatenate([mean, of_effects]),
         known=remaining,
         draws=draws,
         worth=known.worth,
