@@ -10,7 +10,6 @@ alone, and with the effects corrected as well.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import tempfile
 import time
@@ -25,7 +24,6 @@ from oed.compensate.effects.expected_columns import ExpectedColumns, expected_co
 from oed.estimation import identify
 from oed.estimation.estimate import Estimate
 from oed.gap.data import problem as problems
-from oed.noise.law_noise import noise_under
 
 #: draws of an estimate that are judged
 DRAWS = 200
@@ -97,9 +95,6 @@ def one(machine: str, level: str, size: float, seed: int) -> dict[str, Any]:
     record["corrected"] = judge(
         bench, mean, sampled.theta + lost, drawn, drawn.mean(axis=0)
     )
-    theta, coefficients = _conditional_draws(bench, estimate, rng)
-    drawn = np.einsum("pik,dk->dpi", shifts, coefficients)
-    record["normal"] = judge(bench, estimate.theta, theta, drawn)
     return record
 
 
@@ -107,30 +102,6 @@ def _normal_draws(estimate: Estimate, rng: np.random.Generator) -> Array:
     values, vectors = np.linalg.eigh(estimate.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     return estimate.theta + rng.standard_normal((DRAWS, len(root))) @ root.T
-
-
-def _conditional_draws(
-    bench: world.Bench, estimate: Estimate, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Normal draws of the parameters, and effects given each."""
-    theta = _normal_draws(estimate, rng)
-    sampled, structure = estimate.effects, estimate.noise.structure
-    columns = sampled.discrepancy.columns * sampled.rms_sizes[sampled.discrepancy.group]
-    alone = noise_under(
-        dataclasses.replace(structure, effects=np.zeros((0, 0))), estimate.noise.law
-    )
-    white = alone.whiten(columns)
-    jacobian = bench.measurement.jacobian(bench.series, estimate.theta)
-    residual = estimate.robust_readings - bench.measurement.readings(
-        bench.series, estimate.theta
-    )
-    residuals = residual[:, None] - jacobian @ (theta - estimate.theta).T
-    covariance = np.linalg.inv(white.T @ white + np.eye(len(white.T)))
-    mean = covariance @ (white.T @ alone.whiten(residuals))
-    root = np.linalg.cholesky(covariance)
-    drawn = mean + root @ rng.standard_normal(mean.shape)
-    sizes = sampled.rms_sizes[sampled.discrepancy.group]
-    return theta, drawn.T * sizes
 
 
 def tool_shifts(

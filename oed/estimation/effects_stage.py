@@ -37,14 +37,13 @@ FAINT = 0.1
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReadingsAbout:
-    """Standardised readings to first order about parameters theta (n,).
+    """Standardised readings to first order about some parameters.
 
     coordinates  identifiable ones, z (r,)
     residual     (N,) about nominal parameters, z = 0
     slopes       (N, r) over z
     """
 
-    theta: Array
     coordinates: IdentifiableCoordinates
     residual: Array
     slopes: Array
@@ -179,17 +178,19 @@ class _Alternation:
         if start.mode is not None:
             mode, law = start.mode, self.prior.laws(start.mode[None])
         linear = self.linearise(theta)
-        draws = self._draw(law, linear, linear.residual, PARTICLES, SWEEPS)
+        gram = self._gram(law, linear, linear.residual)
+        draws = self._draw(gram, PARTICLES, SWEEPS)
         for _ in range(ROUNDS):
             linear = self.linearise(theta)
             clean = self._clean(law, linear, draws)
-            draws = self._draw(law, linear, clean, PARTICLES, SWEEPS)
+            draws = self._draw(self._gram(law, linear, clean), PARTICLES, SWEEPS)
             mode = self._most_probable_law(linear, clean, draws, mode)
             law = self.prior.laws(mode[None])
-            means, _ = self._coordinates(law, linear, clean, draws)
+            gram = self._gram(law, linear, clean)
+            means, _ = self._coordinates(gram, draws)
             theta = linear.coordinates.to_theta(means.mean(axis=0))
-        draws = self._draw(law, linear, clean, DRAWS, 2 * SWEEPS)
-        means, covariance = self._coordinates(law, linear, clean, draws)
+        draws = self._draw(gram, DRAWS, 2 * SWEEPS)
+        means, covariance = self._coordinates(gram, draws)
         root = np.linalg.cholesky(covariance)
         z = means + self.rng.standard_normal(means.shape) @ root.T
         centre = np.zeros(linear.slopes.shape[1])
@@ -208,14 +209,14 @@ class _Alternation:
         structure = dataclasses.replace(self.structure, effects=self._widened(draws))
         return robust_residuals(structure, law, linear.residual, linear.slopes)
 
-    def _draw(
-        self, law: Laws, linear: ReadingsAbout, clean: Array, count: int, final: int
-    ) -> EffectDraws:
+    def _gram(self, law: Laws, linear: ReadingsAbout, clean: Array) -> Array:
+        """Products, under a law, of the r slopes, clean residuals and effects' columns."""
+        values = np.column_stack([linear.slopes, clean, self.columns])
+        return np.asarray(Whitening(self.structure, law).gram(values)[0])
+
+    def _draw(self, gram: Array, count: int, final: int) -> EffectDraws:
         """Draws of the effects, with the parameters integrated out."""
-        gram = Whitening(self.structure, law).gram(
-            np.column_stack([linear.slopes, clean, self.columns])
-        )[0]
-        r = linear.slopes.shape[1]
+        r = len(gram) - 1 - self.columns.shape[1]
         precision = gram[:r, :r] + np.eye(r)
         reduced = gram[r:, r:] - gram[r:, :r] @ np.linalg.solve(precision, gram[:r, r:])
         return effect_sizes.sample(
@@ -239,17 +240,12 @@ class _Alternation:
         about = ResidualModel(self.structure, clean - slopes @ centre, slopes, centre)
         return most_probable(about, self.prior, near)
 
-    def _coordinates(
-        self, law: Laws, linear: ReadingsAbout, clean: Array, draws: EffectDraws
-    ) -> tuple[Array, Array]:
+    def _coordinates(self, gram: Array, draws: EffectDraws) -> tuple[Array, Array]:
         """Means (m, r) of z given each draw of the effects, and covariance (r, r)."""
-        gram = Whitening(self.structure, law).gram(
-            np.column_stack([linear.slopes, clean, self.columns])
-        )[0]
-        r = linear.slopes.shape[1]
+        r = len(gram) - 1 - self.columns.shape[1]
         covariance = np.linalg.inv(gram[:r, :r] + np.eye(r))
         score = gram[:r, r, None] - gram[:r, r + 1 :] @ draws.coefficients.T
-        return (covariance @ score).T, covariance
+        return np.asarray((covariance @ score).T), np.asarray(covariance)
 
 
 def _scaled_columns(columns: Array, sizes: Array) -> Array:

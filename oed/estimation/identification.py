@@ -275,10 +275,16 @@ def _integrated_stage(
     Fit, outliers and law are found in turn until the most probable law has settled.
     """
     first = _last_stage(fit, stated, theta, start_residuals, patterns)
+    return _integrate_law(fit, stated, first, *_structure_and_prior(fit, first))
+
+
+def _structure_and_prior(
+    fit: _Fit, first: Estimate
+) -> tuple[ReadingStructure, NoisePrior]:
+    """Structure of the readings at an estimate, and prior of their noise law."""
     structure = reading_structure(fit.measurement, fit.series, first.theta)
     freedom = len(structure) - first.coordinates.basis.shape[1]
-    prior = noise_prior(structure, freedom)
-    return _integrate_law(fit, stated, first, structure, prior)
+    return structure, noise_prior(structure, freedom)
 
 
 def _integrate_law(
@@ -346,12 +352,12 @@ def _stage_with_effects(
     rng: np.random.Generator,
 ) -> Estimate:
     """The last stage from theta (n,), with effects and noise law integrated over."""
-    without = _integrated_stage(fit, stated, theta, start_residuals, patterns)
     exact = _last_stage(fit, stated, theta, start_residuals, patterns)
+    structure, prior = _structure_and_prior(fit, exact)
+    without = _integrate_law(fit, stated, exact, structure, prior)
     posterior = without.noise_posterior
-    if posterior is None:
-        raise IdentificationError("the noise law has no posterior")
-    structure, prior = posterior.structure, posterior.prior
+    mode = None if posterior is None else posterior.mode
+    starts = [EffectsStart(exact.theta, None), EffectsStart(without.theta, mode)]
 
     def linearise(about: Array) -> ReadingsAbout:
         coordinates = fit.coordinates(about, stated, exact.prior_sd)
@@ -359,7 +365,7 @@ def _stage_with_effects(
         slopes = structure.standardise(jacobian @ coordinates.basis)
         z = coordinates.from_theta(about)
         residual = structure.standardise(fit.residuals(about)) + slopes @ z
-        return ReadingsAbout(about, coordinates, residual, slopes)
+        return ReadingsAbout(coordinates, residual, slopes)
 
     fitted = fit_effects(
         linearise,
@@ -367,10 +373,7 @@ def _stage_with_effects(
         prior,
         stated_laws(structure),
         discrepancy,
-        [
-            EffectsStart(exact.theta, None),
-            EffectsStart(without.theta, posterior.mode),
-        ],
+        starts,
         rng,
     )
     first = dataclasses.replace(exact, theta=fitted.theta)

@@ -143,6 +143,13 @@ class State:
         return np.asarray(np.einsum("mqk,mk->mq", per_displacement, self.axis))
 
     @property
+    def travel(self) -> Array:
+        """Places (m, nq) of the joints in their travels of the session, from -1 to 1."""
+        low, high = self.joint_range
+        place = 2.0 * (self.joints - low) / np.maximum(high - low, 1e-12)
+        return np.asarray(place - 1.0)
+
+    @property
     def limbs(self) -> range:
         """Indices of the joints, from 0."""
         return range(self.joints.shape[1])

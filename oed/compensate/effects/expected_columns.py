@@ -31,9 +31,9 @@ from oed.model.effect import Effect, State
 FORMS = 16
 #: share of a group's variance that its principal columns hold
 WHOLE = 0.995
-#: root mean square change of the readings, in units of the noise, and of the tool, m,
-#: below which a group changes nothing
-NOTHING = 1e-4, 1e-12
+#: root mean square change of the readings, in units of the noise, below which a group
+#: changes nothing
+NOTHING = 1e-4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -119,13 +119,13 @@ def expected_columns(
     for effect in effects:
         if effect.unfit(machine) is None:
             groups += _groups_of(problem, effect, forms, unknown=False)
-    sizes = [group.size for group in groups if group.size > NOTHING[0]]
+    sizes = [group.size for group in groups if group.size > NOTHING]
     if not sizes:
         return None
     typical = float(np.median(sizes))
     for effect in unknown_effects():
         for group in _groups_of(problem, effect, forms, unknown=True):
-            if group.size > NOTHING[0]:
+            if group.size > NOTHING:
                 groups.append(group)
     return _assembled(problem, forms, groups, typical)
 

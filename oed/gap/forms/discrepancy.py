@@ -148,7 +148,7 @@ def _by_kind(problem: GapProblem) -> Iterator[list[Term]]:
     """The terms of each kind that these readings can have."""
     every = carriers.every(problem)
     session = 2.0 * _covariate(problem, "session_progress") - 1.0
-    travel = _travel(problem)
+    travel = _covariate(problem, "travel")
     over_session = [_Places(c, session[:, :, None]) for c in every]
     over_workspace = [_Places(c, travel, by_column=c.name == JOINTS) for c in every]
     yield [
@@ -229,7 +229,7 @@ def _factors(problem: GapProblem) -> Iterator[tuple[str, str, Values, Values, bo
     The factors are (N, J), common to all joints, and those of joints (N, J), or
     (N, J, nq) one of each.
     """
-    direction = _known(_covariate(problem, "direction"))
+    direction = known_values(_covariate(problem, "direction"))
     ones = np.ones_like(direction)
     yield "over the workspace", "", ones, ones, False
     sense = _covariate(problem, "motion_sign")
@@ -258,7 +258,7 @@ def _temperature(problem: GapProblem, body: str) -> Values:
     return carriers.at_poses(problem, values)
 
 
-def _known(values: Array) -> Array:
+def known_values(values: Array) -> Array:
     """Values, 0 where unknown."""
     return np.where(np.isfinite(values), values, 0.0)
 
@@ -269,7 +269,7 @@ def _centred(values: Array) -> Array:
     if not known.size or np.ptp(known) <= 1e-9 * np.abs(known).max():
         return np.zeros_like(values)
     middle = 0.5 * (known.min() + known.max())
-    return _known((values - middle) / (0.5 * np.ptp(known)))
+    return known_values((values - middle) / (0.5 * np.ptp(known)))
 
 
 def _times(forms: Array, factor: Array) -> Array:
@@ -279,23 +279,16 @@ def _times(forms: Array, factor: Array) -> Array:
     return forms * factor[..., None]
 
 
-def _travel(problem: GapProblem) -> Array:
-    """Places (N, J, nq) of all joints in their travels, from -1 to 1."""
-    low, high = problem.states[0].joint_range
-    place = _covariate(problem, "joints")
-    return np.asarray(2.0 * (place - low) / np.maximum(high - low, 1e-12) - 1.0)
-
-
 def _circle(problem: GapProblem) -> Array:
     """Cosine and sine (N, J, 2) of the phase."""
-    phase = _known(_covariate(problem, "phase"))
+    phase = known_values(_covariate(problem, "phase"))
     return np.stack([np.cos(phase), np.sin(phase)], axis=2)
 
 
 def _along_runs(problem: GapProblem, every: Sequence[Carrier]) -> Iterator[Term]:
     """Errors along the runs, the same both ways and with the direction."""
     circle = _circle(problem)
-    sense = _known(_covariate(problem, "direction"))
+    sense = known_values(_covariate(problem, "direction"))
     for carrier in every:
         if carrier.name == JOINTS:
             continue

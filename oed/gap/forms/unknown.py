@@ -8,12 +8,14 @@ with the order. Their sizes are given by the caller.
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.gap.forms.discrepancy import known_values
 from oed.model.effect import Column, Effect, State
 
 #: terms of a series over the workspace, over the time
@@ -71,9 +73,7 @@ def _columns(
 
 def over_places(state: State) -> Array:
     """Terms (m, k) of a smooth function of the joints in their travels."""
-    low, high = state.joint_range
-    travel = 2.0 * (state.joints - low) / np.maximum(high - low, 1e-12) - 1.0
-    return np.column_stack(list(_terms(travel, PLACES)))
+    return np.column_stack(list(_terms(state.travel, PLACES)))
 
 
 def over_time(state: State) -> Array:
@@ -90,6 +90,7 @@ def _terms(places: Array, count: int) -> Iterator[Array]:
         yield waves / (1.0 + (orders @ orders) / SMOOTH**2)
 
 
+@functools.cache
 def _smoothest(dimensions: int, count: int) -> Array:
     """Orders (count, d) of the products, the smoothest first, the constant left out."""
     most = MOST if dimensions <= 2 else 3
@@ -102,7 +103,7 @@ def _smoothest(dimensions: int, count: int) -> Array:
 
 def _on_tool(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
     """Displacements of the tool along the axes of the base."""
-    sense = _known(state.direction) if reverses else 1.0
+    sense = known_values(state.direction) if reverses else 1.0
     for axis, name in enumerate("xyz"):
         for k, term in enumerate(terms.T):
             joints = state.displacing_joints(axis, sense * term)
@@ -112,7 +113,7 @@ def _on_tool(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
 def _on_joints(state: State, terms: Array, reverses: bool) -> Iterable[Column]:
     """Errors of each joint by itself."""
     for i in state.limbs:
-        sense = _known(state.motion_sign[:, i]) if reverses else 1.0
+        sense = known_values(state.motion_sign[:, i]) if reverses else 1.0
         leg = f"leg {i + 1}"
         for k, term in enumerate(terms.T):
             yield Column(f"{leg} {k + 1}", UNIT, leg, {i: sense * term})
@@ -124,8 +125,3 @@ def _on_readings(state: State, terms: Array, reverses: bool) -> Iterable[Column]
         label = f"{state.setup} {channel}"
         for k, term in enumerate(terms.T):
             yield Column(f"{label} {k + 1}", UNIT, label, reading={channel: term})
-
-
-def _known(values: Array) -> Array:
-    """Values, 0 where unknown."""
-    return np.where(np.isfinite(values), values, 0.0)

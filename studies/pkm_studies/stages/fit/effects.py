@@ -16,13 +16,12 @@ from oed.compensate.effects.expected_columns import ExpectedColumns, expected_co
 from oed.compensate.effects.fit import EffectReadings
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
-from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.stages.corrected import alarm
-from pkm_studies.stages.gap.virtual_readings import empty_readings
+from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured
 
 #: ends of a 95 % interval
@@ -47,7 +46,9 @@ def expected_effects(state: Measured, start: Array | None) -> ExpectedColumns | 
         start=start,
         max_iterations=state.study.identify.max_iterations,
     )
-    return expected_columns(_problem(state, request, fitted.theta), allowed)
+    return expected_columns(
+        readings_with_covariates(state, request).problem(fitted.theta), allowed
+    )
 
 
 def _allowed(state: Measured, request: GapRequest) -> list[Effect]:
@@ -63,27 +64,20 @@ def _allowed(state: Measured, request: GapRequest) -> list[Effect]:
     return [known[name] for name in dict.fromkeys(names)]
 
 
-def _problem(state: Measured, request: GapRequest, theta: Array) -> GapProblem:
-    """The readings about parameters (n,)."""
-    readings = state.readings
-    covariates = readings.covariates
-    if covariates is None:
-        planned = empty_readings(state.measurement, readings.series, request)
-        covariates = planned.covariates
-    given = EffectReadings(
-        state.measurement,
-        tuple(readings.series),
-        readings.y,
-        covariates,
-        request.gravity,
+def readings_with_covariates(state: Measured, request: GapRequest) -> EffectReadings:
+    """The readings with what effects are functions of."""
+    readings, measurement = state.readings, state.measurement
+    covariates = covariates_of(
+        measurement, readings.series, readings.covariates, request
     )
-    return given.problem(theta)
+    series = tuple(readings.series)
+    return EffectReadings(measurement, series, readings.y, covariates, request.gravity)
 
 
 def session_states(state: Fitted) -> SessionStates:
     """States in which the readings were taken."""
     request = state.resolved.gap_or_default
-    problem = _problem(state, request, state.estimate.theta)
+    problem = readings_with_covariates(state, request).problem(state.estimate.theta)
     return SessionStates(
         state.measurement, problem.covariates, problem.states, request.gravity
     )

@@ -18,6 +18,8 @@ from pkm_studies.resolve.conditions import planned_covariates
 from pkm_studies.resolve.gap import ActingEffect, GapRequest, unknown_coefficient
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from oed.dataset import Dataset
 
 
@@ -36,6 +38,18 @@ def empty_readings(
     parted = [s.separate_poses() for s in series]
     empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
     return dataset.from_series(parted, empty, measurement, covariates)
+
+
+def covariates_of(
+    measurement: Measurement,
+    series: Sequence[Series],
+    recorded: pd.DataFrame | None,
+    request: GapRequest,
+) -> pd.DataFrame:
+    """Covariates of readings: the recorded ones, or those of [gap.conditions]."""
+    if recorded is not None:
+        return recorded
+    return empty_readings(measurement, series, request).covariates
 
 
 def exact_readings(

@@ -27,9 +27,9 @@ from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.workspace import regular_commands, workspace_axes
 from pkm_studies.stages.corrected import alarm, coefficients
 from pkm_studies.stages.corrected import section as sections
+from pkm_studies.stages.fit.effects import readings_with_covariates
 from pkm_studies.stages.fit.noise import with_noise
 from pkm_studies.stages.fit.posterior import sampler_options, sampling_warnings
-from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.run_state import Fitted, Stream
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def correct_for_effects(state: Fitted) -> Fitted:
     if not effects:
         return state
     state.progress.stage("parameters and effects together")
-    given = _readings_with_covariates(state, request)
+    given = readings_with_covariates(state, request)
     if state.with_effects:
         _refuse_untestable(state, given, effects)
     corrected = estimate_with_effects(
@@ -90,18 +90,6 @@ def _as_diagnosed(effect: Effect, gap: GapSection) -> Effect:
     constants = gap.constants[effect.name]
     selected = {name: (value,) for name, value in constants.items()}
     return dataclasses.replace(effect, constants=selected)
-
-
-def _readings_with_covariates(state: Fitted, request: GapRequest) -> EffectReadings:
-    readings = state.readings
-    covariates = readings.covariates
-    if covariates is None:
-        planned = empty_readings(state.measurement, readings.series, request)
-        covariates = planned.covariates
-    series = tuple(readings.series)
-    return EffectReadings(
-        state.measurement, series, readings.y, covariates, request.gravity
-    )
 
 
 def _refuse_untestable(

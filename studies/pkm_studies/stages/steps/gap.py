@@ -10,7 +10,7 @@ from oed.measurement.measurement import Measurement
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
 from pkm_studies.stages.gap import detectability, section
-from pkm_studies.stages.gap.virtual_readings import empty_readings
+from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
 from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT, Stream
 
 #: the only advice after a fit that failed its check, where no effect explains it
@@ -88,10 +88,9 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
             "There is no diagnosis: a mistake in the readings explains their misfit"
         )
     state.progress.stage("diagnosis")
-    covariates = readings.covariates
-    if covariates is None:
-        planned = empty_readings(state.measurement, readings.series, request)
-        covariates = planned.covariates
+    covariates = covariates_of(
+        state.measurement, readings.series, readings.covariates, request
+    )
     diagnosis = section.diagnose(
         state.measurement,
         readings.series,
