@@ -7,6 +7,7 @@ toolkit makes the readings, nor the least squares that say how large the scale i
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -87,11 +88,40 @@ def leg_lengths(x: np.ndarray, base: np.ndarray, platform: np.ndarray) -> np.nda
     return np.linalg.norm(tips - base, axis=2)
 
 
+def _geometry(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Base, platform and zeros of a machine, mm."""
+    base, platform = (v + rng.normal(0.0, 1.0, v.shape) for v in (BASE, PLATFORM))
+    return base, platform, rng.normal(0.0, 1.0, 6)
+
+
+def reached(
+    x: np.ndarray, sent: Mapping[str, float], scale: float, seed: int = 5
+) -> np.ndarray:
+    """Poses (n, 6) of the machine of `readings` at commands x (n, 6).
+
+    sent  parameters of the controller, mm
+    """
+    base, platform, zeros = _geometry(np.random.default_rng(seed))
+    places = [
+        np.array(
+            [[sent[f"{part}{leg}{axis}"] for axis in "xyz"] for leg in range(1, 7)]
+        )
+        for part in "ba"
+    ]
+    joints = leg_lengths(x, *places) - [sent[f"l{leg}"] for leg in range(1, 7)]
+    joints[:, 0] = MIDDLE + (joints[:, 0] - MIDDLE) * (1.0 + scale)
+
+    def miss(pose: np.ndarray, driven: np.ndarray) -> np.ndarray:
+        return leg_lengths(pose[None], base, platform)[0] - zeros - driven
+
+    pairs = zip(x, joints, strict=True)
+    return np.array([least_squares(miss, at, args=(q,)).x for at, q in pairs])
+
+
 def readings(scale: float, seed: int = 5) -> Readings:
     """Readings of a machine whose leg 1 goes `scale` too far."""
     rng = np.random.default_rng(seed)
-    base, platform = (v + rng.normal(0.0, 1.0, v.shape) for v in (BASE, PLATFORM))
-    zeros = rng.normal(0.0, 1.0, 6)
+    base, platform, zeros = _geometry(rng)
     place = rng.uniform(-120.0, 120.0, (POSES, 3)) + np.array([0.0, 0.0, 700.0])
     x = np.hstack([place, np.radians(rng.uniform(-10.0, 10.0, (POSES, 3)))])
     joints = leg_lengths(x, base, platform) - zeros

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -108,22 +109,43 @@ def test_an_unknown_effect_is_refused_by_its_name(
     assert "backlsh" in error
 
 
-def test_a_bad_fit_is_good_where_effects_explain_it(tmp_path: Path) -> None:
+#: workspace over which a leg's wrong scale is taken up
+WORKSPACE = """x_mm = { from = -80, to = 80, count = 3 }
+y_mm = { from = -80, to = 80, count = 3 }
+z_mm = { from = 640, to = 760, count = 3 }
+rx_deg = [-5, 5]
+ry_deg = [-5, 5]
+spin_deg = 0
+"""
+
+
+def with_wrong_scale(folder: Path, effects: str) -> tuple[dict[str, Any], int]:
     """A hexapod whose leg 1 goes 1 % too far, by formulas of its own."""
-    results = {}
-    for name in ("none", "catalogue"):
-        folder = tmp_path / name
-        folder.mkdir()
-        study = leg_scale.write(folder, leg_scale.readings(0.01))
-        without_diagnosis = study.read_text().replace('[gap]\neffects = ["all"]\n', "")
-        allowed = f'[identify]\neffects = "{name}"\n'
-        study.write_text(without_diagnosis + allowed)
-        results[name] = identified(study, folder / "readings.csv")
-    alone, code = results["none"]
+    folder.mkdir()
+    study = leg_scale.write(folder, leg_scale.readings(0.01))
+    text, _, _ = study.read_text().partition("x_mm = [-80, 80]")
+    without_diagnosis = text.replace('[gap]\neffects = ["all"]\n', "")
+    allowed = f'[identify]\neffects = "{effects}"\n'
+    study.write_text(without_diagnosis + WORKSPACE + allowed)
+    return identified(study, folder / "readings.csv")
+
+
+@pytest.fixture(scope="module")
+def wrong_scale(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> dict[str, tuple[dict[str, Any], int]]:
+    folder = tmp_path_factory.mktemp("scale")
+    return {n: with_wrong_scale(folder / n, n) for n in ("none", "catalogue")}
+
+
+def test_a_bad_fit_is_good_where_effects_explain_it(
+    wrong_scale: dict[str, tuple[dict[str, Any], int]],
+) -> None:
+    alone, code = wrong_scale["none"]
     assert code == 1
     assert alone["goodness"]["bad_fit"]
     assert alone["prediction"] is None
-    allowed, code = results["catalogue"]
+    allowed, code = wrong_scale["catalogue"]
     assert code == 0
     assert not allowed["goodness"]["bad_fit"]
     first = allowed["goodness"]["findings"][0]
@@ -131,3 +153,29 @@ def test_a_bad_fit_is_good_where_effects_explain_it(tmp_path: Path) -> None:
     assert allowed["prediction"] is not None
     assert allowed["estimate"]["faulty"] > 0.9
     assert allowed["estimate"]["effects"][0]["name"] == "encoder_scale: leg 1"
+
+
+def test_the_controller_gets_parameters_that_take_up_effects(
+    wrong_scale: dict[str, tuple[dict[str, Any], int]],
+) -> None:
+    """Less is left than with the machine's parameters, and as much as predicted."""
+    result, _ = wrong_scale["catalogue"]
+    estimate = result["estimate"]
+    own = {name: p["value"] for name, p in estimate["parameters"].items()}
+    sent = estimate["controller"]
+    assert set(sent) == {name for name in own if "." not in name}
+    places = itertools.product((-80, 0, 80), (-80, 0, 80), (640, 700, 760))
+    tilts = list(itertools.product((-5, 5), (-5, 5)))
+    grid = np.array(
+        [[*p, *np.radians(t), 0.0] for p in places for t in tilts], dtype=float
+    )
+    errors = {
+        name: leg_scale.reached(grid, parameters, 0.01) - grid
+        for name, parameters in (("own", own), ("sent", sent))
+    }
+    rms = {n: np.sqrt((e[:, :3] ** 2).mean(axis=0)) for n, e in errors.items()}
+    after = result["prediction"]["components"]
+    predicted = np.array([after[n]["after"]["rms"] for n in ("x", "y", "z")]) / 1e3
+    total = {name: np.linalg.norm(values) for name, values in rms.items()}
+    assert total["sent"] < 0.9 * total["own"]
+    assert 0.8 < total["sent"] / np.linalg.norm(predicted) < 1.25

@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.real_machines import world
+from oed.accuracy import ErrorMaps
 from oed.base.arrays import Array
+from oed.compensate.effects.absorbed import absorbing_shift
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.estimation import identify
 from oed.estimation.estimate import Estimate
@@ -95,7 +97,27 @@ def one(machine: str, level: str, size: float, seed: int) -> dict[str, Any]:
     record["corrected"] = judge(
         bench, mean, sampled.theta + lost, drawn, drawn.mean(axis=0)
     )
+    known = drawn.mean(axis=0)
+    sent = mean + absorbing_shift(
+        slopes(bench, mean), known, bench.measurement.tolerance[: len(mean)]
+    )
+    record["sent"] = judge(bench, sent, sampled.theta + lost, drawn)
     return record
+
+
+def slopes(bench: world.Bench, theta: Array) -> ErrorMaps:
+    """Displacements (rows, 3, n) of the tool per parameter at the session's rows."""
+    machine = bench.measurement.machine
+    count = len(machine.parameters)
+    steps = 1e-3 * bench.measurement.tolerance[:count]
+    moved = world.displacement(
+        bench, np.vstack([theta[None, :count], theta[:count] + np.diag(steps)])
+    )
+    change = np.zeros((*moved.shape[1:], len(theta)))
+    free = np.flatnonzero(steps)
+    for k in free:
+        change[:, :, k] = (moved[1 + k] - moved[0]) / steps[k]
+    return ErrorMaps(bench.command, ("x", "y", "z"), change, np.zeros_like(change))
 
 
 def _normal_draws(estimate: Estimate, rng: np.random.Generator) -> Array:

@@ -79,6 +79,9 @@ class EstimateSection(Record, frozen=True):
     # present; none where the study allows none
     effects: list[EffectSizeRecord] = []
     faulty: float | None = None
+    # what the controller is given, in the units of `parameters`: it takes up what is known
+    # of the effects; empty: the parameters themselves
+    controller: dict[str, float] = {}
 
 
 class Marginal(Record, frozen=True):

@@ -235,6 +235,12 @@ def _effects(estimate: EstimateSection) -> list[Block]:
         " ends of its 95 % interval, and root mean square change of the readings in units"
         f" of the stated noise.{rest}"
     )
+    if estimate.controller:
+        caption += (
+            " The controller gets parameters that take up what is known of these effects"
+            " over the workspace (oed compensate writes them); those above are the"
+            " machine's."
+        )
     return [Table(columns, rows, caption)]
 
 

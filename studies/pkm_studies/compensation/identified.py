@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from oed.base import units
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, StudyResult
 from pkm_studies.catalogue.controller_format import Identified
+
+#: what the parameters are where a study allows effects
+ABSORBED = (
+    "the parameters are the machine's, shifted so that they take up what is known of its"
+    " effects over the workspace"
+)
 
 
 def identified_parameters(
@@ -24,14 +32,22 @@ def identified_parameters(
     section = result.final_estimate
     if section is None:
         return None
+    sent: Mapping[str, float] = {}
+    if corrected is None and result.estimate is not None:
+        sent = result.estimate.controller
     values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))
     for k, parameter in enumerate(machine.parameters):
         estimate = section.parameters.get(parameter.name)
         if estimate is not None:
-            values[k] = units.to_si(estimate.value, estimate.unit)
+            value = sent.get(parameter.name, estimate.value)
+            values[k] = units.to_si(value, estimate.unit)
             sd[k] = units.to_si(estimate.sd, estimate.unit)
     origin = "estimate" if corrected is None else "corrected"
-    conditions = () if corrected is None else _of_effects(corrected, tables)
+    conditions: tuple[str, ...] = ()
+    if corrected is not None:
+        conditions = _of_effects(corrected, tables)
+    elif sent:
+        conditions = (ABSORBED,)
     return Identified(values, sd, origin, conditions)
 
 

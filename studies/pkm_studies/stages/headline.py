@@ -254,9 +254,12 @@ def _effects(section: EstimateSection) -> list[str]:
     if not section.effects or section.faulty is None:
         return []
     largest = section.effects[0]
+    sent = ""
+    if section.controller:
+        sent = ", and the controller's parameters take up what parameters can of them"
     return [
         f"The fit allows for {len(section.effects)} groups of effects beside the geometry;"
-        " the prediction holds them, and compensation leaves them. The readings are"
+        f" the prediction holds them{sent}. The readings are"
         f" changed most by {largest.name}: by {largest.change:.2g} times the stated noise"
         f" rms. It is {_probability(section.faulty)} that one group stands out from what"
         " all machines have."

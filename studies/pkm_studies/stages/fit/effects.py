@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from scipy import special
 
+from oed.base import units
 from oed.base.arrays import Array
 from oed.checks.judgement import KNOWN_TO
 from oed.compensate.effects.effect_maps import SessionStates
@@ -18,6 +19,7 @@ from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
+from oed.model.machine import Machine
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.stages.corrected import alarm
@@ -112,6 +114,18 @@ def with_effects(
         )
     records.sort(key=lambda record: -record.change)
     return msgspec.structs.replace(section, effects=records, faulty=sampled.faulty)
+
+
+def with_controller(
+    section: EstimateSection, machine: Machine, sent: Array
+) -> EstimateSection:
+    """The section with the parameters (np,) that the controller is given, SI."""
+    controller = {}
+    for parameter, value in zip(machine.parameters, sent, strict=True):
+        estimate = section.parameters.get(parameter.name)
+        if estimate is not None:
+            controller[parameter.name] = units.number(float(value), estimate.unit)
+    return msgspec.structs.replace(section, controller=controller)
 
 
 def judged_with_effects(

@@ -14,11 +14,13 @@ from oed.accuracy.maps import (
     ErrorMaps,
     Reference,
     compensated_errors,
+    error_maps,
     maps_by_reference,
 )
 from oed.accuracy.prediction import Prediction
 from oed.base.arrays import Array
 from oed.compensate import NO_TOOL
+from oed.compensate.effects.absorbed import absorbing_shift
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.estimation.estimate import Estimate
@@ -43,6 +45,8 @@ class ParameterKnowledge:
     estimated            (np, np) of the estimate, where it holds more than the model
     effects              what acts beside the parameters, and is not compensated; None
                          where nothing is allowed to
+    sent                 (np,) parameters of the controller, SI; the identified ones by
+                         default
     """
 
     measurement: Measurement
@@ -54,6 +58,7 @@ class ParameterKnowledge:
     worth: float | None = None
     estimated: Array | None = None
     effects: ActingEffects | None = None
+    sent: Array | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,6 +75,14 @@ class ActingEffects:
     session: SessionStates
     theta: Array
     draws: Array
+
+    def maps(
+        self, command: Array, reference: Reference, rng: np.random.Generator
+    ) -> ErrorMaps:
+        """Pose errors per unit of each coefficient at commands (n, n_dof)."""
+        return self.columns.workspace_maps(
+            self.session, self.theta, command, reference, rng
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -194,9 +207,7 @@ def _with_effects(
 
     parameters  (m, np) draws about the estimate;  mean  (np,) identified errors
     """
-    acting = effects.columns.workspace_maps(
-        effects.session, effects.theta, maps.command, reference, rng
-    )
+    acting = effects.maps(maps.command, reference, rng)
     both = ErrorMaps(
         command=maps.command,
         names=maps.names,
@@ -205,8 +216,9 @@ def _with_effects(
         remaining=np.concatenate([maps.remaining, acting.raw], axis=2),
     )
     of_effects = effects.draws.mean(axis=0)
-    if remaining is not None:
-        remaining = remaining + acting.raw @ of_effects
+    if remaining is None:
+        remaining = maps.remaining @ mean - _change_by_controller(known, mean, maps)
+    remaining = remaining + acting.raw @ of_effects
     draws = np.hstack([parameters, effects.draws - of_effects])
     second_moment = draws.T @ draws / len(draws)
     return prediction.predict(
@@ -222,6 +234,39 @@ def _with_effects(
     )
 
 
+def with_absorbed_effects(
+    known: ParameterKnowledge,
+    command: Array,
+    reference: Reference,
+    rng: np.random.Generator,
+) -> ParameterKnowledge:
+    """With the controller's parameters that take up what is known of the effects.
+
+    At commands (n, n_dof) of the workspace, against a reference. The same knowledge
+    where there are no effects.
+    """
+    effects, mean = known.effects, known.mean
+    if effects is None or mean is None:
+        return known
+    machine = known.measurement.machine
+    maps = error_maps(known.measurement.kinematics, command, reference)
+    acting = effects.maps(command, reference, rng)
+    error = acting.raw @ effects.draws.mean(axis=0)
+    tolerance = known.measurement.tolerance[: len(machine.parameters)]
+    shift = absorbing_shift(maps, error, tolerance)
+    return dataclasses.replace(known, sent=machine.nominal + mean + shift)
+
+
+def _change_by_controller(
+    known: ParameterKnowledge, mean: Array, maps: ErrorMaps
+) -> Array | float:
+    """Change (n, k) of the pose by parameters sent that are not the identified ones."""
+    if known.sent is None:
+        return 0.0
+    shift = known.sent - known.measurement.machine.nominal - mean
+    return np.asarray((maps.raw - maps.remaining) @ shift)
+
+
 def _remaining(
     known: ParameterKnowledge, command: Array, reference: Reference, tool: Array
 ) -> Array | None:
@@ -234,10 +279,9 @@ def _remaining(
         return None
     kinematics = known.measurement.kinematics
     identified = kinematics.machine.nominal + known.mean
+    sent = identified if known.sent is None else known.sent
     try:
-        errors = compensated_errors(
-            kinematics, command, identified, identified[None], tool
-        )
+        errors = compensated_errors(kinematics, command, sent, identified[None], tool)
     except AssemblyError:
         return None
     return np.asarray(errors[0])

@@ -21,7 +21,7 @@ from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
 from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.stages.fit.effects import session_states
+from pkm_studies.stages.fit.effects import session_states, with_controller
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
@@ -56,8 +56,10 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         return state.with_warnings(_withheld(state))
     state.progress.stage("prediction")
     realised = _realised(state, table, command)
-    known = _knowledge(state)
     rng = state.rng(Stream.PREDICT)
+    known = knowledge.with_absorbed_effects(
+        _knowledge(state), command, table.reference, rng
+    )
     by_reference = knowledge.accuracy(known, command, [table.reference], rng)
     main = by_reference[table.reference]
     section = _section(state, known, main)
@@ -67,6 +69,10 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         tools=_tools(state, table, known, command),
     )
     section = accuracy.with_wanted(section, state.resolved.wanted_accuracy)
+    if isinstance(state, Fitted) and known.sent is not None:
+        machine = state.measurement.machine
+        estimate = with_controller(state.estimate_section, machine, known.sent)
+        state = state.with_sections(estimate=estimate)
     return state.with_sections(prediction=accuracy.with_realised(section, realised))
 
 
