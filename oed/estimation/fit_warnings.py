@@ -54,7 +54,10 @@ def large_residuals(estimate: Estimate) -> list[str]:
             f"{opening}: an effect of this size is not in the model, or the readings have"
             " a mistake"
         ]
-    remedy = "[noise] estimate = true widens the intervals"
+    remedy = (
+        "repeat readings on the spot: what scatters there is noise, and [noise] estimate ="
+        " true allows for it"
+    )
     if estimate.noise_posterior is not None:
         remedy = "the intervals are as wide as the residuals ask for"
     return [

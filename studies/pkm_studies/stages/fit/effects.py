@@ -26,6 +26,8 @@ from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured
 
+#: value of [identify] effects that allows them where the fit without is bad
+AUTO = "auto"
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
 
@@ -36,7 +38,7 @@ def expected_effects(state: Measured, start: Array | None) -> ExpectedColumns | 
     start  (n,) where the fit begins, SI; nominal by default. Raises InputError for a
            name that is no effect of the study.
     """
-    if state.study.identify.effects == "none":
+    if not _are_allowed(state):
         return None
     request = state.resolved.gap_or_default
     allowed = _allowed(state, request)
@@ -51,6 +53,28 @@ def expected_effects(state: Measured, start: Array | None) -> ExpectedColumns | 
     return expected_columns(
         readings_with_covariates(state, request).problem(fitted.theta), allowed
     )
+
+
+def _are_allowed(state: Measured) -> bool:
+    """Whether the study allows effects; "auto" does where the fit without them is bad."""
+    effects = state.study.identify.effects
+    if effects != AUTO:
+        return effects != "none"
+    checked = state.checked
+    if checked is None or not checked.bad_fit:
+        return False
+    return alarm.may_be_resolved(checked.findings)
+
+
+def explain_nothing(state: Measured, estimate: Estimate) -> bool:
+    """Whether effects were only tried, and the readings do not fit with them either."""
+    tried = state.study.identify.effects == AUTO and estimate.effects is not None
+    return tried and not _is_good(estimate)
+
+
+def _is_good(estimate: Estimate) -> bool:
+    """Whether the residuals are as large as noise that is known to a factor only."""
+    return not trust.chi2_is_large(estimate.chi2 / KNOWN_TO**2, estimate.dof)
 
 
 def _allowed(state: Measured, request: GapRequest) -> list[Effect]:
@@ -147,9 +171,7 @@ def judged_with_effects(
     )
     if checked is None or not checked.bad_fit:
         return state, figures
-    # a stated noise is known to a factor only
-    good = not trust.chi2_is_large(estimate.chi2 / KNOWN_TO**2, estimate.dof)
-    if not (good and alarm.may_be_resolved(checked.findings)):
+    if not (_is_good(estimate) and alarm.may_be_resolved(checked.findings)):
         return state, section
     opening = alarm.allowed_effects_sentence(ratio)
     true = alarm.sentences_with(opening, checked.findings)
