@@ -18,7 +18,7 @@ def estimate(ratio: float, posterior: object = None) -> Any:
     ("ratio", "posterior", "words"),
     [
         (1.2, None, None),
-        (3.0, None, "[noise] estimate = true widens the intervals"),
+        (3.0, None, "repeat readings on the spot: what scatters there is noise"),
         (3.0, "known", "the intervals are as wide as the residuals ask for"),
         (11.0, None, "or the readings have a mistake"),
     ],
