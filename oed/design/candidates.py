@@ -11,6 +11,9 @@ Such readings are not independent when chosen one by one. But e is one more unkn
 prior variance 1, so it gets a column of its own, which every criterion profiles out:
 the whitened row is [h_i, shared_i] / sigma, the prior information 1. An error that is
 carried along a run depends on the order, and counts where whole runs are candidates.
+
+Effects that the model lacks are further unknowns of prior variance 1, which all readings
+share: nuisances, whose columns come last.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from oed.design.criterion import (
     Variance,
     named,
 )
+from oed.design.nuisances import Nuisances, no_nuisances
 from oed.design.plan_limits import DistanceLimit, SetupLimit, TimeBudget
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
@@ -44,7 +48,7 @@ class Candidates:
     measurement        of the readings
     series             all readings
     blocks             (C, k, n + r): n free parameters in the stated scaling, then r
-                       errors that runs share
+                       errors that runs share, the nuisances last
     columns            n
     prior_information  (n + r, n + r): on the shared errors, and of prior and kept
                        readings where given; zero where there is none
@@ -55,6 +59,7 @@ class Candidates:
     command            (C, d) of the first reading of each candidate, SI
     cost               (C,) time of a candidate, s
     setup_cost         (S,) time to mount each set-up, s
+    nuisances          u unknowns beside the parameters; None without
     """
 
     measurement: Measurement
@@ -68,6 +73,7 @@ class Candidates:
     command: Array
     cost: Array
     setup_cost: Array
+    nuisances: Nuisances | None = None
 
     def __len__(self) -> int:
         return len(self.blocks)
@@ -79,8 +85,13 @@ class Candidates:
 
     @property
     def shared_errors(self) -> int:
-        """Number r of errors that runs share."""
+        """Number r of errors that runs share, nuisances included."""
         return int(self.blocks.shape[2]) - self.columns
+
+    @property
+    def nuisance_columns(self) -> int:
+        """Number u of nuisances."""
+        return 0 if self.nuisances is None else self.nuisances.count
 
     def with_prior(self, information: Array) -> Candidates:
         """With information (n, n) on the parameters added to the prior information."""
@@ -98,7 +109,9 @@ class Candidates:
     ) -> Criterion:
         """A criterion of the parameters, with the shared errors profiled out.
 
-        interest (n, s), factor (r, n), factors (J, r, n) are in the scaled columns.
+        interest (n, s), factor (r, n), factors (J, r, n) are in the scaled columns. With
+        n + u columns, factors judge what the nuisances do as well.
+
         Raises ValueError for criteria of eigenvalues where errors are shared: they have
         no profiling.
         """
@@ -115,15 +128,27 @@ class Candidates:
         if name == "A":
             return Variance(np.eye(n, n + shared), "A")
         if name in ("I", "c") and factor is not None:
-            no_shared = np.zeros((len(factor), shared))
-            return Variance(np.hstack([factor, no_shared]), name)
+            return Variance(self._over_all_columns(factor), name)
         if name == "G" and factors is not None:
-            no_shared = np.zeros((*factors.shape[:2], shared))
-            return LargestVariance(np.concatenate([factors, no_shared], axis=2))
+            return LargestVariance(self._over_all_columns(factors))
         raise ValueError(
-            f"{name} does not profile out the error that a run's readings share: choose"
-            " D, A, c, I or G, or whole runs"
+            f"{name} does not profile out {self._shared_words}: choose D, A, c, I or G"
         )
+
+    @property
+    def _shared_words(self) -> str:
+        if self.nuisances is not None:
+            return "effects beside the geometry"
+        return (
+            "the error that a run's readings share (whole runs as candidates have none)"
+        )
+
+    def _over_all_columns(self, factor: Array) -> Array:
+        """A factor (..., n) or (..., n + u) over all columns (..., n + r)."""
+        n = self.columns
+        missing = n + self.shared_errors - factor.shape[-1]
+        zeros = np.zeros((*factor.shape[:-1], missing))
+        return np.concatenate([factor[..., :n], zeros, factor[..., n:]], axis=-1)
 
     def rules(
         self,
@@ -172,14 +197,16 @@ class Candidates:
 class _SeriesBlocks(NamedTuple):
     """One series as candidates.
 
-    rows      (C, k, p) over all p parameters
-    shared    (C, k, r) columns of the errors that its runs share
-    readings  (C,) number of readings of each candidate
+    rows       (C, k, p) over all p parameters
+    shared     (C, k, r) columns of the errors that its runs share
+    readings   (C,) number of readings of each candidate
+    nuisances  (C, k, u)
     """
 
     rows: Array
     shared: Array
     readings: Index
+    nuisances: Array
 
 
 def build(
@@ -189,13 +216,24 @@ def build(
     scaling: Scaling,
     *,
     whole_runs: bool = False,
+    nuisances: Nuisances | None = None,
 ) -> Candidates:
     """Candidates from all readings of the series at theta `at` (n,).
 
     With `whole_runs` a run is one candidate. Raises ValueError where the readings of a
-    run do not follow each other.
+    run do not follow each other, and for nuisances where the scaling is not "tolerance".
     """
-    parts = [_series_blocks(measurement, s, at, scaling, whole_runs) for s in series]
+    if nuisances is not None and scaling != "tolerance":
+        raise ValueError('effects beside the geometry need scaling = "tolerance"')
+    numbers = [len(s) * len(measurement.setups[s.setup].sigma) for s in series]
+    every = no_nuisances(sum(numbers)) if nuisances is None else nuisances
+    ends = np.cumsum(numbers)
+    parts = [
+        _series_blocks(
+            measurement, s, at, scaling, whole_runs, every.take(slice(end - n, end))
+        )
+        for s, n, end in zip(series, numbers, ends, strict=True)
+    ]
     n = int(measurement.free.sum())
     setups = tuple(dict.fromkeys(s.setup for s in series))
     counts = np.concatenate([part.readings for part in parts])
@@ -222,22 +260,30 @@ def build(
             ]
         ),
         setup_cost=np.array(mounting),
+        nuisances=nuisances,
     )
 
 
 def _shared_information(n: int, parts: Sequence[_SeriesBlocks]) -> Array:
     """Prior information (n + r, n + r): 1 on each shared error."""
-    total = n + sum(part.shared.shape[2] for part in parts)
+    total = n + _shared_columns_of(parts)
     prior_information = np.zeros((total, total))
     shared = range(n, total)
     prior_information[shared, shared] = 1.0
     return prior_information
 
 
+def _shared_columns_of(parts: Sequence[_SeriesBlocks]) -> int:
+    """Number of errors that runs share and of nuisances."""
+    of_runs = sum(part.shared.shape[2] for part in parts)
+    of_effects = int(parts[0].nuisances.shape[2])
+    return int(of_runs + of_effects)
+
+
 def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask) -> Array:
     """Blocks (C, k, n + r) of all series, with equally many rows each."""
     n = int(free.sum())
-    columns = n + sum(part.shared.shape[2] for part in parts)
+    columns = n + _shared_columns_of(parts)
     most_rows = max(min(part.rows.shape[1], columns) for part in parts)
     blocks, column = [], n
     for part in parts:
@@ -245,6 +291,7 @@ def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask) -> Array:
         wide = np.zeros((*part.rows.shape[:2], columns))
         wide[:, :, :n] = part.rows[:, :, free]
         wide[:, :, column : column + shared_columns] = part.shared
+        wide[:, :, columns - part.nuisances.shape[2] :] = part.nuisances
         column += shared_columns
         blocks.append(_with_rows(wide, most_rows))
     return np.concatenate(blocks)
@@ -263,11 +310,15 @@ def _series_blocks(
     at: Array,
     scaling: Scaling,
     whole_runs: bool,
+    nuisances: Nuisances,
 ) -> _SeriesBlocks:
+    """Candidates of one series, with the nuisances of its numbers."""
     channels = measurement.setups[series.setup].instrument.channels
     k, count = len(channels), len(series)
     jacobian = measurement.jacobian([series], at) * column_scale(measurement, scaling)
-    rows = jacobian.reshape(count, k, -1)
+    parameters = jacobian.shape[1]
+    rows = np.hstack([jacobian, nuisances.columns]).reshape(count, k, -1)
+    weight = nuisances.weight(measurement.sigma([series])).reshape(count, k, 1)
     whiten = scaling == "tolerance"
     if scaling == "length":
         lengths = measurement.reading_length_factors([series])
@@ -276,15 +327,19 @@ def _series_blocks(
         if whiten:
             flat = rows.reshape(count * k, -1)
             rows = measurement.noise([series]).whiten(flat).reshape(count, k, -1)
-        return _runs_as_candidates(series, rows)
+            rows = rows * weight
+        return _runs_as_candidates(series, rows, parameters)
     single = np.ones(count, dtype=np.intp)
     if not whiten:
-        return _SeriesBlocks(rows, np.zeros((count, k, 0)), single)
+        none = np.zeros((count, k, 0))
+        return _SeriesBlocks(rows, none, single, none)
     factor = np.linalg.inv(
         np.linalg.cholesky(reading_covariances(measurement.of(series), series))
     )
     shared = _shared_columns(measurement, series)
-    return _SeriesBlocks(factor @ rows, factor @ shared, single)
+    white, white_shared = weight * (factor @ rows), weight * (factor @ shared)
+    of_parameters, of_nuisances = white[:, :, :parameters], white[:, :, parameters:]
+    return _SeriesBlocks(of_parameters, white_shared, single, of_nuisances)
 
 
 def _shared_columns(measurement: Measurement, series: Series) -> Array:
@@ -299,8 +354,10 @@ def _shared_columns(measurement: Measurement, series: Series) -> Array:
     return columns
 
 
-def _runs_as_candidates(series: Series, rows: Array) -> _SeriesBlocks:
+def _runs_as_candidates(series: Series, rows: Array, parameters: int) -> _SeriesBlocks:
     """Whole runs as candidates, padded with empty rows to the longest.
+
+    The first columns of `rows` are those of the parameters, then those of nuisances.
 
     The readings of a run follow each other.
     """
@@ -317,7 +374,10 @@ def _runs_as_candidates(series: Series, rows: Array) -> _SeriesBlocks:
         run_rows = rows[start : start + count].reshape(count * k, n)
         blocks[j, : count * k] = run_rows
         start += count
-    return _SeriesBlocks(blocks, np.zeros((*blocks.shape[:2], 0)), counts)
+    none = np.zeros((*blocks.shape[:2], 0))
+    return _SeriesBlocks(
+        blocks[:, :, :parameters], none, counts, blocks[:, :, parameters:]
+    )
 
 
 def _with_rows(blocks: Array, count: int) -> Array:

@@ -13,6 +13,7 @@ from oed.result.acceptance import (
 from oed.result.budget import BudgetLine, BudgetSection, UnmodelledLine
 from oed.result.corrected import CorrectedSection, EffectEstimate, EffectTable
 from oed.result.design import (
+    AllowedEffects,
     CandidateWeight,
     CriterionComparison,
     DesignSection,
@@ -96,6 +97,7 @@ from oed.result.study import (
 __all__ = [
     "SCHEMA",
     "AcceptanceSection",
+    "AllowedEffects",
     "AlternativePlan",
     "AnswerRecord",
     "BudgetLine",

@@ -132,6 +132,22 @@ class RelaxedSummary(Record, frozen=True):
     weights: list[CandidateWeight]  # largest first; the others are 0
 
 
+class AllowedEffects(Record, frozen=True):
+    """The plan that allows for effects, beside the plan for a machine without.
+
+    Accuracies are rms errors by component and fine unit (`z_um`) after compensation, with
+    the effects at the sizes expected of them, once all that is known is corrected.
+    """
+
+    groups: int  # of effects
+    unknowns: int  # combinations of them that the criterion profiles out
+    efficiency: float  # of the plan for a machine without effects, where it has them
+    efficiency_without: float  # of this plan, where the machine has none
+    accuracy: dict[str, float]
+    accuracy_without: dict[str, float]  # of the plan for a machine without effects
+    before: dict[str, float]  # without any reading
+
+
 class DesignSection(Record, frozen=True, kw_only=True):
     """The chosen readings.
 
@@ -169,4 +185,5 @@ class DesignSection(Record, frozen=True, kw_only=True):
     order: WorkingOrder | None = None
     robust: RobustSummary | None = None
     how_many: HowManySummary | None = None
+    effects: AllowedEffects | None = None
     relaxed: RelaxedSummary | None = None  # weights, where the plan is of the largest

@@ -65,8 +65,14 @@ class ExpectedColumns:
             kinematics, self.forms, state, parameters, command, reference
         )
         return dataclasses.replace(
-            maps, raw=maps.raw @ self.mixing, remaining=maps.remaining @ self.mixing
+            maps, raw=self._mixed(maps.raw), remaining=self._mixed(maps.remaining)
         )
+
+    def _mixed(self, slopes: Array) -> Array:
+        """Slopes (n, k, a) over coefficients as slopes over the columns."""
+        poses, components, count = slopes.shape
+        flat = slopes.reshape(poses * components, count)
+        return np.asarray((flat @ self.mixing).reshape(poses, components, -1))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -225,7 +225,25 @@ def _design(section: DesignSection | None) -> list[str]:
     return [
         f"The {criterion}-optimal {section.n} readings reach {value}{proof}{against};"
         f" the condition number is {format_number(section.kappa)}"
-        f" ({section.scaling} scaling)."
+        f" ({section.scaling} scaling).",
+        *_allowed_effects(section),
+    ]
+
+
+def _allowed_effects(section: DesignSection) -> list[str]:
+    """What the plan reaches on a machine with effects, beside the plan without them."""
+    allowed = section.effects
+    if allowed is None:
+        return []
+    parts = []
+    for key, value in allowed.accuracy.items():
+        name, _, unit = key.rpartition("_")
+        other = allowed.accuracy_without[key]
+        parts.append(f"{name} {value:.3g} ({other:.3g}) {unit}")
+    return [
+        f"It allows for {allowed.groups} groups of effects at the sizes expected of them,"
+        " and then leaves rms errors, in brackets those of the plan for a machine without"
+        f" effects: {', '.join(parts)}."
     ]
 
 

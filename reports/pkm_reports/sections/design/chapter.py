@@ -10,6 +10,7 @@ from pkm_reports.page.blocks import Block, Chapter
 from pkm_reports.sections.design import (
     certificate,
     criteria,
+    effects,
     how_many,
     plans,
     polish,
@@ -22,13 +23,14 @@ PARTS: Final[tuple[Callable[[DesignSection], list[Block]], ...]] = (
     polish.blocks,
     plans.blocks,
     criteria.blocks,
+    effects.blocks,
     robust.blocks,
     how_many.blocks,
 )
 
 
 def blocks(result: StudyResult) -> list[Block]:
-    """Certificate, polishing, reference plans, criteria, scenarios, number of readings."""
+    """Certificate, polishing, reference plans, criteria, effects, scenarios, number of readings."""
     design = result.design
     if design is None:
         return []

@@ -16,6 +16,7 @@ import numpy as np
 from oed.accuracy import prediction
 from oed.base import units
 from oed.base.arrays import Array
+from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.blocks import project_on_estimable
 from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named
@@ -46,9 +47,14 @@ class StudyCriteria:
     """The criteria of one study."""
 
     def __init__(
-        self, resolved: ResolvedStudy, table: DesignTable, request: DesignRequest
+        self,
+        resolved: ResolvedStudy,
+        table: DesignTable,
+        request: DesignRequest,
+        effects: PlannedEffects | None = None,
     ) -> None:
         self.resolved, self.table, self.request = resolved, table, request
+        self.effects = effects
 
     @functools.cached_property
     def error_maps(self) -> prediction.ErrorMaps | None:
@@ -74,7 +80,7 @@ class StudyCriteria:
         if name == "compound":
             parts = [self.over_candidates(n, candidates) for n in self.table.compound]
             return Compound(tuple(parts), self._shares())
-        ingredients = self.ingredients(name, candidates.measurement)
+        ingredients = self.ingredients(name, candidates.measurement, self.effects)
         return candidates.criterion(name, **ingredients)
 
     def over_parameters(self, name: str, measurement: Measurement) -> Criterion:
@@ -89,16 +95,24 @@ class StudyCriteria:
         total = sum(self.table.compound.values())
         return tuple(share / total for share in self.table.compound.values())
 
-    def ingredients(self, name: str, measurement: Measurement) -> Ingredients:
-        """What the criterion needs besides its name, over the free parameters."""
+    def ingredients(
+        self,
+        name: str,
+        measurement: Measurement,
+        effects: PlannedEffects | None = None,
+    ) -> Ingredients:
+        """What the criterion needs besides its name, over the free parameters.
+
+        I and G judge what the effects do to the tool as well.
+        """
         if name == "Ds":
             return {"interest": self._interest(measurement)}
         if name == "c":
             return {"factor": self._combination(measurement)}
         if name == "G":
-            return {"factors": self._accuracy_slopes(measurement)}
+            return {"factors": self._accuracy_slopes(measurement, effects)}
         if name == "I":
-            return {"factor": self._mean_accuracy(measurement)}
+            return {"factor": self._mean_accuracy(measurement, effects)}
         return {}
 
     def _scale(self, measurement: Measurement) -> Array:
@@ -115,23 +129,34 @@ class StudyCriteria:
         row = [coefficients.get(name, 0.0) for name in _free_names(measurement)]
         return (np.array(row) * self._scale(measurement))[None]
 
-    def _mean_accuracy(self, measurement: Measurement) -> Array:
+    def _mean_accuracy(
+        self, measurement: Measurement, effects: PlannedEffects | None
+    ) -> Array:
         """F (r, n) of criterion I. Only F^T F counts: its triangle is as good."""
-        slopes = self._accuracy_slopes(measurement)
+        slopes = self._accuracy_slopes(measurement, effects)
         flat = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
         if len(flat) <= flat.shape[1]:
             return np.asarray(flat)
         return np.asarray(np.linalg.qr(flat, mode="r"))
 
-    def _accuracy_slopes(self, measurement: Measurement) -> Array:
-        """Slopes (poses, components, n) of wanted components over wanted accuracy."""
+    def _accuracy_slopes(
+        self, measurement: Measurement, effects: PlannedEffects | None
+    ) -> Array:
+        """Slopes (poses, components, n) of wanted components over wanted accuracy.
+
+        With effects over n + u columns.
+        """
         maps, accuracy = self.needed_maps, self.request.accuracy
         columns = [k for k, name in enumerate(maps.names) if name in accuracy]
         wanted = np.array([accuracy[maps.names[k]] for k in columns])
         poses, _, machine_parameters = maps.raw.shape
         slopes = np.zeros((poses, len(columns), len(measurement.names)))
         slopes[:, :, :machine_parameters] = maps.raw[:, columns] / wanted[:, None]
-        return slopes[:, :, measurement.free] * self._scale(measurement)
+        of_parameters = slopes[:, :, measurement.free] * self._scale(measurement)
+        if effects is None:
+            return of_parameters
+        of_effects = effects.tool[:, columns] / wanted[:, None]
+        return np.concatenate([of_parameters, of_effects], axis=2)
 
     # -- plans -------------------------------------------------------------------------
 

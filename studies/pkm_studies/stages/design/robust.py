@@ -99,6 +99,7 @@ def _scenarios(
                 theta,
                 table.scaling,
                 whole_runs=table.whole_runs,
+                nuisances=c.nuisances,
             )
         except AssemblyError as error:
             failures += 1

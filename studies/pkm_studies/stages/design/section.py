@@ -63,6 +63,7 @@ def design_section(
         robust=chosen.robust,
         how_many=chosen.how_many,
         relaxed=chosen.relaxed,
+        effects=chosen.effects,
     )
 
 

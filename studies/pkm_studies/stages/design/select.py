@@ -14,6 +14,7 @@ from oed.identifiability.assessment import assess
 from oed.identifiability.information import Scaling
 from oed.measurement.measurement import Measurement, Series
 from oed.result import (
+    AllowedEffects,
     CriterionComparison,
     HowManySummary,
     KappaMap,
@@ -26,7 +27,15 @@ from pkm_studies.base.errors import Place
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import Circles
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.design import how_many, order, polish, relaxed, robust, search
+from pkm_studies.stages.design import (
+    effects,
+    how_many,
+    order,
+    polish,
+    relaxed,
+    robust,
+    search,
+)
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
@@ -46,7 +55,8 @@ class ChosenDesign:
     candidates            number of candidates
     bound_ignores_setups  whether the bound allows any number of set-ups
     compared              designs for further criteria
-    polish, order, robust, how_many, relaxed    summaries of these steps, where they ran
+    polish, order, robust, how_many, relaxed, effects    summaries of these steps, where
+                          they ran
     """
 
     measurement: Measurement
@@ -63,6 +73,7 @@ class ChosenDesign:
     robust: RobustSummary | None
     how_many: HowManySummary | None
     relaxed: RelaxedSummary | None
+    effects: AllowedEffects | None
 
 
 def select_design(
@@ -76,7 +87,8 @@ def select_design(
     if table is None or request is None or not resolved.candidates:
         return None
     place = resolved.study.place.key("design")
-    study_criteria = StudyCriteria(resolved, table, request)
+    planned = effects.allowed_effects(resolved, table, request, rng)
+    study_criteria = StudyCriteria(resolved, table, request, planned)
     problem = _problem(resolved, study_criteria, place)
     field = "compound" if table.compound else "criterion"
     relaxed_summary = None
@@ -90,6 +102,14 @@ def select_design(
         criterion = study_criteria.over_candidates(table.judged_by, problem.candidates)
         choice = search.branch_and_bound(
             problem, criterion, choice, table.branch_nodes, rng
+        )
+    summary_of_effects = None
+    if planned is not None:
+        alone = StudyCriteria(resolved, table, request)
+        rigid = _problem(resolved, alone, place)
+        best_alone = _best(rigid, alone, table.judged_by, rng, place.key(field))
+        summary_of_effects = effects.compare_without(
+            problem, study_criteria, choice, (rigid, best_alone)
         )
     compared = _compared(problem, study_criteria, choice, rng, place.key("compare"))
     robust_summary, size_summary = None, None
@@ -127,6 +147,7 @@ def select_design(
         robust=robust_summary,
         how_many=size_summary,
         relaxed=relaxed_summary,
+        effects=summary_of_effects,
     )
 
 
@@ -135,7 +156,7 @@ def _problem(
 ) -> DesignProblem:
     """Candidates with prior information, and the rules of a plan."""
     table, request = study_criteria.table, study_criteria.request
-    measurement = resolved.measurement
+    measurement, planned = resolved.measurement, study_criteria.effects
     try:
         pool = candidates.build(
             measurement,
@@ -143,6 +164,7 @@ def _problem(
             measurement.nominal,
             table.scaling,
             whole_runs=table.whole_runs,
+            nuisances=None if planned is None else planned.readings,
         )
     except ValueError as error:
         raise place.key("whole_runs").error(

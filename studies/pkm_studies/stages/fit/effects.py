@@ -18,10 +18,10 @@ from oed.compensate.effects.fit import EffectReadings
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
-from oed.model.effect import Effect
 from oed.model.machine import Machine
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
 from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.resolve.planned_effects import named_effects
 from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured
@@ -41,7 +41,9 @@ def expected_effects(state: Measured, start: Array | None) -> ExpectedColumns | 
     if not _are_allowed(state):
         return None
     request = state.resolved.gap_or_default
-    allowed = _allowed(state, request)
+    names = state.study.identify.effects
+    place = state.study.place.key("identify").key("effects")
+    allowed = named_effects(request, names, place)
     fitted = identification.identify(
         state.measurement,
         state.readings.series,
@@ -75,19 +77,6 @@ def explain_nothing(state: Measured, estimate: Estimate) -> bool:
 def _is_good(estimate: Estimate) -> bool:
     """Whether the residuals are as large as noise that is known to a factor only."""
     return not trust.chi2_is_large(estimate.chi2 / KNOWN_TO**2, estimate.dof)
-
-
-def _allowed(state: Measured, request: GapRequest) -> list[Effect]:
-    names = state.study.identify.effects
-    if isinstance(names, str):
-        return list(request.effects)
-    known = {effect.name: effect for effect in request.effects}
-    place = state.study.place.key("identify").key("effects")
-    for k, name in enumerate(names):
-        if name not in known:
-            remedy = f"name some of {', '.join(known)}"
-            raise place.item(k).error("no such effect is tried", remedy, name)
-    return [known[name] for name in dict.fromkeys(names)]
 
 
 def readings_with_covariates(state: Measured, request: GapRequest) -> EffectReadings:

@@ -159,6 +159,9 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
                    units of tolerances and noise
     prior          whether the tolerances count as knowledge; needs
                    scaling = "tolerance"
+    effects        effects that the plan allows for beside the geometry, at the sizes
+                   expected of them: by name, or "catalogue"; needs scaling = "tolerance"
+                   and [prediction]
     quota          [[design.quota]] tables: numbers of readings from selections
     equal          equal numbers of readings a set-up, or a run
     branch_nodes   nodes of a branch-and-bound tree that lowers the bound and may prove
@@ -193,6 +196,7 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
     keep_readings: str | None = None
     scaling: Literal["length", "tolerance"] = "length"
     prior: bool = False
+    effects: Literal["none", "catalogue"] | list[str] = "none"
     quota: list[QuotaTable] = []
     equal: Literal["setup", "run"] | None = None
     branch_nodes: Whole = 0

@@ -1,0 +1,69 @@
+"""Effects beside the geometry that a design or plan of a study allows for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed import dataset
+from oed.compensate.effects.effect_maps import SessionStates
+from oed.compensate.effects.expected_columns import expected_columns
+from oed.compensate.effects.planned_effects import PlannedEffects, planned_effects
+from oed.gap.data import problem as problems
+from oed.measurement.measurement import Measurement, Series
+from oed.model.effect import Effect
+from pkm_studies.base.errors import Place
+from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.resolve.prediction import PredictionRequest
+
+#: value of `effects` that allows none
+NONE = "none"
+
+
+def named_effects(
+    request: GapRequest, names: str | Sequence[str], place: Place
+) -> list[Effect]:
+    """The effects named, or with a word all. Raises InputError for other names."""
+    if isinstance(names, str):
+        return list(request.effects)
+    known = {effect.name: effect for effect in request.effects}
+    for k, name in enumerate(names):
+        if name not in known:
+            remedy = f"name some of {', '.join(known)}"
+            raise place.item(k).error("no such effect is tried", remedy, name)
+    return [known[name] for name in dict.fromkeys(names)]
+
+
+def effects_of_planned(
+    measurement: Measurement,
+    series: Sequence[Series],
+    effects: Sequence[Effect],
+    request: GapRequest,
+    prediction: PredictionRequest,
+    rng: np.random.Generator,
+) -> PlannedEffects | None:
+    """What effects do to planned readings and workspace; None where nothing changes.
+
+    The readings have no time and no direction: effects that depend on these are left
+    out, as the order of the readings is not known before they are chosen.
+    """
+    parted = [s.separate_poses() for s in series]
+    empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
+    covariates = dataset.from_series(parted, empty, measurement, None).covariates
+    problem = problems.assemble(
+        measurement, parted, covariates, gravity=request.gravity
+    )
+    columns = expected_columns(problem, effects)
+    if columns is None:
+        return None
+    session = SessionStates(measurement, covariates, problem.states, request.gravity)
+    return planned_effects(
+        columns,
+        problem.sigma,
+        session,
+        measurement.nominal,
+        prediction.command,
+        prediction.table.reference,
+        rng,
+    )

@@ -1,0 +1,145 @@
+"""A design that allows for effects, and what the plan without them would lose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed.base import units
+from oed.base.arrays import Array, Index
+from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.design.blocks import information
+from oed.design.exchange import Choice
+from oed.identifiability.information import prior_information
+from oed.result import AllowedEffects
+from pkm_studies.base.errors import Place
+from pkm_studies.resolve.design import DesignRequest
+from pkm_studies.resolve.planned_effects import (
+    NONE,
+    effects_of_planned,
+    named_effects,
+)
+from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.stages.design.criteria import StudyCriteria
+from pkm_studies.stages.design.search import DesignProblem
+from pkm_studies.study.tables import DesignTable
+
+
+def allowed_effects(
+    resolved: ResolvedStudy,
+    table: DesignTable,
+    request: DesignRequest,
+    rng: np.random.Generator,
+) -> PlannedEffects | None:
+    """What the effects of [design] do to its candidates; None without any.
+
+    Raises InputError for names that are no effects, and where the design cannot allow for
+    any.
+    """
+    if table.effects == NONE:
+        return None
+    place = resolved.study.place.key("design").key("effects")
+    _check(resolved, table, request, place)
+    gap = resolved.gap_or_default
+    if resolved.prediction is None:
+        raise place.error(
+            "what effects do to the tool needs a workspace",
+            "add [prediction], or leave effects out",
+        )
+    return effects_of_planned(
+        resolved.measurement,
+        resolved.candidates,
+        named_effects(gap, table.effects, place),
+        gap,
+        resolved.prediction,
+        rng,
+    )
+
+
+def _check(
+    resolved: ResolvedStudy, table: DesignTable, request: DesignRequest, place: Place
+) -> None:
+    reasons = {
+        'need scaling = "tolerance"': table.scaling != "tolerance",
+        "are not known of readings that are part of the plan": bool(request.retained),
+        "are not known of poses off the grid (polish)": (
+            table.polish is not None and table.polish.enabled
+        ),
+    }
+    for reason, holds in reasons.items():
+        if holds:
+            raise place.error(
+                f"effects beside the geometry {reason}", 'write effects = "none"'
+            )
+
+
+def compare_without(
+    problem: DesignProblem,
+    study_criteria: StudyCriteria,
+    choice: Choice,
+    without: tuple[DesignProblem, Choice],
+) -> AllowedEffects | None:
+    """The choice beside that for a machine without effects; None without effects.
+
+    without  the problem without effects, and its choice
+    """
+    effects = study_criteria.effects
+    if effects is None:
+        return None
+    rigid_problem, rigid = without
+    name = study_criteria.table.judged_by
+    criterion = study_criteria.over_candidates(name, problem.candidates)
+    chosen_value = problem.score(criterion, choice.indices)[0]
+    rigid_value = problem.score(criterion, rigid.indices)[0]
+    rigid_criteria = StudyCriteria(
+        study_criteria.resolved, study_criteria.table, study_criteria.request
+    )
+    alone = rigid_criteria.over_candidates(name, rigid_problem.candidates)
+    best_alone = rigid_problem.score(alone, rigid.indices)[0]
+    chosen_alone = rigid_problem.score(alone, choice.indices)[0]
+    none = np.zeros(0, dtype=np.intp)
+    return AllowedEffects(
+        groups=len(effects.groups),
+        unknowns=effects.readings.count,
+        efficiency=float(np.exp(rigid_value - chosen_value)),
+        efficiency_without=float(np.exp(chosen_alone - best_alone)),
+        accuracy=_accuracy(problem, study_criteria, effects, choice.indices),
+        accuracy_without=_accuracy(problem, study_criteria, effects, rigid.indices),
+        before=_accuracy(problem, study_criteria, effects, none),
+    )
+
+
+def _accuracy(
+    problem: DesignProblem,
+    study_criteria: StudyCriteria,
+    effects: PlannedEffects,
+    chosen: Index,
+) -> dict[str, float]:
+    """Rms error of each component with the chosen readings, in its fine unit."""
+    c, maps = problem.candidates, study_criteria.needed_maps
+    measurement = c.measurement
+    prior = c.prior_information.copy()
+    if not study_criteria.table.prior:
+        prior[: c.columns, : c.columns] += prior_information(measurement)
+    total = prior + information(c.blocks[chosen])
+    covariance = np.linalg.inv(total)
+    slopes = _slopes(problem, maps.raw, effects)
+    variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes, optimize=True)
+    mean = variance / len(slopes) + effects.others
+    fine = {x.name: units.FINE[x.unit] for x in measurement.machine.components}
+    return {
+        f"{name}_{fine[name]}": units.number(float(np.sqrt(value)), fine[name])
+        for name, value in zip(maps.names, mean, strict=True)
+    }
+
+
+def _slopes(problem: DesignProblem, raw: Array, effects: PlannedEffects) -> Array:
+    """Pose errors (n, k, columns) per unit of each column of the candidates."""
+    c = problem.candidates
+    measurement = c.measurement
+    poses, components, parameters = raw.shape
+    by_parameter = np.zeros((poses, components, len(measurement.names)))
+    by_parameter[:, :, :parameters] = raw
+    scaled = (by_parameter * measurement.tolerance)[:, :, measurement.free]
+    of_runs = c.shared_errors - c.nuisance_columns
+    zeros = np.zeros((poses, components, of_runs))
+    return np.concatenate([scaled, zeros, effects.tool], axis=2)

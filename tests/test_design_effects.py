@@ -1,0 +1,100 @@
+"""Designs that allow for effects: against dense covariances and all subsets."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from design_sample import EXTRA, KNOWN, chosen, rows, text
+
+from oed.design import candidates
+from oed.design.exchange import choose
+from oed.design.nuisances import Nuisances
+from pkm_studies.base.errors import InputError
+
+EFFECTS = 'effects = ["encoder_scale", "pitch_accumulation"]\n'
+
+
+def dense(
+    h: np.ndarray, g: np.ndarray, scatter: np.ndarray, subset: list[int]
+) -> np.ndarray:
+    """Information of rows, with effects and scatter as a covariance, in noise units."""
+    covariance = np.diag(1.0 + scatter[subset] ** 2) + g[subset] @ g[subset].T
+    return h[subset].T @ np.linalg.solve(covariance, h[subset]) + np.eye(h.shape[1])
+
+
+@pytest.mark.parametrize("name", ["D", "A"])
+def test_no_subset_is_better_nor_above_the_bound(name: str) -> None:
+    """All 56 choices of 3 readings out of 8, with drawn effects."""
+    rng = np.random.default_rng(3)
+    resolved, _ = chosen(text('criterion = "D"\n' + KNOWN + EXTRA))
+    measurement, series = resolved.measurement, resolved.candidates
+    h, sigma = rows(resolved), 0.5e-6
+    g, scatter = 20.0 * rng.standard_normal((8, 3)), 5.0 * rng.random(8)
+    pool = candidates.build(
+        measurement,
+        series,
+        measurement.nominal,
+        "tolerance",
+        nuisances=Nuisances(sigma * g, sigma * scatter),
+    ).with_prior(np.eye(h.shape[1]))
+    assert pool.nuisance_columns == 3
+    choice = choose(
+        pool.blocks,
+        3,
+        np.random.default_rng(0),
+        pool.criterion(name),
+        prior=pool.prior,
+    )
+    values = {}
+    for subset in itertools.combinations(range(8), 3):
+        inverse = np.linalg.inv(dense(h, g, scatter, list(subset)))
+        if name == "D":
+            values[subset] = -float(np.linalg.slogdet(inverse)[1])
+        else:
+            values[subset] = -float(np.log(np.trace(inverse)))
+    best = max(values, key=lambda subset: values[subset])
+    assert tuple(choice.indices) == best
+    assert choice.efficiency is not None
+    assert 0.0 < choice.efficiency <= 1.0 + 1e-9
+
+
+def test_the_plan_is_stated_beside_that_without_effects() -> None:
+    """By I, no plan of three readings leaves less on a machine with the effects."""
+    _, design = chosen(text('criterion = "I"\n' + KNOWN + EXTRA + EFFECTS))
+    allowed = design.effects
+    assert allowed is not None
+    assert allowed.groups > 3
+    assert 0.0 < allowed.efficiency <= 1.0 + 1e-9
+    assert 0.0 < allowed.efficiency_without <= 1.0 + 1e-9
+    for key, value in allowed.accuracy.items():
+        assert value < allowed.before[key]
+    resolved, rigid = chosen(text('criterion = "I"\n' + KNOWN + EXTRA))
+    assert rigid.effects is None
+    predicted = rigid.criteria.predicted_accuracy(resolved.measurement, rigid.series)
+    # effects leave more than the geometry alone
+    assert all(allowed.accuracy_without[k] > v for k, v in predicted.items())
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ('criterion = "D"\nreadings = 3\n', 'need scaling = "tolerance"'),
+        ('criterion = "E"\n' + KNOWN, "does not profile out effects"),
+    ],
+)
+def test_what_cannot_allow_for_effects_is_refused(lines: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        chosen(text(lines + EXTRA + EFFECTS))
+
+
+def test_a_name_that_is_no_effect_is_refused() -> None:
+    with pytest.raises(InputError, match=r"effects\[1\]"):
+        chosen(text('criterion = "D"\n' + KNOWN + EXTRA + 'effects = ["wind"]\n'))
+
+
+def test_effects_need_a_workspace() -> None:
+    study = text('criterion = "D"\n' + KNOWN + EFFECTS, workspace="")
+    with pytest.raises(InputError, match="needs a workspace"):
+        chosen(study)
