@@ -29,6 +29,10 @@ class Nuisances:
         """Those of some numbers."""
         return Nuisances(self.columns[rows], self.scatter[rows])
 
+    def after(self, first: int) -> Nuisances:
+        """Those from a number on."""
+        return self.take(slice(first, None))
+
     def weight(self, sigma: Array) -> Array:
         """Share (N,) that scatter leaves of each number's weight, by its noise (N,)."""
         return np.asarray(sigma / np.hypot(sigma, self.scatter))

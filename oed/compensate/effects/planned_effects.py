@@ -17,8 +17,6 @@ from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.design.nuisances import Nuisances
 
-#: most combinations that are unknowns
-MOST = 60
 #: change of all planned readings together, in units of the noise, below which a
 #: combination is not seen
 FAINT = 0.1
@@ -48,8 +46,12 @@ def planned_effects(
     command: Array,
     reference: Reference,
     rng: np.random.Generator,
+    most: int,
 ) -> PlannedEffects:
     """The combinations that planned readings show.
+
+    most     combinations that are unknowns: more describe the effects better, and a
+             search with them takes longer
 
     sigma    (N,) noise of the readings, SI
     session  states in which the readings would be taken
@@ -57,7 +59,7 @@ def planned_effects(
     """
     changes = columns.discrepancy.columns
     _, sizes, rows = np.linalg.svd(changes / sigma[:, None], full_matrices=False)
-    combinations = rows[:MOST][sizes[:MOST] > FAINT].T
+    combinations = rows[:most][sizes[:most] > FAINT].T
     seen = changes @ combinations
     scatter = np.maximum((changes**2).sum(axis=1) - (seen**2).sum(axis=1), 0.0)
     maps = columns.workspace_maps(session, theta, command, reference, rng)

@@ -29,22 +29,31 @@ class Goal:
     unit         (K,) accuracy that counts as 1, SI
     has_targets  True: `unit` holds target accuracies, and the worst component counts;
                  False: the mean square of all components counts
+    rest         (K,) mean square error that no reading reduces, in units of `unit`; a
+                 bound that leaves it out is a bound as well
     """
 
     names: tuple[str, ...]
     factors: Array
     unit: Array
     has_targets: bool
+    rest: Array | float = 0.0
 
     @property
     def parameters(self) -> int:
-        """Number n of free machine parameters."""
+        """Number n of free machine parameters, and of effects beside them."""
         return int(self.factors.shape[2])
+
+    @property
+    def least_rest(self) -> float:
+        """What `rest` adds to the square of `value`, at least."""
+        every = np.broadcast_to(self.rest, len(self.names))
+        return float(every.min() if self.has_targets else every.mean())
 
     def accuracy(self, covariance: Array) -> Array:
         """Root mean square error (K,) in `unit`, from a covariance (n, n)."""
         variance = np.sum((self.factors @ covariance) * self.factors, axis=(1, 2))
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + self.rest))
 
     def value(self, covariance: Array) -> float:
         """Value by which plans are judged; smaller is better."""
@@ -71,12 +80,28 @@ class Goal:
         return np.asarray(_triangles(stacked[None] / np.sqrt(len(self.factors)))[0])
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class ToolErrors:
+    """What effects beside the geometry do to the tool.
+
+    slopes  (poses, k, u) per unit of each of u effects of prior variance 1, SI
+    rest    (k,) mean square by what no reading reduces, SI
+    """
+
+    slopes: Array
+    rest: Array
+
+
 def workspace_goal(
-    measurement: Measurement, maps: ErrorMaps, targets: Mapping[str, float]
+    measurement: Measurement,
+    maps: ErrorMaps,
+    targets: Mapping[str, float],
+    effects: ToolErrors | None = None,
 ) -> Goal:
     """Goal over the workspace of `maps`, for the components with targets.
 
     targets  {component: accuracy}, SI; empty: all components that a parameter moves
+    effects  beside the geometry, on the machine whose accuracy counts
 
     Raises ValueError for a component that the machine does not have.
     """
@@ -88,9 +113,12 @@ def workspace_goal(
     parameters = len(measurement.machine.parameters)
     free = measurement.free[:parameters]
     scaled = maps.raw * measurement.tolerance[:parameters]
-    by_component = np.transpose(scaled, (1, 0, 2))[:, :, free]
+    slopes, rest = scaled[:, :, free], np.zeros(len(maps.names))
+    if effects is not None:
+        slopes, rest = np.concatenate([slopes, effects.slopes], axis=2), effects.rest
+    by_component = np.transpose(slopes, (1, 0, 2))
     table = by_component / np.sqrt(len(maps.command))
-    before = np.sqrt(np.sum(table**2, axis=(1, 2)))
+    before = np.sqrt(np.sum(table**2, axis=(1, 2)) + rest)
     if targets:
         names = [name for name in maps.names if name in targets]
     else:
@@ -99,7 +127,7 @@ def workspace_goal(
     rows = [maps.names.index(name) for name in names]
     unit = np.array([targets[n] for n in names]) if targets else before[rows]
     factors = _triangles(table[rows] / unit[:, None, None])
-    return Goal(tuple(names), factors, unit, bool(targets))
+    return Goal(tuple(names), factors, unit, bool(targets), rest[rows] / unit**2)
 
 
 def _triangles(factors: Array) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design import candidates
 from oed.design.candidates import Candidates
+from oed.design.nuisances import Nuisances
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
@@ -25,7 +26,9 @@ from oed.model.machine import Machine
 class Option:
     """One measurement of the catalogue.
 
-    candidates         readings or whole runs (C), in units of tolerance and noise
+    candidates         readings or whole runs (C), in units of tolerance and noise. Their
+                       columns: the machine's, effects beside the geometry, set-ups', and
+                       errors that runs share
     counts             numbers of candidates to try, ascending; the last is the limit
     mounting_seconds   time to mount all set-ups, s
     candidate_seconds  time of each candidate, (C,), s
@@ -56,14 +59,26 @@ class Option:
 
     @property
     def machine_columns(self) -> int:
-        """Number of columns of the blocks that belong to the machine's parameters."""
-        machine_parameters = len(self.measurement.machine.parameters)
-        return int(self.measurement.free[:machine_parameters].sum())
+        """Number of columns of the blocks that belong to the machine, with its effects."""
+        return _machine_parameters(self.measurement) + self.effects
+
+    @property
+    def effects(self) -> int:
+        """Number of effects beside the geometry, after the machine's parameters."""
+        return self.candidates.nuisance_columns
 
     @property
     def setup_columns(self) -> int:
         """Number of free parameters of the set-ups."""
-        return int(self.measurement.free.sum()) - self.machine_columns
+        free = int(self.measurement.free.sum())
+        return free - _machine_parameters(self.measurement)
+
+    @property
+    def parameter_columns(self) -> Index:
+        """Columns of the blocks that belong to parameters, in the measurement's order."""
+        columns = np.arange(int(self.measurement.free.sum()))
+        columns[_machine_parameters(self.measurement) :] += self.effects
+        return columns
 
     @property
     def unknowns(self) -> int:
@@ -72,13 +87,27 @@ class Option:
 
     @cached_property
     def first_channel_slopes(self) -> Array:
-        """Slopes (readings, free) of each reading's first channel, SI over tolerance.
+        """Slopes (readings, n) of each reading's first channel, SI over tolerance.
 
-        The travel limits the first channel.
+        Over machine, effects and set-ups. The travel limits the first channel.
         """
-        measurement = self.measurement
+        measurement, nuisances = self.measurement, self.candidates.nuisances
         slopes = self.slopes[self._first_numbers] * measurement.tolerance
-        return slopes[:, measurement.free]
+        of_parameters = slopes[:, measurement.free]
+        if nuisances is None:
+            return of_parameters
+        of_effects = nuisances.columns[self._first_numbers]
+        place = _machine_parameters(measurement)
+        parts = [of_parameters[:, :place], of_effects, of_parameters[:, place:]]
+        return np.hstack(parts)
+
+    @cached_property
+    def weight(self) -> Array:
+        """Share (numbers,) of their weight that scatter by effects leaves."""
+        nuisances = self.candidates.nuisances
+        if nuisances is None:
+            return np.ones(len(self.nominal_readings))
+        return nuisances.weight(self.measurement.sigma(self.series))
 
     @cached_property
     def slopes(self) -> Array:
@@ -139,6 +168,23 @@ class Option:
         return sorted({*(c for c in self.counts if c <= affordable), largest})
 
 
+def _machine_parameters(measurement: Measurement) -> int:
+    """Number of free parameters of the machine."""
+    return int(measurement.free[: len(measurement.machine.parameters)].sum())
+
+
+def _effects_after_machine(pool: Candidates) -> Candidates:
+    """Candidates whose nuisances come after the machine's columns."""
+    total = pool.blocks.shape[2]
+    place, first = _machine_parameters(pool.measurement), total - pool.nuisance_columns
+    order = np.r_[:place, first:total, place:first]
+    return dataclasses.replace(
+        pool,
+        blocks=pool.blocks[:, :, order],
+        prior_information=pool.prior_information[np.ix_(order, order)],
+    )
+
+
 def _ranges(first: Index, count: Index) -> Index:
     """The numbers from each of `first` on, `count` of each, one range after the other."""
     starts = np.cumsum(count) - count
@@ -158,8 +204,12 @@ def build_option(
     reading_seconds: float | None = None,
     price: float = 0.0,
     operator: str = "",
+    nuisances: Nuisances | None = None,
 ) -> Option:
     """Build an option from set-ups and candidate readings.
+
+    nuisances  effects beside the geometry; knowledge of them is carried from stage to
+               stage
 
     Without `mounting_seconds` or `reading_seconds`, the instruments' times count.
 
@@ -168,8 +218,14 @@ def build_option(
     """
     measurement = Measurement(machine, setups)
     pool = candidates.build(
-        measurement, series, measurement.nominal, "tolerance", whole_runs=whole_runs
+        measurement,
+        series,
+        measurement.nominal,
+        "tolerance",
+        whole_runs=whole_runs,
+        nuisances=nuisances,
     )
+    pool = _effects_after_machine(pool)
     possible = tuple(sorted({int(c) for c in counts if 1 <= c <= len(pool)}))
     if not possible:
         raise ValueError(

@@ -14,11 +14,19 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
+from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.candidates import reading_time
+from oed.design.nuisances import Nuisances
 from oed.design.stages.option import Option, build_option
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve import grids, lookup, quantities
+from pkm_studies.resolve.gap import gap_request
+from pkm_studies.resolve.planned_effects import (
+    NONE,
+    effects_of_planned,
+    named_effects,
+)
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
 from pkm_studies.study.tables import GridTable, MeasuredTable, PlanTable
@@ -38,6 +46,8 @@ class PlanRequest:
     budget    time for accuracy, s
     compare   sequences of names of measurements to compare with the plan
     reserved  time kept for [gap.design], s
+    effects   what effects beside the geometry do to all candidate readings and the tool;
+              None where the plan allows for none
     """
 
     table: PlanTable
@@ -47,6 +57,7 @@ class PlanRequest:
     budget: float
     compare: tuple[tuple[str, ...], ...]
     reserved: float = 0.0
+    effects: PlannedEffects | None = None
 
     def option(self, name: str) -> Option:
         """A measurement by its name."""
@@ -98,17 +109,72 @@ def request_of(
         for i, t in enumerate(table.measurement)
         if not set(t.mounted) & finished
     }
-    components = {c.name: c.unit for c in measurement_with(()).machine.components}
+    machine = measurement_with(()).machine
+    components = {c.name: c.unit for c in machine.components}
+    effects = _effects(table, study, open_tables, measurement_with, prediction)
+    options, first = [], 0
+    for measured, at in open_tables.values():
+        nuisances = None if effects is None else effects.readings.after(first)
+        option = _option(measured, measurement_with, at, nuisances)
+        first += len(option.nominal_readings)
+        options.append(option)
     reserved = _reserved_seconds(study, available)
     budget = units.factor("min") * available
     return PlanRequest(
         table=table,
         prediction=prediction,
-        options=tuple(_option(t, measurement_with, p) for t, p in open_tables.values()),
+        options=tuple(options),
         targets=quantities.read_values(table.wanted, components, place.key("wanted")),
         budget=budget - reserved,
         reserved=reserved,
         compare=_open_sequences(table, open_tables),
+        effects=effects,
+    )
+
+
+#: seed of the states of the workspace in which effects act
+STATES = 0
+#: combinations of effects that are unknowns of a plan, at most: its search carries a
+#: covariance of them from stage to stage
+UNKNOWNS = 20
+
+
+def _effects(
+    table: PlanTable,
+    study: Study,
+    tables: Mapping[str, tuple[MeasuredTable, Place]],
+    measurement_with: MeasurementWith,
+    prediction: PredictionRequest,
+) -> PlannedEffects | None:
+    """What the effects of [plan] do to the readings of all its measurements.
+
+    Raises InputError for names that are no effects, and where virtual machines are asked
+    for, which have none.
+    """
+    if table.effects == NONE or not tables:
+        return None
+    place = study.place.key("plan").key("effects")
+    if table.virtual_machines:
+        raise place.error(
+            "virtual machines of a plan have no effects",
+            "write virtual_machines = 0, or leave effects out",
+        )
+    names = [name for measured, _ in tables.values() for name in measured.mounted]
+    measurement = measurement_with(names)
+    series = [
+        _grid(measured, name, measurement_with(measured.mounted), at)
+        for measured, at in tables.values()
+        for name in measured.mounted
+    ]
+    gap = gap_request(study, measurement.machine)
+    return effects_of_planned(
+        measurement,
+        series,
+        named_effects(gap, table.effects, place),
+        gap,
+        prediction,
+        np.random.default_rng(STATES),
+        UNKNOWNS,
     )
 
 
@@ -193,13 +259,20 @@ def _check_sequences(table: PlanTable, place: Place) -> None:
 
 
 def _option(
-    table: MeasuredTable, measurement_with: MeasurementWith, place: Place
+    table: MeasuredTable,
+    measurement_with: MeasurementWith,
+    place: Place,
+    nuisances: Nuisances | None,
 ) -> Option:
-    """A measurement to plan with."""
+    """A measurement to plan with, whose numbers are the first that nuisances change."""
     measurement = measurement_with(table.mounted)
     series = [_grid(table, name, measurement, place) for name in table.mounted]
     mounting = table.setup_min
     travel = table.travel_mm
+    if nuisances is not None:
+        setups = measurement.setups
+        numbers = sum(len(s) * len(setups[s.setup].sigma) for s in series)
+        nuisances = nuisances.take(slice(numbers))
     try:
         option = build_option(
             measurement.machine,
@@ -214,6 +287,7 @@ def _option(
             ),
             price=table.price,
             operator=table.operator,
+            nuisances=nuisances,
         )
     except ValueError as error:
         raise place.error(str(error), "change counts, or the grid") from error

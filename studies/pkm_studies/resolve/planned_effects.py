@@ -42,8 +42,11 @@ def effects_of_planned(
     request: GapRequest,
     prediction: PredictionRequest,
     rng: np.random.Generator,
+    most: int,
 ) -> PlannedEffects | None:
     """What effects do to planned readings and workspace; None where nothing changes.
+
+    `most` of their combinations are unknowns, the others scatter.
 
     The readings have no time and no direction: effects that depend on these are left
     out, as the order of the readings is not known before they are chosen.
@@ -66,4 +69,5 @@ def effects_of_planned(
         prediction.command,
         prediction.table.reference,
         rng,
+        most,
     )

@@ -92,7 +92,8 @@ def bound_goal(
     least = bound_uncaptured(options, goal, information, combinations, rng)
     upper = -2.0 * np.log(least)
     goal_bound = CombinationBound.of(options, goal, information, budget)
-    target = _log_phi(value) + 2.0 * math.log1p(loss)
+    rest = goal.least_rest
+    target = _log_phi(_reducible(value / (1.0 + loss), rest))
     relaxed: dict[int, dict[int, float]] = {}
     computed = 0
     while computed < lines:
@@ -109,10 +110,17 @@ def bound_goal(
         if is_stuck:
             break
     highest = float(upper.max())
-    better = [k for k in relaxed if upper[k] > _log_phi(value)]
+    least_better = _log_phi(_reducible(value, rest))
+    better = [k for k in relaxed if upper[k] > least_better]
     ranked = sorted(better, key=lambda k: -upper[k])
     promising = tuple(relaxed[k] for k in ranked[:PROMISING])
-    return GoalBound(math.exp(-0.5 * highest), computed, highest <= target, promising)
+    total = math.sqrt(math.exp(-highest) + rest)
+    return GoalBound(total, computed, highest <= target, promising)
+
+
+def _reducible(value: float, rest: float) -> float:
+    """The part of a goal value that readings reduce."""
+    return math.sqrt(max(value**2 - rest, TINY))
 
 
 def _log_phi(value: float) -> float:

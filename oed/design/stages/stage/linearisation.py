@@ -89,7 +89,8 @@ def _draw_errors(
     scaled = multiply_each(square_roots(posterior), posterior_of, normals)
     free = np.flatnonzero(measurement.free)
     errors = np.zeros((len(scaled), len(measurement.nominal)))
-    errors[:, free] = scaled[:, : len(free)] * measurement.tolerance[free]
+    of_parameters = scaled[:, option.parameter_columns]
+    errors[:, free] = of_parameters * measurement.tolerance[free]
     return errors
 
 
@@ -122,13 +123,19 @@ def whitened_rows(option: Option, chosen: Index) -> Array:
     every_slope = option.slopes[option.numbers_of(chosen)]
     slopes = (every_slope * measurement.tolerance)[:, measurement.free]
     rows = np.zeros((len(slopes), option.unknowns))
-    rows[:, : candidates.columns] = whiten(option, chosen, slopes.T).T
-    if candidates.shared_errors:
+    rows[:, option.parameter_columns] = whiten(option, chosen, slopes.T).T
+    nuisances = candidates.nuisances
+    if nuisances is not None:
+        of_effects = nuisances.columns[option.numbers_of(chosen)]
+        end = option.machine_columns
+        rows[:, end - option.effects : end] = whiten(option, chosen, of_effects.T).T
+    of_runs = candidates.shared_errors - option.effects
+    if of_runs:
         # candidates are single readings, with rows of blocks
         counts = reading_counts(option, chosen)
         is_reading = np.arange(candidates.blocks.shape[1]) < counts[:, None]
         block_rows = candidates.blocks[chosen][is_reading]
-        rows[:, candidates.columns :] = block_rows[:, candidates.columns :]
+        rows[:, -of_runs:] = block_rows[:, -of_runs:]
     return rows
 
 
@@ -139,8 +146,9 @@ def whiten(option: Option, chosen: Index, values: Array) -> Array:
     with their independent noise.
     """
     measurement, series = option.measurement, option.series_of(chosen)
+    weight = option.weight[option.numbers_of(chosen)]
     if (option.candidates.members[:, 1] > 1).any():
-        return measurement.noise(series).whiten_last(values)
+        return measurement.noise(series).whiten_last(values) * weight
     parts = []
     start = 0
     for s in series:
@@ -150,4 +158,4 @@ def whiten(option: Option, chosen: Index, values: Array) -> Array:
         white = np.linalg.solve(root, part.transpose(1, 2, 0))
         parts.append(white.transpose(2, 0, 1).reshape(len(values), -1))
         start += n * k
-    return np.hstack(parts)
+    return np.hstack(parts) * weight

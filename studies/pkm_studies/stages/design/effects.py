@@ -23,6 +23,9 @@ from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.study.tables import DesignTable
 
+#: combinations of effects that are unknowns of a design, at most
+UNKNOWNS = 60
+
 
 def allowed_effects(
     resolved: ResolvedStudy,
@@ -52,6 +55,7 @@ def allowed_effects(
         gap,
         resolved.prediction,
         rng,
+        UNKNOWNS,
     )
 
 

@@ -171,9 +171,10 @@ def _free_parameters(stage: PlanStage) -> list[int]:
 def _standard_deviations(stage: PlanStage) -> dict[str, result.Sd]:
     """Standard deviation of each free parameter after a stage, in its display unit."""
     measurement = stage.option.measurement
-    scaled = np.sqrt(np.diag(stage.covariance))
+    positions = _free_parameters(stage)
+    scaled = np.sqrt(np.diag(stage.covariance))[: len(positions)]
     table = {}
-    for k, sd in zip(_free_parameters(stage), scaled, strict=True):
+    for k, sd in zip(positions, scaled, strict=True):
         unit = units.display(measurement.parameters[k].unit)
         value = float(sd * measurement.tolerance[k])
         table[measurement.names[k]] = result.Sd(units.number(value, unit), unit)
@@ -186,7 +187,7 @@ def _unidentified(
     """Parameters, then combinations of them, that no reading so far determines."""
     measurement = stage.option.measurement
     names = [measurement.names[k] for k in _free_parameters(stage)]
-    ratio = np.sqrt(np.diag(stage.covariance) / np.diag(task.start))
+    ratio = np.sqrt(np.diag(stage.covariance) / np.diag(task.start))[: len(names)]
     pairs = zip(names, ratio, strict=True)
     alone = [name for name, value in pairs if value > UNIDENTIFIED]
     unit = {p.name: p.unit for p in cumulative.measurement.parameters}

@@ -11,7 +11,7 @@ from oed import result
 from oed.accuracy import prediction
 from oed.base import units
 from oed.base.arrays import Array
-from oed.design.stages.goal import Goal, workspace_goal
+from oed.design.stages.goal import Goal, ToolErrors, workspace_goal
 from oed.design.stages.option import Option
 from oed.design.stages.search import PlanSearchResult, search_plan
 from oed.design.stages.sequence.beam import BEAM
@@ -133,14 +133,19 @@ def build_task(
     maps = prediction.error_maps(
         measurement.kinematics, where.command, where.table.reference
     )
-    all_components = workspace_goal(measurement, maps, {})
+    tool = None
+    if request.effects is not None:
+        tool = ToolErrors(request.effects.tool, request.effects.others)
+    all_components = workspace_goal(measurement, maps, {}, tool)
     goal = all_components
     if request.targets:
-        goal = workspace_goal(measurement, maps, request.targets)
+        goal = workspace_goal(measurement, maps, request.targets, tool)
     start = np.eye(all_components.parameters)
     budget = request.budget
     if earlier is not None:
-        start = earlier.covariance
+        # what an earlier session learned of effects is not known to the plan
+        known = len(earlier.covariance)
+        start[:known, :known] = earlier.covariance
         budget -= earlier.seconds
     return PlanTask(
         resolved=resolved,

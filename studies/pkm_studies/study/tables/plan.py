@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 
@@ -71,6 +71,8 @@ class PlanTable(StudyTable, frozen=True, kw_only=True):
     compare           sequences of measurements to show with the best plan of their time;
                       each takes all its readings, or the best that the budget pays for
     virtual_machines  number carried through all stages of the plan
+    effects           effects that the plan allows for beside the geometry, at the sizes
+                      expected of them: by name, or "catalogue"
     measurement       [[plan.measurement]] tables: what can be ordered
 
     Accuracy is that over the workspace of [prediction].
@@ -82,4 +84,5 @@ class PlanTable(StudyTable, frozen=True, kw_only=True):
     worth: Annotated[float, msgspec.Meta(ge=0, lt=1)] = 0.0
     compare: list[Annotated[list[str], msgspec.Meta(min_length=1)]] = []
     virtual_machines: Whole = 0
+    effects: Literal["none", "catalogue"] | list[str] = "none"
     measurement: list[MeasuredTable] = []
