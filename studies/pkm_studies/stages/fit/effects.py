@@ -21,13 +21,11 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
 from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.planned_effects import named_effects
+from pkm_studies.resolve.planned_effects import NONE, named_effects
 from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured
 
-#: value of [identify] effects that allows them where the fit without is bad
-AUTO = "auto"
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
 
@@ -38,7 +36,7 @@ def expected_effects(state: Measured, start: Array | None) -> ExpectedColumns | 
     start  (n,) where the fit begins, SI; nominal by default. Raises InputError for a
            name that is no effect of the study.
     """
-    if not _are_allowed(state):
+    if state.study.identify.effects == NONE:
         return None
     request = state.resolved.gap_or_default
     names = state.study.identify.effects
@@ -55,23 +53,6 @@ def expected_effects(state: Measured, start: Array | None) -> ExpectedColumns | 
     return expected_columns(
         readings_with_covariates(state, request).problem(fitted.theta), allowed
     )
-
-
-def _are_allowed(state: Measured) -> bool:
-    """Whether the study allows effects; "auto" does where the fit without them is bad."""
-    effects = state.study.identify.effects
-    if effects != AUTO:
-        return effects != "none"
-    checked = state.checked
-    if checked is None or not checked.bad_fit:
-        return False
-    return alarm.may_be_resolved(checked.findings)
-
-
-def explain_nothing(state: Measured, estimate: Estimate) -> bool:
-    """Whether effects were only tried, and the readings do not fit with them either."""
-    tried = state.study.identify.effects == AUTO and estimate.effects is not None
-    return tried and not _is_good(estimate)
 
 
 def _is_good(estimate: Estimate) -> bool:

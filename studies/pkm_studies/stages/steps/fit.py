@@ -13,7 +13,6 @@ from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
 from pkm_studies.stages.fit.effects import (
     expected_effects,
-    explain_nothing,
     judged_with_effects,
     with_effects,
 )
@@ -42,9 +41,6 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     state.progress.stage("identification")
     columns = expected_effects(state, start)
     estimate = _identify(state, start, columns)
-    if explain_nothing(state, estimate):
-        columns = None
-        estimate = _identify(state, start, columns)
     _refuse_mode_jump(state, estimate.theta)
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
     if state.identifiability is not None:

@@ -45,15 +45,14 @@ class IdentifyTable(StudyTable, frozen=True, kw_only=True):
     max_iterations  of each stage
     effects         effects that may act beside the geometry, by name, or "catalogue":
                     all that the machine can have. They widen the result, and the
-                    prediction holds them. "auto" allows those of the catalogue where
-                    the fit without them is bad
+                    prediction holds them
     """
 
     stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(
         default_factory=lambda: [["*"]]
     )
     max_iterations: Count = 50
-    effects: Literal["auto", "none", "catalogue"] | list[str] = "auto"
+    effects: Literal["none", "catalogue"] | list[str] = "none"
 
 
 #: what predicted errors refer to
