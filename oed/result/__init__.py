@@ -69,6 +69,7 @@ from oed.result.identifiability import (
 )
 from oed.result.plan import (
     AlternativePlan,
+    PlanEffects,
     PlanSection,
     Sd,
     SequenceRecord,
@@ -139,6 +140,7 @@ __all__ = [
     "OutlierRecord",
     "ParameterEstimate",
     "PlaceRecord",
+    "PlanEffects",
     "PlanScore",
     "PlanSection",
     "PlannedReading",

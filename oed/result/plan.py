@@ -96,6 +96,20 @@ class SequenceRecord(Record, frozen=True):
     words: str = ""
 
 
+class PlanEffects(Record, frozen=True):
+    """The effects that a plan allows for, and the plan for a machine without them.
+
+    without   that plan, with the accuracy that it reaches on a machine with the effects
+    promised  accuracy that it has on a machine without them, by component and fine unit
+    """
+
+    groups: int
+    unknowns: int  # combinations of them that the plan carries from stage to stage
+    without: AlternativePlan
+    promised: dict[str, float]
+    words: str
+
+
 class PlanSection(Record, frozen=True):
     """The plan as stages. The fields with defaults are those of plans that were
     searched for.
@@ -130,3 +144,4 @@ class PlanSection(Record, frozen=True):
     compared: list[SequenceRecord] = []
     after: str = ""  # what was known and done before, in words
     virtual_machines: int = 0
+    effects: PlanEffects | None = None

@@ -60,13 +60,13 @@ def planned_effects(
     changes = columns.discrepancy.columns
     _, sizes, rows = np.linalg.svd(changes / sigma[:, None], full_matrices=False)
     combinations = rows[:most][sizes[:most] > FAINT].T
-    seen = changes @ combinations
-    scatter = np.maximum((changes**2).sum(axis=1) - (seen**2).sum(axis=1), 0.0)
+    change = changes @ combinations
+    scatter = np.maximum((changes**2).sum(axis=1) - (change**2).sum(axis=1), 0.0)
     maps = columns.workspace_maps(session, theta, command, reference, rng)
     tool = maps.raw @ combinations
     total = (maps.raw**2).sum(axis=2) - (tool**2).sum(axis=2)
     return PlannedEffects(
-        readings=Nuisances(seen, np.sqrt(scatter)),
+        readings=Nuisances(change, np.sqrt(scatter)),
         tool=tool,
         others=np.maximum(total, 0.0).mean(axis=0),
         groups=columns.discrepancy.names,

@@ -139,6 +139,17 @@ class Option:
         """Position of each reading's first channel among all numbers."""
         return np.cumsum(self._channels) - self._channels
 
+    def without_effects(self) -> Option:
+        """The same measurement of a machine without effects beside the geometry."""
+        pool = candidates.build(
+            self.measurement,
+            self.series,
+            self.measurement.nominal,
+            "tolerance",
+            whole_runs=bool((self.candidates.members[:, 1] > 1).any()),
+        )
+        return dataclasses.replace(self, candidates=pool)
+
     @property
     def series(self) -> tuple[Series, ...]:
         """All candidate readings."""

@@ -13,6 +13,7 @@ from pkm_reports.page.blocks import Block, Chapter, Picture
 from pkm_reports.sections.stages import (
     alternatives,
     captions,
+    effects,
     sequences,
     tables,
     verdict,
@@ -35,6 +36,7 @@ def blocks(result: StudyResult) -> list[Block]:
         tables.schedule(plan),
         tables.improvements(plan, result.machine),
         tables.accuracies(plan),
+        *effects.blocks(plan),
         *virtual_machines.blocks(plan),
         *_pictures(plan),
         *alternatives.blocks(plan),

@@ -91,25 +91,12 @@ def select_design(
     study_criteria = StudyCriteria(resolved, table, request, planned)
     problem = _problem(resolved, study_criteria, place)
     field = "compound" if table.compound else "criterion"
-    relaxed_summary = None
-    if table.method == "relaxed":
-        choice, relaxed_summary = relaxed.choose_relaxed(
-            problem, study_criteria, place.key("method")
-        )
-    else:
-        choice = _best(problem, study_criteria, table.judged_by, rng, place.key(field))
-    if table.branch_nodes:
-        criterion = study_criteria.over_candidates(table.judged_by, problem.candidates)
-        choice = search.branch_and_bound(
-            problem, criterion, choice, table.branch_nodes, rng
-        )
+    choice, relaxed_summary = _main_choice(problem, study_criteria, rng, place, field)
     summary_of_effects = None
     if planned is not None:
-        alone = StudyCriteria(resolved, table, request)
-        rigid = _problem(resolved, alone, place)
-        best_alone = _best(rigid, alone, table.judged_by, rng, place.key(field))
+        without = _without_effects(study_criteria, rng, place, field)
         summary_of_effects = effects.compare_without(
-            problem, study_criteria, choice, (rigid, best_alone)
+            problem, study_criteria, choice, without
         )
     compared = _compared(problem, study_criteria, choice, rng, place.key("compare"))
     robust_summary, size_summary = None, None
@@ -149,6 +136,40 @@ def select_design(
         relaxed=relaxed_summary,
         effects=summary_of_effects,
     )
+
+
+def _main_choice(
+    problem: DesignProblem,
+    study_criteria: StudyCriteria,
+    rng: np.random.Generator,
+    place: Place,
+    field: str,
+) -> tuple[Choice, RelaxedSummary | None]:
+    """The plan for the study's own criterion, and weights where it comes from these."""
+    table = study_criteria.table
+    summary = None
+    if table.method == "relaxed":
+        choice, summary = relaxed.choose_relaxed(
+            problem, study_criteria, place.key("method")
+        )
+    else:
+        choice = _best(problem, study_criteria, table.judged_by, rng, place.key(field))
+    if table.branch_nodes:
+        criterion = study_criteria.over_candidates(table.judged_by, problem.candidates)
+        choice = search.branch_and_bound(
+            problem, criterion, choice, table.branch_nodes, rng
+        )
+    return choice, summary
+
+
+def _without_effects(
+    study_criteria: StudyCriteria, rng: np.random.Generator, place: Place, field: str
+) -> tuple[DesignProblem, Choice]:
+    """The problem of a machine without effects, and its best plan."""
+    resolved, table = study_criteria.resolved, study_criteria.table
+    alone = StudyCriteria(resolved, table, study_criteria.request)
+    problem = _problem(resolved, alone, place)
+    return problem, _best(problem, alone, table.judged_by, rng, place.key(field))
 
 
 def _problem(

@@ -17,6 +17,7 @@ from oed.compensate.effects.expected_columns import ExpectedColumns, expected_co
 from oed.compensate.effects.fit import EffectReadings
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
+from oed.estimation.left_out import left_out_errors
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
@@ -26,6 +27,11 @@ from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured
 
+#: mean square of readings left out, over that of the fit without effects, up to which
+#: effects explain the misfit
+PREDICTED = 0.25
+#: numbers from which a fit cannot follow single readings
+MOST_LEFT_OUT = 3000
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
 
@@ -53,6 +59,19 @@ def expected_effects(state: Measured, start: Array | None) -> ExpectedColumns | 
     return expected_columns(
         readings_with_covariates(state, request).problem(fitted.theta), allowed
     )
+
+
+def _predicts(state: Measured, without: GoodnessSection, estimate: Estimate) -> bool:
+    """Whether effects predict readings from others, and do not only follow them.
+
+    The misfit of readings left out is at most a share of that of the fit without effects.
+    """
+    series = state.readings.series
+    if without.chi2 is None or len(estimate.residuals) > MOST_LEFT_OUT:
+        return True
+    errors = left_out_errors(state.measurement, series, estimate)
+    mean_square = float(np.mean((errors / state.measurement.sigma(series)) ** 2))
+    return mean_square <= PREDICTED * without.chi2 / len(errors)
 
 
 def _is_good(estimate: Estimate) -> bool:
@@ -141,7 +160,8 @@ def judged_with_effects(
     )
     if checked is None or not checked.bad_fit:
         return state, figures
-    if not (_is_good(estimate) and alarm.may_be_resolved(checked.findings)):
+    resolved_by_effects = _is_good(estimate) and _predicts(state, section, estimate)
+    if not (resolved_by_effects and alarm.may_be_resolved(checked.findings)):
         return state, section
     opening = alarm.allowed_effects_sentence(ratio)
     true = alarm.sentences_with(opening, checked.findings)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from oed import result
 from oed.base import units
 
@@ -39,7 +41,7 @@ def time_difference(seconds: float, other: float) -> str:
     return f"in {minutes(difference)} {'less' if seconds < other else 'more'}"
 
 
-def accuracies(values: dict[str, float]) -> str:
+def accuracies(values: Mapping[str, float]) -> str:
     """Accuracies by component and unit (`z_um`), as a list."""
     parts = []
     for key, value in values.items():
@@ -70,4 +72,6 @@ def plan_sentences(section: result.PlanSection | None) -> list[str]:
             f" {at_most_better(section.loss)}: a bound over all plans that take each"
             " measurement at most as often as `counts` allows."
         )
+    if section.effects is not None:
+        lines.append(section.effects.words)
     return lines

@@ -20,6 +20,7 @@ from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.alternatives import list_alternatives
 from pkm_studies.stages.plan.comparison import compare_sequence
 from pkm_studies.stages.plan.earlier import EarlierSession
+from pkm_studies.stages.plan.effects import compare_without_effects
 from pkm_studies.stages.plan.phrases import percent
 from pkm_studies.stages.plan.section import PlanOutcome, build_outcome
 from pkm_studies.stages.plan.targets import describe_needs
@@ -63,6 +64,7 @@ def compute_plan(
         stop=describe_stop(task, search, best),
         compared=[compare_sequence(task, names, search) for names in sequences],
         after="" if earlier is None else earlier.words,
+        effects=compare_without_effects(task, earlier, progress),
     )
     return dataclasses.replace(outcome, section=section)
 
