@@ -7,7 +7,7 @@ toolkit makes the readings, nor the least squares that say how large the scale i
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -130,12 +130,20 @@ def readings(scale: float, seed: int = 5) -> Readings:
     return Readings(joints, x + noise)
 
 
-def write(folder: Path, read: Readings, effects: str = '["all"]') -> Path:
-    """The study of these readings in a folder; its path."""
+def write(
+    folder: Path,
+    read: Readings,
+    effects: str = '["all"]',
+    setup_of: Callable[[int], str] = lambda _: "t",
+) -> Path:
+    """The study of these readings in a folder; its path.
+
+    setup_of  set-up of a reading by its number
+    """
     rows = [COLUMNS]
     for k, (q, x) in enumerate(zip(read.joints, read.poses, strict=True), 1):
         values = [*q, *x[:3], *np.degrees(x[3:])]
-        rows.append(f"t,1,{k}," + ",".join(f"{v:.6f}" for v in values))
+        rows.append(f"{setup_of(k)},1,{k}," + ",".join(f"{v:.6f}" for v in values))
     (folder / "readings.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
     study = folder / "leg_scale.study.toml"
     base, platform = (np.round(v, 6).tolist() for v in (BASE, PLATFORM))

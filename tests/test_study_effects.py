@@ -179,3 +179,31 @@ def test_the_controller_gets_parameters_that_take_up_effects(
     total = {name: np.linalg.norm(values) for name, values in rms.items()}
     assert total["sent"] < 0.9 * total["own"]
     assert 0.8 < total["sent"] / np.linalg.norm(predicted) < 1.25
+
+
+@pytest.mark.parametrize("effects", ["none", "catalogue"])
+def test_readings_that_are_held_out_lie_within_the_bands(
+    tmp_path: Path, effects: str
+) -> None:
+    """Every third pose is predicted: with the leg's scale, bands hold and are narrow."""
+    study = leg_scale.write(
+        tmp_path,
+        leg_scale.readings(0.01),
+        setup_of=lambda k: "u" if k % 3 == 0 else "t",
+    )
+    text, _, tail = study.read_text().partition("[[setup]]")
+    setup, _, rest = tail.partition("[noise]")
+    held_out = setup.replace('name = "t"', 'name = "u"')
+    rest = rest.replace("[readings]\n", '[readings]\npredict = ["u"]\n')
+    rest = rest.replace('[gap]\neffects = ["all"]\n', "")
+    allowed = f'[identify]\neffects = "{effects}"\n'
+    study.write_text(f"{text}[[setup]]{setup}[[setup]]{held_out}[noise]{rest}{allowed}")
+    result, _ = identified(study, tmp_path / "readings.csv")
+    places = [s for s in result["held_out"] if s["unit"] == "um"]
+    assert len(places) == 3
+    rms = np.sqrt(np.mean([s["rms"] ** 2 for s in places]))
+    if effects == "none":
+        assert rms > 200.0
+        return
+    assert rms < 100.0  # the noise is 50
+    assert np.mean([s["coverage"] for s in places]) > 0.85

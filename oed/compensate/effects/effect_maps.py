@@ -71,6 +71,11 @@ def workspace_state(
         theta,
         session.gravity,
     )
+    return in_session(state, first)
+
+
+def in_session(state: State, first: State) -> State:
+    """The state with its place in a session, of which `first` is a state."""
     progress = state.session_progress
     low, high = first.session_span
     if np.isfinite(state.time).all() and high > low:

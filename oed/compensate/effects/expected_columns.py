@@ -19,6 +19,7 @@ from oed.compensate.effects.effect_maps import (
     ActingForm,
     SessionStates,
     effect_maps,
+    in_session,
     workspace_state,
 )
 from oed.estimation.discrepancy import Discrepancy
@@ -48,6 +49,20 @@ class ExpectedColumns:
     discrepancy: Discrepancy
     forms: tuple[ActingForm, ...]
     mixing: Array
+
+    def changes(self, problem: GapProblem, session: SessionStates) -> Array:
+        """Changes (N, k) of other readings of the session per unit of each column, SI."""
+        states = tuple(in_session(s, session.states[0]) for s in problem.states)
+        others = dataclasses.replace(problem, states=states)
+        parts = []
+        for form in self.forms:
+            signature = others.signature(form.effect, form.constants)
+            columns = np.zeros((len(problem.y), len(form.names)))
+            for k, name in enumerate(form.names):
+                if name in signature.names:
+                    columns[:, k] = signature.columns[:, signature.names.index(name)]
+            parts.append(columns)
+        return np.asarray(np.hstack(parts) @ self.mixing)
 
     def workspace_maps(
         self,

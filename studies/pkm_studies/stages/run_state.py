@@ -68,10 +68,11 @@ class Stream(enum.IntEnum):
 
 
 class HeldOut(NamedTuple):
-    """Readings y (N,), SI, that are not fitted."""
+    """Readings y (N,), SI, that are not fitted; covariates have one row a reading."""
 
     series: tuple[Series, ...]
     y: Array
+    covariates: pd.DataFrame
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

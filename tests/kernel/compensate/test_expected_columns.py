@@ -48,6 +48,17 @@ def test_columns_are_combinations_of_the_signatures(
     assert columns.discrepancy.columns == pytest.approx(combined, abs=1e-9 * scale)
 
 
+def test_other_readings_of_the_session_change_as_they_would_in_it(
+    problem: GapProblem, columns: ExpectedColumns
+) -> None:
+    session = SessionStates(
+        problem.measurement, problem.covariates, problem.states, problem.gravity
+    )
+    changes = columns.changes(problem, session)
+    expected = columns.discrepancy.columns
+    assert changes == pytest.approx(expected, abs=1e-9 * np.abs(expected).max())
+
+
 def test_few_columns_hold_the_variance_of_a_group(
     problem: GapProblem, columns: ExpectedColumns
 ) -> None:

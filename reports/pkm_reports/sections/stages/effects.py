@@ -28,4 +28,9 @@ def blocks(plan: PlanSection) -> list[Block]:
         " promises, what its readings leave on a machine with them, and what this plan"
         " leaves there."
     )
-    return [Paragraph(allowed.words), Table(columns, rows, caption)]
+    sentence = (
+        f"The plan allows for {text.count(allowed.groups, 'group')} of effects beside the"
+        " geometry, at the sizes expected of them. The plan for a machine without effects"
+        f" would be {', then '.join(allowed.without.names)}."
+    )
+    return [Paragraph(sentence), Table(columns, rows, caption)]

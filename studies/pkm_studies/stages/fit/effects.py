@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -18,6 +19,7 @@ from oed.compensate.effects.fit import EffectReadings
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.estimation.left_out import left_out_errors
+from oed.gap.data import problem as problems
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
@@ -26,6 +28,9 @@ from pkm_studies.resolve.planned_effects import NONE, named_effects
 from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: mean square of readings left out, over that of the fit without effects, up to which
 #: effects explain the misfit
@@ -96,6 +101,23 @@ def session_states(state: Fitted) -> SessionStates:
     return SessionStates(
         state.measurement, problem.covariates, problem.states, request.gravity
     )
+
+
+def changes_by_effects(
+    state: Fitted, series: Sequence[Series], covariates: pd.DataFrame, draws: Array
+) -> Array | None:
+    """Changes (m, N) of other readings of the session by drawn effects (m, k), SI.
+
+    None where the study allows no effects.
+    """
+    columns = state.effect_columns
+    if columns is None:
+        return None
+    gravity = state.resolved.gap_or_default.gravity
+    problem = problems.assemble(
+        state.measurement, series, covariates, state.estimate.theta, gravity=gravity
+    )
+    return np.asarray(draws @ columns.changes(problem, session_states(state)).T)
 
 
 def with_effects(

@@ -36,10 +36,12 @@ def held_out_sections(
     estimate: Estimate,
     known: ApproximateDraws,
     rng: np.random.Generator,
+    changes: Array | None = None,
 ) -> list[HeldOutSection]:
     """One section for each series and channel of the held-out readings y (N,), SI.
 
-    known  draws of the posterior, or of its approximation
+    known    draws of the posterior, or of its approximation
+    changes  (m, N) of the readings by effects of these draws, SI; none by default
     """
     count = min(PREDICTIVE_DRAWS, len(known.theta))
     chosen = rng.choice(len(known.theta), size=count, replace=False)
@@ -48,8 +50,10 @@ def held_out_sections(
     for s in series:
         channels = measurement.setups[s.setup].instrument.channels
         readings = y[start : start + len(s) * len(channels)]
-        start += len(readings)
         predicted = measurement.readings([s], theta)
+        if changes is not None:
+            predicted = predicted + changes[chosen, start : start + len(readings)]
+        start += len(readings)
         noise = _noise_draws(measurement, s, estimate, laws, rng)
         centre = predicted.mean(axis=0)
         adjust = _setup_adjustment(measurement, s, known.theta.mean(axis=0))

@@ -21,7 +21,11 @@ from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
 from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.stages.fit.effects import session_states, with_controller
+from pkm_studies.stages.fit.effects import (
+    changes_by_effects,
+    session_states,
+    with_controller,
+)
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
@@ -227,13 +231,18 @@ def predict_held_out(state: Fitted) -> Fitted:
     if held_out is None:
         return state
     state.progress.stage("held-out readings")
+    draws = _draws(state)
+    changes = changes_by_effects(
+        state, held_out.series, held_out.covariates, draws.effects
+    )
     sections = held_out_sections(
         state.measurement,
         held_out.series,
         held_out.y,
         state.estimate,
-        _draws(state),
+        draws,
         state.rng(Stream.HELD_OUT),
+        changes,
     )
     return state.with_sections(held_out=sections)
 

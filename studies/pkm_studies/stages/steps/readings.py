@@ -98,7 +98,9 @@ def _recorded(state: RunState, data: Dataset) -> MeasuredReadings:
         series=fit.series,
         y=fit.y,
         covariates=fit.covariates,
-        held_out=HeldOut(predict.series, predict.y) if held_out else None,
+        held_out=HeldOut(predict.series, predict.y, predict.covariates)
+        if held_out
+        else None,
     )
 
 
