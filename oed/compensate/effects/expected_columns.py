@@ -97,6 +97,7 @@ class _EffectGroup:
     readings  (N, a) changes, in units of the noise;  tool (m, a) displacements, m
     places    (form, coefficient) of each
     share     that a coefficient at one of the constants has, in standard deviations
+    unit      factor of all coefficients
     """
 
     name: str
@@ -105,6 +106,11 @@ class _EffectGroup:
     tool: Array
     places: list[tuple[int, str]]
     share: float
+    unit: float = 1.0
+
+    def scaled(self, unit: float) -> _EffectGroup:
+        """The group with its coefficients in another unit."""
+        return dataclasses.replace(self, unit=unit)
 
     @property
     def size(self) -> float:
@@ -131,8 +137,8 @@ def expected_columns(
     """Columns of the effects that the machine can have, and of unknown ones.
 
     Unknown effects are as large as known ones usually are: their unit changes the
-    readings by the median of what known ones do at their expected sizes. None where no
-    effect changes a reading.
+    readings that they change at all by the median of what known ones do to these at their
+    expected sizes. None where no effect changes a reading.
     """
     machine = problem.measurement.machine
     forms: list[ActingForm] = []
@@ -140,15 +146,34 @@ def expected_columns(
     for effect in effects:
         if effect.unfit(machine) is None:
             groups += _groups_of(problem, effect, forms, unknown=False)
-    sizes = [group.size for group in groups if group.size > NOTHING]
-    if not sizes:
+    known = [group for group in groups if group.size > NOTHING]
+    if not known:
         return None
-    typical = float(np.median(sizes))
     for effect in unknown_effects():
         for group in _groups_of(problem, effect, forms, unknown=True):
-            if group.size > NOTHING:
-                groups.append(group)
-    return _assembled(problem, forms, groups, typical)
+            typical = _typical_size(known, group)
+            if group.size > NOTHING and typical > NOTHING:
+                groups.append(group.scaled(typical / group.size))
+    return _assembled(problem, forms, groups)
+
+
+def _typical_size(known: Sequence[_EffectGroup], unknown: _EffectGroup) -> float:
+    """Median root mean square change of readings by known groups, in units of the noise.
+
+    Over the readings that an unknown group changes: its instrument's, if it is an error
+    of one.
+    """
+    changed = (unknown.readings != 0.0).any(axis=1)
+    sizes = []
+    for group in known:
+        squares = (group.readings[changed] ** 2).sum(axis=1)
+        size = float(np.sqrt(squares.mean())) if changed.any() else 0.0
+        if size > NOTHING:
+            sizes.append(size)
+    if not sizes:
+        return 0.0
+    share = np.sqrt(changed.mean())
+    return float(np.median(sizes) * share)
 
 
 def _groups_of(
@@ -201,10 +226,7 @@ def _tool_changes(
 
 
 def _assembled(
-    problem: GapProblem,
-    forms: list[ActingForm],
-    groups: list[_EffectGroup],
-    typical: float,
+    problem: GapProblem, forms: list[ActingForm], groups: list[_EffectGroup]
 ) -> ExpectedColumns:
     """All groups side by side."""
     at: dict[tuple[int, str], int] = {}
@@ -213,9 +235,7 @@ def _assembled(
             at[number, name] = len(at)
     columns, mixing, owner = [], [], []
     for g, group in enumerate(groups):
-        combinations = group.principal()
-        if group.unknown:
-            combinations = combinations * typical / group.size
+        combinations = group.principal() * group.unit
         columns.append(group.readings @ combinations)
         block = np.zeros((len(at), combinations.shape[1]))
         block[[at[place] for place in group.places]] = group.share * combinations
