@@ -34,6 +34,28 @@ RANGE_SLACK = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
+class Adjustment:
+    """What moves a parameter at the machine, for a fitter.
+
+    by    what to turn, shift or shim, in words
+    step  smallest amount, SI; 0 where it is turned continuously
+    sd    standard deviation of the amount as the fitter sets it, SI; that of an error
+          anywhere within a step where it is not stated
+    most  largest amount to either side, SI; 0: four tolerances of the parameter
+    """
+
+    by: str
+    step: float = 0.0
+    sd: float | None = None
+    most: float = 0.0
+
+    @property
+    def error(self) -> float:
+        """Standard deviation of the fitter's error, SI."""
+        return self.step / np.sqrt(12.0) if self.sd is None else self.sd
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
 class Parameter:
     """A calibration parameter.
 
@@ -43,6 +65,7 @@ class Parameter:
     unit       SI unit: m, rad, s, N, K or 1
     about      what it is, for tables
     bounds     least and largest value that it can have, SI
+    adjust     what moves it at the machine; None where nothing does
 
     >>> from oed import Parameter
     >>> length = Parameter("l1", nominal=3.350, tolerance=0.5e-3, unit="m")
@@ -56,6 +79,7 @@ class Parameter:
     unit: str
     about: str = ""
     bounds: tuple[float, float] = (-np.inf, np.inf)
+    adjust: Adjustment | None = None
 
     def __post_init__(self) -> None:
         if self.unit not in units.DISPLAY:

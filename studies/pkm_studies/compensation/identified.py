@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
 from oed.base import units
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, StudyResult
+from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue.controller_format import Identified
 
 
@@ -33,6 +35,28 @@ def identified_parameters(
     origin = "estimate" if corrected is None else "corrected"
     conditions = () if corrected is None else _of_effects(corrected, tables)
     return Identified(values, sd, origin, conditions)
+
+
+def adjusted_result(result: StudyResult) -> StudyResult:
+    """The result with the parameters that the machine has after its adjustments.
+
+    Raises InputError where none were chosen.
+    """
+    section = result.final_estimate
+    if section is None or result.adjustment is None:
+        raise InputError(
+            "no adjustments were chosen for this result",
+            "choose them first: `oed adjust DIR`",
+            value="--adjusted",
+        )
+    parameters = dict(section.parameters)
+    for line in result.adjustment.lines:
+        p = parameters[line.parameter]
+        value, sd = p.value + line.amount, float(np.hypot(p.sd, line.sd))
+        parameters[line.parameter] = msgspec.structs.replace(p, value=value, sd=sd)
+    section = msgspec.structs.replace(section, parameters=parameters)
+    part = "estimate" if result.corrected is None else "corrected"
+    return msgspec.structs.replace(result, **{part: section})
 
 
 def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:
