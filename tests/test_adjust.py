@@ -181,6 +181,41 @@ def test_the_report_has_the_chapter(folder: Path, oed: Run) -> None:
     assert "shim under ball joint 1" in page
 
 
+def test_a_section_that_contradicts_itself_is_refused(folder: Path, oed: Run) -> None:
+    oed("adjust", folder)
+    path = folder / "result.json"
+    result = json.loads(path.read_text("utf-8"))
+    for field, change in {
+        "adjustment.accuracy": lambda s: s["accuracy"].pop(),
+        "adjustment.lines[1].unit": lambda s: s["lines"][0].update(unit="furlong"),
+        "adjustment.accuracy[2].plain": lambda s: s["accuracy"][1]["plain"].pop("x"),
+    }.items():
+        broken = json.loads(json.dumps(result))
+        change(broken["adjustment"])
+        path.write_text(json.dumps(broken), encoding="utf-8")
+        code, _, error = oed("report", folder)
+        assert code == 2
+        assert field in error
+
+
+def test_what_is_wanted_counts_and_a_thread_has_no_steps(
+    folder: Path, oed: Run
+) -> None:
+    text = (folder.parent / "out" / "result.json").read_text("utf-8")
+    study = folder.parent / "wanted.study.toml"
+    words = json.loads(text)["study_text"].replace("step_mm = 0.02\n", "")
+    wanted = "[prediction]\nwanted = { gamma_arcsec = 5.0 }"
+    study.write_text(words.replace("[prediction]", wanted), encoding="utf-8")
+    assert oed("adjust", folder, "--study", study)[0] == 0
+    section = json.loads((folder / "result.json").read_text("utf-8"))["adjustment"]
+    for record in section["accuracy"]:
+        assert record["total"] == pytest.approx(record["corrected"]["gamma"] / 5.0)
+    assert section["lines"]
+    for line in section["lines"]:
+        assert (line["steps"], line["sd"]) == (None, 0.0)
+        assert line["amount"] == pytest.approx(round(line["amount"], 3), abs=1e-9)
+
+
 def test_a_bad_fit_is_refused(folder: Path, oed: Run) -> None:
     path = folder / "result.json"
     result = json.loads(path.read_text("utf-8"))

@@ -22,8 +22,9 @@ from oed.estimation.machine_fits import fit_machines
 from oed.identifiability.information import parameter_covariance
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
+from oed.model.adjustment import Adjustment
 from oed.model.instrument import mount
-from oed.model.machine import Adjustment, Machine
+from oed.model.machine import Machine
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines import a3_head, prs_spindle
 

@@ -31,7 +31,8 @@ from oed.accuracy.maps import Reference, maps_by_reference
 from oed.base.arrays import Array
 from oed.compensate.export_errors import known_errors
 from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Adjustment, Parameter
+from oed.model.adjustment import Adjustment
+from oed.model.machine import Parameter
 
 #: share of the error by which it must grow without a line that is worth its work
 WORTH = 0.05

@@ -17,6 +17,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation
+from oed.model.adjustment import Adjustment
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any
@@ -31,28 +32,6 @@ Tool = Sequence[float]
 
 #: a coordinate may exceed its range by this share of the range's upper end
 RANGE_SLACK = 1e-9
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Adjustment:
-    """What moves a parameter at the machine, for a fitter.
-
-    by    what to turn, shift or shim, in words
-    step  smallest amount, SI; 0 where it is turned continuously
-    sd    standard deviation of the amount as the fitter sets it, SI; that of an error
-          anywhere within a step where it is not stated
-    most  largest amount to either side, SI; 0: four tolerances of the parameter
-    """
-
-    by: str
-    step: float = 0.0
-    sd: float | None = None
-    most: float = 0.0
-
-    @property
-    def error(self) -> float:
-        """Standard deviation of the fitter's error, SI."""
-        return self.step / np.sqrt(12.0) if self.sd is None else self.sd
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -19,8 +19,8 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.base.orientation import direction, rotation
+from oed.model.adjustment import Adjustment
 from oed.model.machine import (
-    Adjustment,
     Component,
     Coordinate,
     Expr,

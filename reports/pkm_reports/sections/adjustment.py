@@ -92,7 +92,7 @@ def _line(line: AdjustmentLine) -> list[str]:
 def signed(line: AdjustmentLine) -> str:
     """The amount with its sign and unit: `+0.34 mm`."""
     sign = "+" if line.amount > 0.0 else ""
-    return sign + text.quantity(line.amount, line.unit, 6)
+    return sign + text.with_unit(text.trimmed(line.amount, 6), line.unit)
 
 
 def _accuracy(section: AdjustmentSection) -> Table:

@@ -271,6 +271,8 @@ def sentences(section: AdjustmentSection) -> Iterator[str]:
             f"   then total {record.total:.4g} ({_components(section, record)}); without"
             f" this line {line.without:.4g}"
         )
+    for condition in section.conditions:
+        yield f"The figures rest on: {condition}."
 
 
 def _components(section: AdjustmentSection, record: AdjustedRecord) -> str:
