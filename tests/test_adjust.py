@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sample
+import xarray as xr
 
 from oed.compensate.adjustment import StepProblem, choose_steps, sizes_without
 from pkm_studies.commands import cli
@@ -214,6 +215,25 @@ def test_what_is_wanted_counts_and_a_thread_has_no_steps(
     for line in section["lines"]:
         assert (line["steps"], line["sd"]) == (None, 0.0)
         assert line["amount"] == pytest.approx(round(line["amount"], 3), abs=1e-9)
+
+
+def test_the_posterior_of_the_folder_counts(folder: Path, oed: Run) -> None:
+    """Draws that scatter more than the normal approximation leave more unknown."""
+    oed("adjust", folder)
+    path = folder / "result.json"
+    sections = [json.loads(path.read_text("utf-8"))["adjustment"]]
+    with xr.open_dataset(
+        folder / "posterior.nc", group="posterior", engine="h5netcdf"
+    ) as data:
+        wide = data.load()
+    middle = wide["theta"].mean(("chain", "draw"))
+    wide["theta"] = 10.0 * (wide["theta"] - middle) + middle
+    (folder / "posterior.nc").unlink()
+    wide.to_netcdf(folder / "posterior.nc", group="posterior", engine="h5netcdf")
+    oed("adjust", folder)
+    sections.append(json.loads(path.read_text("utf-8"))["adjustment"])
+    driven = [s["accuracy"][0]["corrected"]["alpha"] for s in sections]
+    assert driven[1] == pytest.approx(10.0 * driven[0], rel=0.05)
 
 
 def test_a_bad_fit_is_refused(folder: Path, oed: Run) -> None:

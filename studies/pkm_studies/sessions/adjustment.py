@@ -34,6 +34,7 @@ from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.sessions.acceptance.promise import covariances
 from pkm_studies.sessions.verification import refuse_bad_fit
 from pkm_studies.stages import result_folder
+from pkm_studies.stages.plan import earlier
 from pkm_studies.study import Study
 
 CSV, NOMINAL = "adjust.csv", "adjusted.toml"
@@ -56,7 +57,7 @@ def adjust_folder(
     result = result_folder.load_result(folder)
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
-    machine = adjustable_machine(result, study, str(folder / "result.json"))
+    machine = adjustable_machine(result, study, folder)
     section = _section(result, study, machine, machine.plan())
     result = msgspec.structs.replace(result, adjustment=section)
     known = list(result.written.values())
@@ -76,10 +77,10 @@ def adjust_folder(
 
 
 def adjustable_machine(
-    result: StudyResult, study: Study, file: str
+    result: StudyResult, study: Study, folder: Path
 ) -> AdjustableMachine:
-    """What a result knows of its machine. Raises InputError."""
-    section = result.final_estimate
+    """What the result in a folder knows of its machine. Raises InputError."""
+    section, file = result.final_estimate, str(folder / "result.json")
     if section is None or not section.covariance:
         raise InputError(
             "this result has no estimate with its covariance",
@@ -108,7 +109,7 @@ def adjustable_machine(
         command=regular_commands(study, kinematics),
         reference=reference,
         identified=identified,
-        covariance=covariances(machine, section)[0],
+        covariance=_covariance(result, machine, identified, section, folder),
         weights=_weights(study, machine),
     )
 
@@ -127,6 +128,31 @@ def _identifiable(
         parameters.append(dataclasses.replace(parameter, tolerance=tolerance))
     # the fit has no estimate of what chooses the frame
     return dataclasses.replace(machine.with_parameters(parameters), frame=())
+
+
+def _covariance(
+    result: StudyResult,
+    machine: Machine,
+    identified: Array,
+    section: EstimateSection | CorrectedSection,
+    folder: Path,
+) -> Array:
+    """Second moment (np, np), SI, of the posterior about the identified parameters.
+
+    Of its draws where there are any, else of the estimate's normal approximation.
+    """
+    names = [p.name for p in machine.parameters if p.name in section.parameters]
+    draws = None
+    if result.posterior is not None and result.corrected is None:
+        path = folder / earlier.FILE
+        draws = earlier.read_draws(path, names) if path.is_file() else None
+    if draws is None:
+        return covariances(machine, section)[0]
+    at = [machine.index(name) for name in names]
+    about = draws - identified[at]
+    covariance = np.zeros((len(identified), len(identified)))
+    covariance[np.ix_(at, at)] = about.T @ about / len(draws)
+    return covariance
 
 
 def _weights(study: Study, machine: Machine) -> Array:
