@@ -105,9 +105,15 @@ def interpolation_errors(
 
 
 def known_errors(
-    kinematics: Kinematics, command: Array, parameters: Array, reference: Reference
+    kinematics: Kinematics,
+    command: Array,
+    parameters: Array,
+    reference: Reference,
+    controller: Array | None = None,
 ) -> Array:
     """Errors (n, k) that exact compensation leaves at commands (n, n_dof), SI.
+
+    controller  (np,) parameters of the controller; those of the machine by default
 
     They are known as well as the parameters (np,) are: of what no joint drives, and of
     the rest to rounding. Raises AssemblyError.
@@ -115,7 +121,8 @@ def known_errors(
     machine = kinematics.machine
     home = machine.home_command[None]
     poses = np.vstack([command, home])
-    joints = compensated_joints(kinematics, poses, parameters)
+    modelled = parameters if controller is None else controller
+    joints = compensated_joints(kinematics, poses, modelled)
     twist = pose_error(kinematics, poses, joints, parameters)
     return _components_against(kinematics, command, twist, reference)
 

@@ -17,6 +17,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation
+from oed.model.adjustment import Adjustment
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any
@@ -43,6 +44,7 @@ class Parameter:
     unit       SI unit: m, rad, s, N, K or 1
     about      what it is, for tables
     bounds     least and largest value that it can have, SI
+    adjust     what moves it at the machine; None where nothing does
 
     >>> from oed import Parameter
     >>> length = Parameter("l1", nominal=3.350, tolerance=0.5e-3, unit="m")
@@ -56,6 +58,7 @@ class Parameter:
     unit: str
     about: str = ""
     bounds: tuple[float, float] = (-np.inf, np.inf)
+    adjust: Adjustment | None = None
 
     def __post_init__(self) -> None:
         if self.unit not in units.DISPLAY:

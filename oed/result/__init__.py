@@ -10,6 +10,11 @@ from oed.result.acceptance import (
     VerdictRecord,
     VerificationSection,
 )
+from oed.result.adjustment import (
+    AdjustedRecord,
+    AdjustmentLine,
+    AdjustmentSection,
+)
 from oed.result.budget import BudgetLine, BudgetSection, UnmodelledLine
 from oed.result.corrected import CorrectedSection, EffectEstimate, EffectTable
 from oed.result.design import (
@@ -98,6 +103,9 @@ from oed.result.study import (
 __all__ = [
     "SCHEMA",
     "AcceptanceSection",
+    "AdjustedRecord",
+    "AdjustmentLine",
+    "AdjustmentSection",
     "AllowedEffects",
     "AlternativePlan",
     "AnswerRecord",

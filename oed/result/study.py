@@ -8,6 +8,7 @@ Arrays are lists.
 from __future__ import annotations
 
 from oed.result.acceptance import AcceptanceSection, VerificationSection
+from oed.result.adjustment import AdjustmentSection
 from oed.result.corrected import CorrectedSection
 from oed.result.design import DesignSection
 from oed.result.fit import EstimateSection, PosteriorSection
@@ -130,6 +131,7 @@ class StudyResult(Record, frozen=True, kw_only=True):
     corrected: CorrectedSection | None = None
     acceptance: AcceptanceSection | None = None
     verification: VerificationSection | None = None
+    adjustment: AdjustmentSection | None = None
     gap_before: GapBeforeSection | None = None
     drawing: Drawing | None = None
     warnings: list[str] = []

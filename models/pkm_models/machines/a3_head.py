@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.base.orientation import direction, rotation
+from oed.model.adjustment import Adjustment
 from oed.model.machine import (
     Component,
     Coordinate,
@@ -45,6 +46,9 @@ THETA = f"nutation: tilt of the tool axis from z; {AXIS.formula}"
 # Tolerances (prior standard deviations): the size of the errors that Table 3 found on
 # the prototype.
 HOME, JOINT, TILT = 1.0e-3, 1.0e-3, 10e-3  # m, m, rad
+
+# Shims of 0.01 mm; under one of two bearings 200 mm apart they tilt a revolute joint.
+SHIM, TILT_STEP = 0.01e-3, 0.05e-3  # m, rad
 
 
 def _base(i: int) -> tuple[float, float, float]:
@@ -116,7 +120,14 @@ def _parameters() -> tuple[Parameter, ...]:
         Parameter(f"dq{i}", 0.0, HOME, "m", f"home error of limb {i}") for i in LIMBS
     ]
     table += [
-        Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}")
+        Parameter(
+            f"db{i}{k}",
+            0.0,
+            JOINT,
+            "m",
+            f"{k} of base joint {i}",
+            adjust=Adjustment(f"shift or shim base joint {i}", SHIM),
+        )
         for i in LIMBS
         for k in XYZ
     ]
@@ -126,7 +137,14 @@ def _parameters() -> tuple[Parameter, ...]:
         for k in XYZ
     ]
     table += [
-        Parameter(f"beta{i}", 0.0, TILT, "rad", f"tilt of limb {i} out of its plane")
+        Parameter(
+            f"beta{i}",
+            0.0,
+            TILT,
+            "rad",
+            f"tilt of limb {i} out of its plane",
+            adjust=Adjustment(f"shim under a bearing of base joint {i}", TILT_STEP),
+        )
         for i in LIMBS
     ]
     return tuple(table)

@@ -29,6 +29,7 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.base.orientation import direction, rotation
+from oed.model.adjustment import Adjustment
 from oed.model.machine import (
     Component,
     Coordinate,
@@ -58,6 +59,10 @@ ANGLES = rotation(("x", "alpha"), ("y", "beta"), ("z", "gamma"))
 # Tolerances (prior standard deviations): the size of the errors that Table 4 found,
 # column by column.
 SLIDER, BALL, LENGTH = 1.0e-3, 0.2e-3, 0.5e-3  # m
+
+# Section 6: "the joint position errors have to be corrected by manual reassembly of
+# column positions"; strut lengths are programmed.
+COLUMN_STEP = 0.01e-3  # m, thinnest shim
 
 
 def _circle(radius: float, height: float, i: int) -> tuple[float, float, float]:
@@ -150,7 +155,14 @@ def _parameters(i: int) -> list[Parameter]:
         for k in "xyz"
     ]
     table += [
-        Parameter(f"dR{i}{k}", 0.0, SLIDER, "m", f"{k} of slider joint {i}, base frame")
+        Parameter(
+            f"dR{i}{k}",
+            0.0,
+            SLIDER,
+            "m",
+            f"{k} of slider joint {i}, base frame",
+            adjust=Adjustment(f"move column {i}", COLUMN_STEP),
+        )
         for k in "xy"
     ]
     return [*table, Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}")]

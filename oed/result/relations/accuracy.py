@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from oed.result.acceptance import AcceptanceSection, VerificationSection
+from oed.result.adjustment import AdjustmentSection
 from oed.result.budget import BudgetSection
 from oed.result.prediction import MapPoint, PredictionSection, SpreadRecord
 from oed.result.relations import base
@@ -35,6 +36,8 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _acceptance(result.acceptance)
     if result.verification is not None:
         yield from _verification(result.verification)
+    if result.adjustment is not None:
+        yield from _adjustment(result.adjustment)
 
 
 def _prediction(field: str, section: PredictionSection) -> Iterator[Breach]:
@@ -146,3 +149,22 @@ def _verification(section: VerificationSection) -> Iterator[Breach]:
     yield from base.known(
         "verification.positioning", section.positioning, section.components, of
     )
+
+
+def _adjustment(section: AdjustmentSection) -> Iterator[Breach]:
+    for k, line in enumerate(section.lines, start=1):
+        yield from base.unit(f"adjustment.lines[{k}].unit", line.unit)
+    count = len(section.lines) + 1
+    yield from base.lengths(
+        "adjustment.accuracy",
+        section.accuracy,
+        "the list of lines with the start",
+        count,
+    )
+    for k, record in enumerate(section.accuracy, start=1):
+        at = f"adjustment.accuracy[{k}]"
+        for part in ("corrected", "plain"):
+            errors = getattr(record, part)
+            yield from base.same_names(
+                f"{at}.{part}", errors, section.unit, "adjustment.unit"
+            )

@@ -10,6 +10,7 @@ from pkm_reports.page.blocks import Chapter, Section
 from pkm_reports.sections import (
     acceptance,
     accuracy,
+    adjustment,
     corrected,
     held_out,
     identifiability,
@@ -37,6 +38,7 @@ CHAPTERS: Final = (
     held_out.CHAPTER,
     gap.CHAPTER,
     corrected.CHAPTER,
+    adjustment.CHAPTER,
     acceptance.CHAPTER,
     gap_before.CHAPTER,
 )

@@ -15,6 +15,7 @@ import typer
 
 from pkm_studies.base import console
 from pkm_studies.base.errors import InputError, shorten
+from pkm_studies.commands.adjust import adjust
 from pkm_studies.commands.campaign import campaign
 from pkm_studies.commands.check import check
 from pkm_studies.commands.compare import compare
@@ -60,6 +61,7 @@ app.command()(new)
 app.command(name="import")(import_files)
 app.command()(compensate)
 app.command()(verify)
+app.command()(adjust)
 app.command()(history)
 app.command()(campaign)
 app.command(name="next")(next_reading)

@@ -53,6 +53,9 @@ def compensate(
     study: MachineStudy = None,
     commands: Commands = None,
     firmware: FirmwareVersion = None,
+    adjusted: Annotated[
+        bool, typer.Option(help="For the machine after the lines of `oed adjust`.")
+    ] = False,
     force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,
     allow_code: AllowCode = False,
 ) -> int:
@@ -69,6 +72,7 @@ def compensate(
             force=force,
             commands=table_grid.COMMANDS if commands is None else commands,
             firmware=firmware,
+            adjusted=adjusted,
             consent=consent(allow_code=allow_code),
         )
     except export.BadFitError as error:

@@ -28,6 +28,7 @@ from pkm_studies.catalogue.controller_format import (
 )
 from pkm_studies.compensation import build
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
+from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.workspace import regular
 from pkm_studies.stages import result_folder
@@ -60,6 +61,7 @@ def export_folder(
     force: bool = False,
     commands: int = COMMANDS,
     firmware: str | None = None,
+    adjusted: bool = False,
     consent: Consent = Consent.RECORDED,
 ) -> Export:
     """Write the result of a folder in a format.
@@ -70,6 +72,7 @@ def export_folder(
     force       whether to write a bad fit
     commands    largest number of commands of a table
     firmware    version of the controller's firmware
+    adjusted    whether the adjustments of `oed adjust` were made
     consent     to run Python files that `reference` and `study_file` name
 
     Raises InputError, and BadFitError where the fit is bad.
@@ -79,8 +82,19 @@ def export_folder(
     study = result_study(result, folder, study_file, consent)
     if firmware is not None:
         study = _with_version(study, controller, firmware)
+    notes: tuple[str, ...] = ()
+    if adjusted:
+        result = adjusted_result(result)
+        notes = ("for the machine after all adjustments of adjust.csv",)
     return export(
-        result, study, controller, folder, out=out, force=force, commands=commands
+        result,
+        study,
+        controller,
+        folder,
+        out=out,
+        force=force,
+        commands=commands,
+        notes=notes,
     )
 
 
@@ -109,8 +123,9 @@ def export(
     out: Path | None = None,
     force: bool = False,
     commands: int = COMMANDS,
+    notes: tuple[str, ...] = (),
 ) -> Export:
-    """As `export_folder`, from a result in memory."""
+    """As `export_folder`, from a result in memory; `notes` are further comments."""
     objections = trust.objections(result)
     if objections and not force:
         raise BadFitError(
@@ -118,7 +133,7 @@ def export(
             " give --force"
         )
     content = build.compensation(result, study, folder, controller, commands)
-    notes = tuple(f"written by --force: {reason}" for reason in objections)
+    notes += tuple(f"written by --force: {reason}" for reason in objections)
     content = dataclasses.replace(content, notes=(*content.notes, *notes))
     reason = controller.unfit(content.machine)
     if reason is not None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import msgspec
 import numpy as np
 
 from oed.base import units
 from oed.model.machine import Machine
-from oed.result import CorrectedSection, StudyResult
+from oed.result import CorrectedSection, EstimateSection, StudyResult
+from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue.controller_format import Identified
 
 #: what the parameters are where a study allows effects
@@ -49,6 +51,33 @@ def identified_parameters(
     elif sent:
         conditions = (ABSORBED,)
     return Identified(values, sd, origin, conditions)
+
+
+def adjusted_result(result: StudyResult) -> StudyResult:
+    """The result with the parameters that the machine has after its adjustments.
+
+    Raises InputError where none were chosen.
+    """
+    section = result.final_estimate
+    if section is None or result.adjustment is None:
+        raise InputError(
+            "no adjustments were chosen for this result",
+            "choose them first: `oed adjust DIR`",
+            value="--adjusted",
+        )
+    parameters = dict(section.parameters)
+    for line in result.adjustment.lines:
+        p = parameters[line.parameter]
+        value, sd = p.value + line.amount, float(np.hypot(p.sd, line.sd))
+        parameters[line.parameter] = msgspec.structs.replace(p, value=value, sd=sd)
+    part = "estimate" if result.corrected is None else "corrected"
+    changed = msgspec.structs.replace(section, parameters=parameters)
+    if isinstance(changed, EstimateSection) and changed.controller:
+        controller = dict(changed.controller)
+        for line in result.adjustment.lines:
+            controller[line.parameter] += line.amount
+        changed = msgspec.structs.replace(changed, controller=controller)
+    return msgspec.structs.replace(result, **{part: changed})
 
 
 def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from pkm_studies.base.errors import Place
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve import quantities
+from pkm_studies.resolve.adjustments import with_adjustments
 from pkm_studies.study import Study
 from pkm_studies.study.tables import MachineTable
 
@@ -75,7 +76,7 @@ def _described(
     changed = machine is not model
     if table.drive is not None:
         machine = dataclasses.replace(machine, drive=table.drive)
-    return machine, changed
+    return with_adjustments(table, machine, place), changed
 
 
 def has_own_numbers(table: MachineTable) -> bool:

@@ -88,7 +88,7 @@ def promised_accuracy(
     table = study.prediction
     reference: Reference = "home" if table is None else table.reference
     maps = error_maps(kinematics, command, reference)
-    covariance, tolerance = _covariances(machine, section)
+    covariance, tolerance = covariances(machine, section)
     varying = _varying(maps, covariance)
     driven = [k for k in varying if machine.components[k].compensatable]
 
@@ -139,7 +139,7 @@ def _further(
     return FurtherPromise(promise(chosen), components, known[:, chosen])
 
 
-def _covariances(
+def covariances(
     machine: Machine, section: EstimateSection | CorrectedSection
 ) -> tuple[Array, Array]:
     """Covariance (np, np) of the identified parameters, and of the tolerances, SI."""

@@ -155,7 +155,7 @@ def _posterior(
     draws: Path, estimate: Estimates, free: list[str]
 ) -> tuple[Array, Array, str]:
     """Values (n,), their covariance (n, n), SI, and where they come from."""
-    sample = _read_draws(draws, free) if draws.is_file() else None
+    sample = read_draws(draws, free) if draws.is_file() else None
     if sample is not None:
         covariance = np.atleast_2d(np.cov(sample.T))
         return sample.mean(axis=0), covariance, "draws of the posterior"
@@ -172,7 +172,7 @@ def _in_si(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> Array
     return np.array([float(units.to_si(number, row.unit)) for number, row in pairs])
 
 
-def _read_draws(path: Path, free: list[str]) -> Array | None:
+def read_draws(path: Path, free: list[str]) -> Array | None:
     """Draws (draws, n) of the free parameters, SI; None where some are absent."""
     import xarray  # takes a second to import, and only a plan after a session needs it
 

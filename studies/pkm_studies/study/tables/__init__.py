@@ -31,6 +31,7 @@ from pkm_studies.study.tables.limits import LimitsTable as LimitsTable
 from pkm_studies.study.tables.limits import RodTable as RodTable
 from pkm_studies.study.tables.limits import SphereTable as SphereTable
 from pkm_studies.study.tables.machine import NOT_KNOWN as NOT_KNOWN
+from pkm_studies.study.tables.machine import AdjustTable as AdjustTable
 from pkm_studies.study.tables.machine import BoundsTable as BoundsTable
 from pkm_studies.study.tables.machine import ControllerTable as ControllerTable
 from pkm_studies.study.tables.machine import MachineTable as MachineTable

@@ -18,6 +18,21 @@ from pkm_studies.study.tables.base import (
 )
 
 
+class AdjustTable(StudyTable, frozen=True, kw_only=True):
+    """[[machine.adjust]]: what moves some parameters at the machine; later tables win.
+
+    parameters   names or patterns of one unit, as in `["dR*x"]`
+    by           what to turn, shift or shim; `{i}` stands for the number in the name
+    further      with their unit: `step_mm`, the smallest amount; `sd_mm`, how exactly the
+                 fitter sets it; `most_mm`, the largest amount to either side
+    """
+
+    free_keys = "amounts"
+    parameters: list[str]
+    by: str
+    amounts: dict[str, float] = {}
+
+
 class MachineTable(StudyTable, frozen=True, kw_only=True):
     """[machine]: the model and its numbers.
 
@@ -29,6 +44,7 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     travel     ranges of the joints, as in `q1_mm = [0, 600]`
     fixed      parameters that are not identified, in place of the model's list
     drive      what moves the joints; effects that it cannot have are left out
+    adjust     [[machine.adjust]] tables, in place of the model's adjustments
     """
 
     model: str
@@ -39,6 +55,7 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     travel: dict[str, Pair] = {}
     fixed: list[str] | None = None
     drive: Literal["screw", "belt", "cable", "linear_motor"] | None = None
+    adjust: list[AdjustTable] | None = None
 
 
 class SetupTable(StudyTable, frozen=True, kw_only=True):

@@ -1,0 +1,309 @@
+"""What to adjust at the machine of a result: its lines, files and sentences."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from oed.accuracy.maps import Reference
+from oed.base import csv_text, own_files, units
+from oed.base.arrays import Array
+from oed.compensate.adjustment import AdjustableMachine, AdjustmentPlan
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
+from oed.result import (
+    AdjustedRecord,
+    AdjustmentLine,
+    AdjustmentSection,
+    CorrectedSection,
+    EstimateSection,
+    StudyResult,
+)
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
+from pkm_studies.base.user_code import Consent
+from pkm_studies.compensation.identified import adjusted_result
+from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.resolve.machine import study_kinematics
+from pkm_studies.resolve.prediction import wanted_accuracy
+from pkm_studies.resolve.workspace import regular_commands
+from pkm_studies.sessions.acceptance.promise import covariances
+from pkm_studies.sessions.verification import refuse_bad_fit
+from pkm_studies.stages import result_folder
+from pkm_studies.stages.plan import earlier
+from pkm_studies.study import Study
+
+CSV, NOMINAL = "adjust.csv", "adjusted.toml"
+
+
+def adjust_folder(
+    folder: Path,
+    *,
+    study_file: Path | None = None,
+    consent: Consent = Consent.RECORDED,
+) -> tuple[AdjustmentSection, tuple[Path, ...]]:
+    """Choose adjustments for the machine of a result; the section and written files.
+
+    study_file  study, where it names a machine in a file of its own
+    consent     to run that file
+
+    Raises InputError where nothing was identified or nothing is adjustable, and
+    BadFitError where the fit promises nothing.
+    """
+    result = result_folder.load_result(folder)
+    refuse_bad_fit(result)
+    study = result_study(result, folder, study_file, consent)
+    machine = adjustable_machine(result, study, folder)
+    section = _section(result, study, machine, machine.plan())
+    result = msgspec.structs.replace(result, adjustment=section)
+    known = list(result.written.values())
+    written, paths = dict(result.written), []
+    texts = {CSV: _to_csv(section), NOMINAL: _nominal_table(result)}
+    for name, text in texts.items():
+        path = own_files.write_own(folder / name, text.encode(), known)
+        written[path.name] = files.digest(text.encode())
+        paths.append(path)
+    result = msgspec.structs.replace(result, written=written)
+    result_folder.rewrite(folder, result)
+    if section.lines:
+        from pkm_reports import write_adjustment_page
+
+        paths.append(write_adjustment_page(result, folder))
+    return section, tuple(paths)
+
+
+def adjustable_machine(
+    result: StudyResult, study: Study, folder: Path
+) -> AdjustableMachine:
+    """What the result in a folder knows of its machine. Raises InputError."""
+    section, file = result.final_estimate, str(folder / "result.json")
+    if section is None or not section.covariance:
+        raise InputError(
+            "this result has no estimate with its covariance",
+            "make it with `oed identify STUDY --readings CSV --out DIR`",
+            file=file,
+        )
+    kinematics = study_kinematics(study)
+    machine = _identifiable(kinematics.machine, section)
+    if not any(p.adjust for p in machine.parameters):
+        raise InputError(
+            f"nothing is stated to move a parameter of {machine.name}",
+            'say what does: [[machine.adjust]] with parameters = ["..."] and by = "..."',
+            file=file,
+            field="machine.adjust",
+        )
+    identified = machine.nominal.copy()
+    for k, parameter in enumerate(machine.parameters):
+        if parameter.name in section.parameters:
+            estimate = section.parameters[parameter.name]
+            identified[k] = units.to_si(estimate.value, estimate.unit)
+    reference: Reference = "home"
+    if study.prediction is not None:
+        reference = study.prediction.reference
+    return AdjustableMachine(
+        kinematics=Kinematics(machine),
+        command=regular_commands(study, kinematics),
+        reference=reference,
+        identified=identified,
+        covariance=_covariance(result, machine, identified, section, folder),
+        weights=_weights(study, machine),
+    )
+
+
+def _identifiable(
+    machine: Machine, section: EstimateSection | CorrectedSection
+) -> Machine:
+    """The machine with the tolerances of the fit; what is fixed there is not adjusted."""
+    parameters = []
+    for parameter in machine.parameters:
+        estimate = section.parameters.get(parameter.name)
+        if estimate is None or estimate.prior_sd == 0.0:
+            parameters.append(dataclasses.replace(parameter, adjust=None))
+            continue
+        tolerance = estimate.prior_sd * units.factor(estimate.unit)
+        parameters.append(dataclasses.replace(parameter, tolerance=tolerance))
+    # the fit has no estimate of what chooses the frame
+    return dataclasses.replace(machine.with_parameters(parameters), frame=())
+
+
+def _covariance(
+    result: StudyResult,
+    machine: Machine,
+    identified: Array,
+    section: EstimateSection | CorrectedSection,
+    folder: Path,
+) -> Array:
+    """Second moment (np, np), SI, of the posterior about the identified parameters.
+
+    Of its draws where there are any, else of the estimate's normal approximation.
+    """
+    names = [p.name for p in machine.parameters if p.name in section.parameters]
+    draws = None
+    if result.posterior is not None and result.corrected is None:
+        path = folder / earlier.FILE
+        draws = earlier.read_draws(path, names) if path.is_file() else None
+    if draws is None:
+        return covariances(machine, section)[0]
+    at = [machine.index(name) for name in names]
+    about = draws - identified[at]
+    covariance = np.zeros((len(identified), len(identified)))
+    covariance[np.ix_(at, at)] = about.T @ about / len(draws)
+    return covariance
+
+
+def _weights(study: Study, machine: Machine) -> Array:
+    """Weights (k,) of the components: one over what is wanted, else lengths, SI."""
+    wanted = wanted_accuracy(study, machine)
+    if wanted:
+        return np.array([1.0 / wanted.get(c.name, np.inf) for c in machine.components])
+    return np.array(
+        [machine.lever if c.unit == "rad" else 1.0 for c in machine.components]
+    )
+
+
+def _total(study: Study, machine: Machine) -> tuple[str, float]:
+    """What the total error is, and the SI size of its unit."""
+    if wanted_accuracy(study, machine):
+        return "root of the sum of squares of rms errors over the wanted ones", 1.0
+    return (
+        "root of the sum of squares of the components' rms errors in um, angles at a"
+        f" lever of {units.number(machine.lever, 'mm'):.4g} mm",
+        units.UM,
+    )
+
+
+# -- the section -----------------------------------------------------------------------
+
+
+def _section(
+    result: StudyResult, study: Study, known: AdjustableMachine, plan: AdjustmentPlan
+) -> AdjustmentSection:
+    machine = known.kinematics.machine
+    about, size = _total(study, machine)
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+
+    def by_component(values: Array) -> dict[str, float]:
+        pairs = zip(fine.items(), values, strict=True)
+        return {name: units.number(value, unit) for (name, unit), value in pairs}
+
+    return AdjustmentSection(
+        reference=known.reference,
+        poses=len(known.command),
+        unit=fine,
+        about=about,
+        lines=list(_lines(machine, plan, size)),
+        accuracy=[
+            AdjustedRecord(
+                a.total / size, by_component(a.corrected), by_component(a.plain)
+            )
+            for a in plan.accuracy
+        ],
+        conditions=list(result.corrected.conditions) if result.corrected else [],
+    )
+
+
+def _lines(
+    machine: Machine, plan: AdjustmentPlan, size: float
+) -> Iterator[AdjustmentLine]:
+    for number, amount, without in zip(
+        plan.parameters, plan.amounts, plan.without, strict=True
+    ):
+        parameter = machine.parameters[number]
+        adjust = parameter.adjust
+        assert adjust is not None
+        unit = units.display(parameter.unit)
+        yield AdjustmentLine(
+            parameter=parameter.name,
+            about=parameter.about,
+            by=adjust.by,
+            amount=round(units.number(amount, unit), 9),
+            unit=unit,
+            sd=units.number(adjust.error, unit),
+            without=float(without / size),
+            steps=round(amount / adjust.step) if adjust.step else None,
+        )
+
+
+# -- files and sentences ---------------------------------------------------------------
+
+
+def _to_csv(section: AdjustmentSection) -> str:
+    """Lines with the accuracy after each, the state before the first line at the top."""
+    columns = [f"{name}_{unit}" for name, unit in section.unit.items()]
+    header: list[object] = [
+        "line",
+        "parameter",
+        "adjustment",
+        "amount",
+        "unit",
+        "steps",
+        "fitter_sd",
+    ]
+    header += ["total_without_it", "total", *columns, *[f"plain_{c}" for c in columns]]
+    rows: list[list[object]] = [header]
+    for k, record in enumerate(section.accuracy):
+        cells: list[object] = [k, *[""] * 7]
+        if k:
+            a = section.lines[k - 1]
+            steps = "" if a.steps is None else a.steps
+            amount = f"{a.amount:.9g}"
+            cells = [k, a.parameter, a.by, amount, a.unit, steps]
+            cells += [f"{a.sd:.3g}", f"{a.without:.6g}"]
+        figures = [record.total, *record.corrected.values(), *record.plain.values()]
+        rows.append([*cells, *[f"{value:.6g}" for value in figures]])
+    return csv_text.of_rows(rows)
+
+
+def _nominal_table(result: StudyResult) -> str:
+    """The machine after the adjustment, as [machine.nominal] of a next study."""
+    section = adjusted_result(result).final_estimate
+    lines = [
+        f"# {result.machine.name} of study {result.study}, as identified, after the",
+        "# adjustments of adjust.csv: replace [machine.nominal] of the next study by this.",
+        "",
+        "[machine.nominal]",
+    ]
+    known = {str(row["name"]) for row in result.machine.parameters}
+    parameters = {} if section is None else section.parameters
+    for name, p in parameters.items():
+        if name in known:
+            lines.append(f"{name}_{p.unit} = {p.value:.9g}  # sd {p.sd:.2g}")
+    return "\n".join(lines) + "\n"
+
+
+def sentences(section: AdjustmentSection) -> Iterator[str]:
+    """The lines, and the accuracy after each, for a terminal."""
+    start = section.accuracy[0]
+    if not section.lines:
+        yield (
+            "No adjustment is worth its work: software corrects what the adjustments"
+            f" would. Total error after compensation: {start.total:.4g}."
+        )
+        return
+    yield f"Total: {section.about}, over {section.poses} poses, after compensation."
+    yield f"As it is: total {start.total:.4g} ({_components(section, start)})"
+    for k, line in enumerate(section.lines, start=1):
+        record = section.accuracy[k]
+        steps = "" if line.steps is None else f", {line.steps:+d} steps"
+        yield (
+            f"{k}. {line.by}: {line.amount:+.6g} {line.unit}{steps} in {line.about}"
+            f" ({line.parameter})"
+        )
+        yield (
+            f"   then total {record.total:.4g} ({_components(section, record)}); without"
+            f" this line {line.without:.4g}"
+        )
+    for condition in section.conditions:
+        yield f"The figures rest on: {condition}."
+
+
+def _components(section: AdjustmentSection, record: AdjustedRecord) -> str:
+    parts = [
+        f"{name} {value:.3g} {section.unit[name]}"
+        for name, value in record.corrected.items()
+    ]
+    return ", ".join(parts)
