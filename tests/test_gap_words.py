@@ -275,3 +275,10 @@ def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
 )
 def test_a_probability_is_never_made_certain(share: float, text: str) -> None:
     assert format_probability(share) == text
+
+
+def test_scatter_beyond_the_instrument_in_words() -> None:
+    section = _gap("scatter", [], [], scatter=2.34, noise=["single readings scatter"])
+    first, second, *_ = section.words
+    assert first.startswith("The readings scatter 2.3 times as much as stated")
+    assert second == "What scatters: single readings scatter."

@@ -12,9 +12,10 @@ from oed.gap.cause import advice, answers, closure
 from oed.gap.cause.compare import compare_expanded, probabilities
 from oed.gap.cause.explained import explain
 from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.scatter import excess_scatter
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
-from oed.gap.data.diagnosis import UNKNOWN, Closure, Diagnosis
+from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Closure, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
@@ -74,7 +75,7 @@ def diagnose(
     diagnosis, best = conclude(problem, search_results, hypotheses, effects)
     clean = search_results[best.law].problem  # without outliers, where there are any
     where: tuple[PlaceRecord, ...] = ()
-    if diagnosis.verdict == "none":
+    if diagnosis.verdict in NO_EFFECT:
         # the closure by the likeliest effect is reported all the same, nil or not
         named = (h for h in hypotheses if h.effects and not h.unknown)
         best = next(named, best)
@@ -117,9 +118,12 @@ def conclude(
     parts = explain(search.given, search, best, named)
     law = search.law_at(parts.level)
     untested = search.library.not_testable
+    verdict = answers.verdict(first)
+    scatter = excess_scatter(search.given, law) if verdict == "none" else None
     diagnosis = Diagnosis(
         problem=search.given,
-        verdict=answers.verdict(first),
+        verdict=verdict if scatter is None else "scatter",
+        scatter=scatter,
         answers=ranked,
         set95=answers.credible_set(groups),
         marginal=_marginal(search.library.effects, hypotheses, shares),
@@ -137,7 +141,7 @@ def conclude(
         closure=(),
         not_testable=untested,
         confusable=tuple(dict.fromkeys(c for c in first.classes if len(c) > 1)),
-        next=advice.advise(ranked, effects, untested),
+        next=advice.advise(ranked, effects, untested, scatter is not None),
     )
     return diagnosis, best
 

@@ -148,7 +148,9 @@ class GapSection(Record, frozen=True):
     """The diagnosis of one set of readings.
 
     verdict   none, effect, class (one of several that cannot be distinguished), mixture
-              (several, or one and an unknown remainder), unknown
+              (several, or one and an unknown remainder), unknown, scatter (beyond the
+              instrument, and no effect explains it)
+    scatter   of readings within runs over the stated one, with that verdict
     set95     the fewest sets of named effects that hold 95 % of the probability
               together, whatever is beside them
     constants  of each selected effect, SI
@@ -188,3 +190,9 @@ class GapSection(Record, frozen=True):
     next: list[str] = []
     constants: dict[str, dict[str, float]] = {}
     unknown: dict[str, float] = {}
+    scatter: float | None = None
+
+    @property
+    def effect_reported(self) -> bool:
+        """Whether the verdict is an effect, known or not."""
+        return self.verdict not in ("none", "scatter")

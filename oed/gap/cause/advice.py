@@ -12,6 +12,8 @@ from oed.result.gap import AnswerRecord
 
 #: probability of the leading answer below which the advice considers its rival too
 SURE = 0.8
+#: probability of visible effects from which no geometry is compensated without doubt
+DOUBT = 0.1
 #: members of a class that are named each
 MOST_NAMES = 4
 
@@ -20,15 +22,21 @@ def advise(
     answers: Sequence[AnswerRecord],
     effects: Sequence[Effect],
     not_testable: Mapping[str, str],
+    excess_scatter: bool = False,
 ) -> tuple[str, ...]:
     """Sentences, the most useful first, for the leading answer.
 
     Where it is not sure, they also consider its likeliest rival. Neither no gap nor a
-    rival is less sure for what is too small to be seen.
+    rival is less sure for what is too small to be seen. With excess scatter the readings
+    scatter beyond their instrument, and nothing explains it.
     """
     known = {e.name: e for e in effects}
     first = answers[0]
-    sentences = _for_answer(first, known)
+    sentences = (
+        _for_answer(first, known)
+        if first.effects
+        else _without_effect(answers, excess_scatter)
+    )
     rivals = [answer for answer in answers[1:] if answer.visible > 0.0]
     unseen = sum(answer.unseen for answer in answers)
     sure = first.probability + (0.0 if first.effects else unseen)
@@ -78,12 +86,26 @@ def _for_answer(answer: AnswerRecord, known: Mapping[str, Effect]) -> list[str]:
             "A remainder of unknown shape is left: look at its trace, and at where it"
             " lies, before acting on it."
         )
-    if not answer.effects:
-        sentences.append(
-            "Nothing beyond the geometry and the noise is seen: compensate the"
-            " geometry."
-        )
     return sentences
+
+
+def _without_effect(answers: Sequence[AnswerRecord], excess_scatter: bool) -> list[str]:
+    """What to do where no effect is reported: act only where none is probable."""
+    if excess_scatter:
+        return [
+            "Do not compensate yet: read some poses several times without moving. What"
+            " scatters there is noise, and the instrument is worse than stated. What"
+            " repeats there is not: take the same run again, then in the other direction."
+        ]
+    visible = sum(answer.visible for answer in answers if answer.effects)
+    if visible > DOUBT:
+        return [
+            f"An effect is not excluded (probability {100.0 * visible:.0f} %): take the"
+            " same run again before you compensate the geometry."
+        ]
+    return [
+        "Nothing beyond the geometry and the noise is seen: compensate the geometry."
+    ]
 
 
 def _for_class(members: Sequence[str], known: Mapping[str, Effect]) -> str:

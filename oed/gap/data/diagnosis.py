@@ -11,7 +11,9 @@ from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
 from oed.result.gap import AnswerRecord, CoefficientRecord, PlaceRecord
 
-Verdict = Literal["none", "effect", "class", "mixture", "unknown"]
+Verdict = Literal["none", "effect", "class", "mixture", "unknown", "scatter"]
+#: verdicts without an effect: noise as stated, and more scatter than the instrument has
+NO_EFFECT: tuple[Verdict, ...] = ("none", "scatter")
 UNKNOWN = "unknown"
 
 
@@ -82,6 +84,8 @@ class Diagnosis:
     not_testable    {effect: why these readings cannot test it}
     confusable      groups of effects that these readings cannot distinguish
     next            advice, in sentences
+    scatter         of readings within runs over the stated one, where that is more than
+                    the instrument has and nothing explains it; None otherwise
     """
 
     problem: GapProblem
@@ -104,3 +108,4 @@ class Diagnosis:
     not_testable: Mapping[str, str]
     confusable: tuple[tuple[str, ...], ...]
     next: tuple[str, ...]
+    scatter: float | None = None

@@ -16,7 +16,7 @@ SIGNIFICANT: Final = 0.05
 def blocks(gap: GapSection) -> list[Block]:
     """Places with their share of the gap."""
     places = gap.where[:MOST]
-    if not places or gap.verdict == "none":
+    if not places or not gap.effect_reported:
         return []
     columns = [
         wide_column("Where"),

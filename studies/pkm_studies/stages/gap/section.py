@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from oed.base import units
 from oed.base.arrays import Array
 from oed.gap.data import problem
-from oed.gap.data.diagnosis import UNKNOWN, Closure, Diagnosis, Size
+from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Closure, Diagnosis, Size
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Column, Effect
 from oed.result.gap import (
@@ -79,6 +79,7 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         words=[],
         next=list(diagnosis.next),
         unknown={form: float(p) for form, p in diagnosis.likeness.items()},
+        scatter=diagnosis.scatter,
     )
     return sentences.with_sentences(section)
 
@@ -90,7 +91,7 @@ def finite_or_none(value: float) -> float | None:
 
 def _selected(diagnosis: Diagnosis) -> list[str]:
     """Named effects of the best answer; none where no gap is found."""
-    if diagnosis.verdict == "none" or not diagnosis.answers:
+    if diagnosis.verdict in NO_EFFECT or not diagnosis.answers:
         return []
     return [name for name in diagnosis.answers[0].effects if name != UNKNOWN]
 

@@ -66,6 +66,8 @@ def with_sentences(gap: GapSection) -> GapSection:
 
 def _verdict(gap: GapSection) -> list[str]:
     best = gap.answers[0]
+    if gap.scatter is not None:
+        return _scatter(gap, gap.scatter)
     if gap.verdict == "none":
         return _no_gap(gap)
     chance = f"(probability {format_probability(best.probability)})"
@@ -91,11 +93,21 @@ def _verdict(gap: GapSection) -> list[str]:
     return [f"The gap {comes} from {causes}{together} {chance}."]
 
 
+def _scatter(gap: GapSection, factor: float) -> list[str]:
+    """That readings scatter beyond the instrument, and how."""
+    return [
+        f"The readings scatter {factor:.2g} times as much as stated, and no effect explains"
+        " it: either the instrument is worse than stated, or something acts in a form that"
+        " no effect has.",
+        f"What scatters: {'; '.join(gap.noise)}.",
+    ]
+
+
 def _no_gap(gap: GapSection) -> list[str]:
     """That none is found, and how likely one is that these readings do not show."""
     nothing = gap.answers[0].probability
     unseen = sum(answer.unseen for answer in gap.answers)
-    chance = f"(probability {format_probability(nothing + unseen)})"
+    chance = f"(probability {format_probability(nothing)})"
     words = [f"No gap is found: noise alone explains what calibration leaves {chance}."]
     if unseen >= CONSIDERABLE:
         part = format_probability(unseen)
@@ -205,7 +217,7 @@ def _second_explanation(gap: GapSection) -> list[str]:
 
 
 def _places(gap: GapSection) -> list[str]:
-    if gap.verdict == "none" or not gap.where:
+    if not gap.effect_reported or not gap.where:
         return []
     places = _named_places(gap.where)
     if not places:
@@ -259,7 +271,7 @@ def _minutes(seconds: str) -> str:
 
 
 def _closures(gap: GapSection) -> list[str]:
-    if gap.verdict == "none":
+    if not gap.effect_reported:
         return []
     shares = [_closure(c, c.value) for c in gap.closure if c.value is not None]
     if not shares:
@@ -343,7 +355,7 @@ def _next_steps(gap: GapSection) -> list[str]:
 
 def _effects_in_question(gap: GapSection) -> list[str]:
     """Effects whose tests and remedies are reported; none of a class of many."""
-    if gap.verdict == "none":
+    if not gap.effect_reported:
         return []
     classes = gap.answers[0].classes
     if gap.verdict == "class" and classes:

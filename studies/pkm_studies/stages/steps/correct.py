@@ -75,7 +75,7 @@ def _effects(
         return [
             sized(catalogue.effect(name, origin, place), state.study) for name in names
         ]
-    if gap is None or gap.verdict == "none":
+    if gap is None or not gap.effect_reported:
         return []
     by_name = {effect.name: effect for effect in request.effects}
     return [
