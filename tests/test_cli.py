@@ -55,6 +55,20 @@ def test_help_imports_nothing_heavy() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.parametrize("kind", ["machines", "instruments", "effects", "studies"])
+def test_lists_load_nothing_that_computes(kind: str) -> None:
+    heavy = ["pandas", "scipy.spatial", "scipy.sparse", "scipy.optimize", "matplotlib"]
+    code = (
+        "import sys; from pkm_studies.commands import cli;"
+        f" cli.main(['list', '{kind}']);"
+        f" print(sorted(set({heavy}) & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
 @pytest.mark.parametrize(
     "command",
     ["run", "check", "simulate", "identify", "report", "list", "schema", "new"],

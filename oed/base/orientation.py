@@ -15,7 +15,7 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy  # its parts load when first used: light commands need names alone
 
 from oed.base.arrays import Array
 
@@ -65,13 +65,13 @@ class Orientation:
         Where they give the axis alone, R is one of those that share it.
         """
         count = len(np.atleast_1d(angles[self.names[0]]))
-        whole = Rotation.identity(count)
+        whole = scipy.spatial.transform.Rotation.identity(count)
         for kind, names in self.factors:
             vectors = np.zeros((count, 3))
             at = (0, 1) if kind == TILT else (AXES.index(kind),)
             for axis, name in zip(at, names, strict=True):
                 vectors[:, axis] = angles[name]
-            whole = whole * Rotation.from_rotvec(vectors)
+            whole = whole * scipy.spatial.transform.Rotation.from_rotvec(vectors)
         return np.asarray(whole.as_matrix())
 
     def angles(self, matrices: Array) -> dict[str, Array]:
@@ -116,12 +116,16 @@ def tilt_and_spin(rx: str, ry: str, spin: str) -> Orientation:
 def along(axes: Array) -> Array:
     """One of the rotations (n, 3, 3) whose third axis is along vectors (n, 3)."""
     unit = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    return np.asarray(Rotation.from_rotvec(_tilt_vectors(unit)).as_matrix())
+    return np.asarray(
+        scipy.spatial.transform.Rotation.from_rotvec(_tilt_vectors(unit)).as_matrix()
+    )
 
 
 def _euler(matrices: Array, axes: str) -> Array:
     """Angles (3, n) about moving axes, in the order of the product."""
-    return np.asarray(Rotation.from_matrix(matrices).as_euler(axes).T)
+    return np.asarray(
+        scipy.spatial.transform.Rotation.from_matrix(matrices).as_euler(axes).T
+    )
 
 
 def _tilt_vectors(axes: Array) -> Array:
@@ -134,7 +138,9 @@ def _tilt_vectors(axes: Array) -> Array:
 
 def _tilt_and_spin(matrices: Array) -> list[Array]:
     vectors = _tilt_vectors(matrices[:, :, 2])
-    untilted = Rotation.from_rotvec(-vectors) * Rotation.from_matrix(matrices)
+    untilted = scipy.spatial.transform.Rotation.from_rotvec(
+        -vectors
+    ) * scipy.spatial.transform.Rotation.from_matrix(matrices)
     first = untilted.as_matrix()
     spin = np.arctan2(first[:, 1, 0], first[:, 0, 0])
     return [vectors[:, 0], vectors[:, 1], spin]

@@ -16,10 +16,15 @@ csv_output  readings to files
 
 from __future__ import annotations
 
-from oed.dataset.csv_input import from_tables, load
-from oed.dataset.csv_output import save, to_csv
-from oed.dataset.data import ColumnLayout, Dataset, from_series
-from oed.dataset.readings_file import ReadingsError
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import attributes
+
+if TYPE_CHECKING:
+    from oed.dataset.csv_input import from_tables, load
+    from oed.dataset.csv_output import save, to_csv
+    from oed.dataset.data import ColumnLayout, Dataset, from_series
+    from oed.dataset.readings_file import ReadingsError
 
 __all__ = [
     "ColumnLayout",
@@ -31,3 +36,14 @@ __all__ = [
     "save",
     "to_csv",
 ]
+
+# imported when first used: names of columns need no table of readings
+__getattr__ = attributes(
+    __name__,
+    {
+        "csv_input": ("from_tables", "load"),
+        "csv_output": ("save", "to_csv"),
+        "data": ("ColumnLayout", "Dataset", "from_series"),
+        "readings_file": ("ReadingsError",),
+    },
+)

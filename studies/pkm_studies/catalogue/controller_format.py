@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 from oed.base.arrays import Array
-from oed.compensate.command_grid import CommandGrid
-from oed.compensate.further_axes import FurtherAxes, further_axes
 from oed.model.machine import Machine
 from oed.result import EffectTable
 
 if TYPE_CHECKING:
+    from oed.compensate.command_grid import CommandGrid
+    from oed.compensate.further_axes import FurtherAxes
     from oed.mechanism.kinematics import Kinematics
     from pkm_studies.study.tables import ControllerTable
 
@@ -83,6 +83,9 @@ class Compensation:
     @functools.cached_property
     def further(self) -> FurtherAxes:
         """The motions that no joint of the machine makes; none for most machines."""
+        # imported here: light commands list formats without compensation
+        from oed.compensate.further_axes import further_axes
+
         return further_axes(self.kinematics)
 
     def parameter(self, name: str) -> float:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from oed.base import units
 from oed.base.orientation import Orientation
 from oed.base.units import UnitError
 from oed.dataset.columns import parse_column
-from oed.measurement.measurement import Measurement
 from oed.model.instrument import Channel, Instrument
 from oed.model.machine import Component, Coordinate, Machine
 from pkm_studies.catalogue import catalogue
@@ -18,6 +17,9 @@ from pkm_studies.catalogue.catalogue import CatalogueEntry
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.quantities import column
 from pkm_studies.study import Study
+
+if TYPE_CHECKING:
+    from oed.measurement.measurement import Measurement
 
 COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
 
