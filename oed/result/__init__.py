@@ -33,6 +33,7 @@ from oed.result.fit import (
     PosteriorSection,
     PredictiveCheckRecord,
 )
+from oed.result.forecast import ForecastComponent, ForecastSection
 from oed.result.gap import (
     AnswerRecord,
     ClosureRecord,
@@ -120,6 +121,8 @@ __all__ = [
     "EffectSizeRecord",
     "EffectTable",
     "EstimateSection",
+    "ForecastComponent",
+    "ForecastSection",
     "GapBeforeSection",
     "GapSection",
     "GoodnessSection",

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from oed.result.acceptance import AcceptanceSection, VerificationSection
 from oed.result.budget import BudgetSection
+from oed.result.forecast import ForecastSection
 from oed.result.prediction import MapPoint, PredictionSection, SpreadRecord
 from oed.result.relations import base
 from oed.result.relations.base import Breach
@@ -35,6 +36,8 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _acceptance(result.acceptance)
     if result.verification is not None:
         yield from _verification(result.verification)
+    if result.forecast is not None:
+        yield from _forecast(result.forecast)
 
 
 def _prediction(field: str, section: PredictionSection) -> Iterator[Breach]:
@@ -146,3 +149,11 @@ def _verification(section: VerificationSection) -> Iterator[Breach]:
     yield from base.known(
         "verification.positioning", section.positioning, section.components, of
     )
+
+
+def _forecast(section: ForecastSection) -> Iterator[Breach]:
+    if not section.nodes:
+        yield Breach("forecast.nodes", "there is none")
+    yield from base.same_keys("forecast.nodes", section.nodes)
+    for name, component in section.components.items():
+        yield from base.unit(f"forecast.components.{name}.unit", component.unit)

@@ -11,6 +11,7 @@ from pkm_reports.sections import (
     acceptance,
     accuracy,
     corrected,
+    forecast,
     held_out,
     identifiability,
     identification,
@@ -37,6 +38,7 @@ CHAPTERS: Final = (
     held_out.CHAPTER,
     gap.CHAPTER,
     corrected.CHAPTER,
+    forecast.CHAPTER,
     acceptance.CHAPTER,
     gap_before.CHAPTER,
 )
