@@ -85,7 +85,7 @@ def test_the_plan_is_a_sheet_to_fill_in(planned: Path) -> None:
     text = (planned / "out" / "forecast_nodes.csv").read_text()
     assert "# error_y_um: y of the tool point, actual less wanted" in text
     forecast = section(planned / "out")
-    assert forecast["minutes"] == pytest.approx(99.3, abs=0.1)  # 90 min, 28 x 20 s
+    assert forecast["minutes"] == pytest.approx(80.0 + 28 * 40.0 / 60.0)
     planned_rms = [c["planned"] for c in forecast["components"].values()]
     assert all(3.0 < rms < 6.0 for rms in planned_rms)
     page = (planned / "out" / "report.html").read_text()

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from oed.base import own_files
 from pkm_studies.base import console
 from pkm_studies.commands.options import AllowCode, Seed, StudyPath
 from pkm_studies.commands.study_file import load_for
@@ -41,9 +42,10 @@ def forecast(
     result = pipeline.forecast(loaded, folder, readings=readings, seed=seed)
     for sentence in sentences(result.forecast):
         print(sentence)
-    for name in result.written:
-        if name.startswith("forecast_"):
-            print(f"{'Table' if 'table' in name else 'To fill in'}: {folder / name}")
+    name, words = ("forecast_nodes.csv", "To fill in")
+    if result.forecast is not None and result.forecast.readings:
+        name, words = ("forecast_table.csv", "Table")
+    print(f"{words}: {own_files.latest(folder / name)}")
     failing = [
         claims.failure(claim, loaded.path.name)
         for claim in result.claims

@@ -16,8 +16,8 @@ def sentences(section: ForecastSection | None) -> Iterator[str]:
             f"Measure the errors at {len(section.nodes)} nodes with set-up"
             f" {section.setup}: {section.minutes:.0f} min."
         )
+    yield from figures(section)
     for name, c in section.components.items():
-        yield _planned(name, c) if c.predicted is None else _residual(name, c)
         if c.checked is not None and c.checked_max is not None:
             yield (
                 f"{name}, at nodes that were not fitted: rms {c.checked:.3g} {c.unit}"
@@ -27,6 +27,14 @@ def sentences(section: ForecastSection | None) -> Iterator[str]:
             )
     for sentence in section.sentences:
         yield f"{sentence[0].upper()}{sentence[1:]}."
+
+
+def figures(section: ForecastSection | None) -> Iterator[str]:
+    """What is left of each component, as predicted."""
+    if section is None:
+        return
+    for name, c in section.components.items():
+        yield _planned(name, c) if c.predicted is None else _residual(name, c)
 
 
 def _planned(name: str, c: ForecastComponent) -> str:
