@@ -21,15 +21,15 @@ import functools
 import numpy as np
 
 from oed.accuracy.maps import Reference, error_maps
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Component
 
 #: what counts as an equal place, m or rad
 SAME = 1e-9
-#: rows of a component whose error has no meaning at a command (psi without a tilt) are
-#: longer than this, in units of the longest ones of lengths, m or rad per twist
+#: slope over a twist from which on a component's error has no meaning: psi of an upright
+#: tool
 MEANINGLESS = 1e3
 
 
@@ -47,13 +47,6 @@ class ErrorRows:
     local: Array
     at_home: Array
     known: Array
-
-    def take(self, index: Array | Index) -> ErrorRows:
-        """Some of the commands."""
-        return ErrorRows(*(getattr(self, f.name)[index] for f in _FIELDS))
-
-
-_FIELDS = dataclasses.fields(ErrorRows)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -37,6 +37,11 @@ def bent(command: np.ndarray) -> np.ndarray:
     return 1e-5 * np.column_stack([np.sin(2.0 * y) + y * z, 1.0 - np.cos(y) + z**2])
 
 
+def some(rows: ErrorRows, index: np.ndarray) -> ErrorRows:
+    fields = ("places", "local", "at_home", "known")
+    return ErrorRows(*(getattr(rows, name)[index] for name in fields))
+
+
 def read_field(rng: np.random.Generator, nodes: int = 20) -> ErrorField:
     command = rng.uniform(LOW, HIGH, (nodes, 2))
     noise = SIGMA * rng.standard_normal((nodes, 2))
@@ -122,7 +127,7 @@ def test_left_out_nodes_are_predicted_by_the_others(rng: np.random.Generator) ->
     field = read_field(rng)
     residual, sd = field.left_out(field.read // 2)
     keep = np.arange(len(field.errors)) // 2 != 3
-    others, rows = field.rows.take(keep[::2]), field.rows.take(np.array([3]))
+    others, rows = some(field.rows, keep[::2]), some(field.rows, np.array([3]))
 
     def covariance(first: ErrorRows, second: ErrorRows) -> np.ndarray:
         zeros = field.prior.zero(first) @ field.prior.zero(second).T
