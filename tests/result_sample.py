@@ -131,6 +131,16 @@ def acceptance() -> dict[str, Any]:
     }
 
 
+def forecast() -> dict[str, Any]:
+    return {
+        "components": {"z": {"unit": "um", "expected": 60.0, "planned": 5.0}},
+        "reference": "home",
+        "nodes": [{"z_mm": 1.0}, {"z_mm": 2.0}],
+        "setup": "cup",
+        "minutes": 12.0,
+    }
+
+
 @functools.cache
 def whole_once() -> dict[str, Any]:
     plain = report_fixture_view.sample()
@@ -139,6 +149,7 @@ def whole_once() -> dict[str, Any]:
         "gap": gap(),
         "gap_before": gap_before(),
         "acceptance": acceptance(),
+        "forecast": forecast(),
         "corrected": corrected(),
     }
     decoded: dict[str, Any] = msgspec.json.decode(msgspec.json.encode(plain))

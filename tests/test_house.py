@@ -78,7 +78,8 @@ def test_wheel_holds_exactly_the_four_packages_and_the_studies(
         if path.is_file() and "__pycache__" not in path.parts
     }
     folder = ROOT / "studies"
-    studies = [*folder.glob("*.study.toml"), *folder.glob("*.campaign.toml")]
+    kinds = ("*.study.toml", "*.campaign.toml", "*.csv")
+    studies = [path for kind in kinds for path in folder.glob(kind)]
     expected |= {f"pkm_studies/shipped/{path.name}" for path in studies}
     assert set(wheel) == expected
     assert len(wheel) == len(expected)

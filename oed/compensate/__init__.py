@@ -11,26 +11,11 @@ from oed.compensate.command_grid import (
     choose_command_grid,
     joint_motion,
 )
-from oed.compensate.error_field import (
-    Box,
-    ErrorField,
-    GridDesign,
-    Kernel,
-    design_grid,
-    expected_kernel,
-    fit_error_field,
-)
 from oed.compensate.exact import (
     compensated_joints,
     corrected_commands,
     joint_corrections,
     undriven_components,
-)
-from oed.compensate.forecast import (
-    ForecastCompensator,
-    forecast_from_field,
-    forecast_from_nodes,
-    strut_motion,
 )
 from oed.compensate.further_axes import FurtherAxes, FurtherAxis, further_axes
 from oed.compensate.table import InterpolationTable
@@ -44,33 +29,22 @@ from oed.mechanism.pose_errors import (
 
 __all__ = [
     "NO_TOOL",
-    "Box",
     "CommandGrid",
-    "ErrorField",
     "ErrorModel",
-    "ForecastCompensator",
     "FurtherAxes",
     "FurtherAxis",
     "GridAxis",
-    "GridDesign",
     "InterpolationTable",
-    "Kernel",
     "box_axes",
     "choose_command_grid",
     "compensated_joints",
     "component_errors",
     "corrected_commands",
-    "design_grid",
     "error_model",
-    "expected_kernel",
-    "fit_error_field",
-    "forecast_from_field",
-    "forecast_from_nodes",
     "further_axes",
     "joint_corrections",
     "joint_motion",
     "pose_error",
-    "strut_motion",
     "twist_between",
     "undriven_components",
 ]

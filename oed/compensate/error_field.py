@@ -1,83 +1,55 @@
-"""Pose errors over a box of commands by Gaussian processes, and where to read them.
+"""Pose errors over a workspace by Gaussian processes, and where to read them.
 
-What calibration leaves is smooth in the struts, which yield under load, not in the
-pose: near a singular pose a strut's error moves the tool far. So a reading is J u, with
-J the motion of the tool per strut and u the strut errors that would cause it. Each of
-them is a linear trend plus a field with Matern's correlation of order 3/2
-(the discrepancy's, `oed.base.smooth_basis`) or 5/2, one length for
-each axis. Lengths, size and order maximise the marginal likelihood times a weak prior
-on the lengths (Rasmussen and Williams 2006, Gaussian Processes for Machine Learning,
-Eqs. 2.25-2.26, 2.42, 4.9, 4.17, 5.8).
+The errors of the joints (`oed.compensate.joint_errors`) are each a linear trend plus a
+field with Matern's correlation of order 3/2 (the discrepancy's, `oed.base.smooth_basis`)
+or 5/2, with one length for each axis and one size for all joints. Lengths, size and order
+maximise the marginal likelihood times a weak prior on the lengths (Rasmussen and Williams
+2006, Gaussian Processes for Machine Learning, Eqs. 2.25-2.26, 2.42, 4.9, 4.17, 5.8). The
+noise of a reading is known: it is no part of the field. The zero of the instrument is not.
 
-A grid design takes the readings of least predicted variance. A field of errors is a sum
-of its leading Karhunen-Loeve modes with unit normal coefficients, besides a trend. Then a
-reading is a row, and the mean variance over the box is criterion I with a prior, for
-which `oed.design.exchange` chooses the places and certifies them.
+A design takes the readings of least predicted variance. A field of errors is a sum of its
+leading Karhunen-Loeve modes with unit normal coefficients. Then a reading is a row, and
+`oed.design.next_reading` chooses one after the other.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import functools
 
 import numpy as np
 from scipy import linalg, optimize
 
-from oed.base.arrays import Array
-from oed.compensate.table import grid_nodes
-from oed.design.criterion import Variance
-from oed.design.exchange import choose
+from oed.base.arrays import Array, Index
+from oed.compensate.joint_errors import ErrorRows, JointErrors
+from oed.design.next_reading import (
+    Belief,
+    best_candidate,
+    open_components,
+    weights_of,
+)
 
 #: kernels that compete: correlation at scaled distances
 ORDERS = ("3/2", "5/2")
-#: prior of a correlation length, in half spans of the box: median, and sd of its log
+#: prior of a correlation length, in half spans of the workspace: median, sd of its log
 LENGTH, LENGTH_SPREAD = 1.0, 1.0
-#: standard deviation of the trend's coefficients over the size of the readings
+#: standard deviation of the coefficients of trend and zero over the size of the errors
 TREND_SIZE = 10.0
 #: share of a component's variance that is added to each reading: rounding
 NUGGET = 1e-9
 #: lengths from which the optimisation starts
 STARTS = (0.5, 2.0)
-#: candidate places along an axis, by the number of axes; further ones have the last
-CANDIDATES = (41, 11, 6, 4)
-#: share of a field's variance that its modes hold, and most modes of a component
+#: share of a field's variance that its modes represent, and most modes
 ENERGY, MODES = 0.999, 40
-#: standard deviation of the trend's coefficients over the size of the field
-TREND = 10.0
-#: rounds of the design's local search
-ROUNDS = 1
-
-
-@dataclasses.dataclass(frozen=True)
-class Box:
-    """A box of commands.
-
-    names  (a,) of the coordinates
-    lower  (a,) SI
-    upper  (a,) SI
-    """
-
-    names: tuple[str, ...]
-    lower: Array
-    upper: Array
-
-    def scaled(self, places: Array) -> Array:
-        """Places (n, a) with the box from -1 to 1."""
-        return 2.0 * (places - self.lower) / (self.upper - self.lower) - 1.0
-
-    def lattice(self, counts: Sequence[int]) -> tuple[Array, ...]:
-        """`counts` (a,) evenly spaced places along each axis, SI."""
-        spans = zip(self.lower, self.upper, counts, strict=True)
-        return tuple(np.linspace(low, high, n) for low, high, n in spans)
 
 
 @dataclasses.dataclass(frozen=True)
 class Kernel:
-    """Covariance of one error component, without its trend.
+    """Covariance of the error of each joint, without its trend.
 
     order   one of ORDERS
     size    standard deviation, SI
-    length  (a,) correlation lengths, in half spans of the box
+    length  (a,) correlation lengths, in half spans of the workspace
     """
 
     order: str
@@ -85,165 +57,10 @@ class Kernel:
     length: Array
 
     def covariance(self, first: Array, second: Array) -> Array:
-        """Covariance (n, m) between scaled places (n, a) and (m, a)."""
+        """Covariance (n, m) between places (n, a) and (m, a)."""
         difference = (first[:, None] - second[None]) / self.length
         distance = np.sqrt((difference**2).sum(axis=-1))
         return self.size**2 * _correlation(self.order, distance)
-
-
-def _correlation(order: str, distance: Array) -> Array:
-    if order == "5/2":
-        scaled = np.sqrt(5.0) * distance
-        return np.asarray((1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled))
-    scaled = np.sqrt(3.0) * distance
-    return np.asarray((1.0 + scaled) * np.exp(-scaled))
-
-
-#: motion (n, k, k) of the pose components per strut error at places (n, a), SI
-Motion = Callable[[Array], Array]
-
-
-@dataclasses.dataclass(frozen=True)
-class ErrorField:
-    """Errors of k components over a box, given readings.
-
-    box      of commands
-    motion   J at places
-    places   (n, a) of the readings, SI
-    struts   (n, k) strut errors that the readings amount to, SI
-    sd_read  (n, k) noise of these, SI
-    kernels  (k,) of the strut errors
-    """
-
-    box: Box
-    motion: Motion
-    places: Array
-    struts: Array
-    sd_read: Array
-    kernels: tuple[Kernel, ...]
-
-    def mean(self, places: Array) -> Array:
-        """Expected pose errors (m, k) at places (m, a), SI."""
-        means = [self._strut(places, k)[0] for k in range(len(self.kernels))]
-        strut_errors = np.column_stack(means)
-        return np.asarray(np.einsum("mkj,mj->mk", self.motion(places), strut_errors))
-
-    def sd(self, places: Array, reference: Array) -> Array:
-        """Standard deviations (m, k) of error less that at the reference (a,), SI."""
-        both = np.vstack([places, reference[None]])
-        motion = self.motion(both)
-        variance = np.zeros((len(places), motion.shape[1]))
-        for j in range(len(self.kernels)):
-            covariance = self._strut(both, j)[1]
-            here, there = motion[:-1, :, j], motion[-1, :, j]
-            variance += here**2 * np.diag(covariance)[:-1, None]
-            variance += there**2 * covariance[-1, -1]
-            variance -= 2.0 * here * there * covariance[:-1, -1, None]
-        return np.sqrt(np.maximum(variance, 0.0))
-
-    def _strut(self, places: Array, k: int) -> tuple[Array, Array]:
-        """Mean (m,) and covariance (m, m) of strut error k, Eqs. 2.25-2.26."""
-        scaled, read = self.box.scaled(places), self.box.scaled(self.places)
-        kernel, trend = self.kernels[k], _trend_size(self.struts[:, k])
-        prior = _with_trend(kernel, trend, scaled, scaled)
-        cross = _with_trend(kernel, trend, scaled, read)
-        among = _with_trend(kernel, trend, read, read)
-        noise = self.sd_read[:, k] ** 2 + NUGGET * kernel.size**2
-        factor = linalg.cho_factor(among + np.diag(noise))
-        gain = linalg.cho_solve(factor, cross.T).T
-        return gain @ self.struts[:, k], prior - gain @ cross.T
-
-
-def fit_error_field(
-    box: Box, motion: Motion, places: Array, errors: Array, sigma: Array
-) -> ErrorField:
-    """The field that readings `errors` (n, k) at places (n, a) make most probable.
-
-    sigma  (k,) noise of a reading, SI
-
-    Raises ValueError for fewer readings than a trend needs, with one to spare.
-    """
-    needed = places.shape[1] + 2
-    if len(places) < needed:
-        raise ValueError(
-            f"{len(places)} readings of the grid are too few: take {needed} or more"
-        )
-    scaled = box.scaled(places)
-    inverse = np.linalg.inv(motion(places))
-    struts = np.einsum("njk,nk->nj", inverse, errors)
-    sd_read = np.sqrt(np.einsum("njk,k->nj", inverse**2, np.asarray(sigma) ** 2))
-    kernels = tuple(
-        _fit_kernel(scaled, strut, sd)
-        for strut, sd in zip(struts.T, sd_read.T, strict=True)
-    )
-    return ErrorField(box, motion, places, struts, sd_read, kernels)
-
-
-def _fit_kernel(scaled: Array, errors: Array, sigma: Array) -> Kernel:
-    """The kernel with the largest posterior density among all orders."""
-    axes = scaled.shape[1]
-    size = max(float(np.std(errors)), float(np.median(sigma)), 1e-12)
-
-    def kernel_of(values: Array, order: str) -> Kernel:
-        length = LENGTH * np.exp(np.clip(values[1:], -3.0, 3.0))
-        return Kernel(
-            order, size * float(np.exp(np.clip(values[0], -8.0, 8.0))), length
-        )
-
-    best, best_value = Kernel("3/2", size, np.full(axes, LENGTH)), np.inf
-    for order in ORDERS:
-        for start in STARTS:
-            initial = np.r_[0.0, np.full(axes, np.log(start))]
-            solution = optimize.minimize(
-                lambda values, order=order: _negative_log_posterior(
-                    kernel_of(values, order), values, scaled, errors, sigma
-                ),
-                initial,
-                method="L-BFGS-B",
-                bounds=[(-8.0, 8.0), *[(-3.0, 3.0)] * axes],
-            )
-            if solution.fun < best_value:
-                best, best_value = kernel_of(solution.x, order), solution.fun
-    return best
-
-
-def _negative_log_posterior(
-    kernel: Kernel, values: Array, scaled: Array, errors: Array, sigma: Array
-) -> float:
-    """Of the marginal likelihood, Eq. 5.8, and the prior on the lengths."""
-    covariance = _with_trend(kernel, _trend_size(errors), scaled, scaled)
-    noise = sigma**2 + NUGGET * kernel.size**2
-    try:
-        root = linalg.cholesky(covariance + np.diag(noise), lower=True)
-    except linalg.LinAlgError:
-        return 1e10
-    whitened = linalg.solve_triangular(root, errors, lower=True)
-    fit = 0.5 * float(whitened @ whitened) + float(np.log(np.diag(root)).sum())
-    return fit + 0.5 * float(np.sum((values[1:] / LENGTH_SPREAD) ** 2))
-
-
-def _trend_size(errors: Array) -> float:
-    return TREND_SIZE * max(float(np.abs(errors).max()), 1e-12)
-
-
-def _with_trend(kernel: Kernel, size: float, first: Array, second: Array) -> Array:
-    """Covariance (n, m) of field and linear trend with coefficients of sd `size`."""
-    trend = 1.0 + first @ second.T
-    return kernel.covariance(first, second) + size**2 * trend
-
-
-@dataclasses.dataclass(frozen=True)
-class GridDesign:
-    """Places to read, with their certificate.
-
-    places      (n, a) SI
-    predicted   (k,) rms error that interpolation between these readings leaves, SI
-    efficiency  share of the readings that the best plan would need
-    """
-
-    places: Array
-    predicted: Array
-    efficiency: float | None
 
 
 def expected_kernel(size: float, axes: int) -> Kernel:
@@ -254,71 +71,278 @@ def expected_kernel(size: float, axes: int) -> Kernel:
     return Kernel("3/2", size, np.full(axes, LENGTH))
 
 
-def design_grid(
-    box: Box,
-    motion: Motion,
-    budget: int,
-    kernels: tuple[Kernel, ...],
-    sigma: Array,
-    rng: np.random.Generator,
-    *,
-    reference: Array,
-    read: Array | None = None,
-) -> GridDesign:
-    """Choose `budget` further places, where `read` (n, a) are read already.
+def _correlation(order: str, distance: Array) -> Array:
+    if order == "5/2":
+        scaled = np.sqrt(5.0) * distance
+        return np.asarray((1.0 + scaled + scaled**2 / 3.0) * np.exp(-scaled))
+    scaled = np.sqrt(3.0) * distance
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))
 
-    motion     of the pose components per strut error, at places
-    kernels    (k,) of the strut errors
-    sigma      (k,) noise of a reading, SI
-    reference  (a,) place whose errors are subtracted from all others, SI
 
-    Raises ValueError for a budget of nothing, or beyond the number of candidates.
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Prior:
+    """Prior covariance of errors: of the joints' fields, of trends, and of what is known.
+
+    home   (a,) place of home
+    trend  standard deviation of the trends' coefficients, SI
+    noise  that of a joint error at home which the instrument's zero amounts to, SI
     """
-    axes = len(box.names)
-    count = CANDIDATES[min(axes, len(CANDIDATES)) - 1]
-    candidates = grid_nodes(box.lattice([count] * axes))
-    if not 1 <= budget <= len(candidates):
-        raise ValueError(f"a budget of {budget} is not between 1 and {len(candidates)}")
-    earlier = np.zeros((0, axes)) if read is None else read
-    places = np.vstack([candidates, earlier, reference[None]])
-    modes = [_modes(kernel, box.scaled(places)) for kernel in kernels]
-    errors = _error_rows(motion(places), modes)
-    blocks = errors / sigma[:, None]
-    known = blocks[len(candidates) : -1].reshape(-1, blocks.shape[2])
-    prior = np.eye(blocks.shape[2]) + known.T @ known
-    blocks = blocks[: len(candidates)]
-    relative = errors[: len(candidates)] - errors[-1]
-    rows = relative.reshape(-1, blocks.shape[2]) / max(k.size for k in kernels)
-    factor = np.linalg.qr(rows, mode="r") / np.sqrt(len(rows))
-    choice = choose(
-        blocks, budget, rng, criterion=Variance(factor), prior=prior, rounds=ROUNDS
-    )
-    chosen = blocks[choice.indices].reshape(-1, blocks.shape[2])
-    covariance = np.linalg.inv(prior + chosen.T @ chosen)
-    variance = np.einsum("ckn,nm,ckm->ck", relative, covariance, relative)
-    return GridDesign(
-        places=candidates[choice.indices],
-        predicted=np.sqrt(variance.mean(axis=0)),
-        efficiency=choice.efficiency,
-    )
+
+    home: Array
+    trend: float
+    noise: float
+
+    def columns(self, rows: ErrorRows) -> Array:
+        """Errors (n k, b) per standard deviation of trends and parameters."""
+        here = np.column_stack([np.ones(len(rows.places)), rows.places])
+        at_home = np.r_[1.0, self.home]
+        slopes = np.einsum("nkq,na->nkqa", rows.local, here)
+        slopes += np.einsum("nkq,a->nkqa", rows.at_home, at_home)
+        n, k = rows.local.shape[:2]
+        trends = self.trend * slopes.reshape(n * k, -1)
+        return np.hstack([trends, rows.known.reshape(n * k, -1)])
+
+    def zero(self, rows: ErrorRows) -> Array:
+        """Readings (n k, q) per standard deviation of an error of the zero at home."""
+        n, k = rows.local.shape[:2]
+        return self.noise * rows.at_home.reshape(n * k, -1)
+
+    def field(self, kernel: Kernel, first: ErrorRows, second: ErrorRows) -> Array:
+        """Covariance (n k, m k) of the fields."""
+        home = self.home[None]
+        here = kernel.covariance(first.places, second.places)
+        to_home = kernel.covariance(first.places, home)[:, 0]
+        from_home = kernel.covariance(home, second.places)[0]
+        value = _paired(first.local, second.local) * here[:, None, :, None]
+        value += _paired(first.local, second.at_home) * to_home[:, None, None, None]
+        value += _paired(first.at_home, second.local) * from_home[None, None, :, None]
+        value += kernel.size**2 * _paired(first.at_home, second.at_home)
+        n, k, m, _ = value.shape
+        return np.asarray(value.reshape(n * k, m * k))
+
+    def variance(self, kernel: Kernel, first: ErrorRows, second: ErrorRows) -> Array:
+        """Covariance (n k, m k) of the errors."""
+        columns = self.columns(first) @ self.columns(second).T
+        return self.field(kernel, first, second) + columns
 
 
-def _modes(kernel: Kernel, scaled: Array) -> Array:
-    """Trend and leading modes (n, r) of a component at scaled places (n, a)."""
-    values, vectors = np.linalg.eigh(kernel.covariance(scaled, scaled))
+def _paired(first: Array, second: Array) -> Array:
+    """Products (n, k, m, k) over the joints."""
+    n, k, q = first.shape
+    product = first.reshape(-1, q) @ second.reshape(-1, q).T
+    return np.asarray(product.reshape(n, k, len(second), k))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ErrorField:
+    """Errors of the driven components, given readings.
+
+    model   of the errors
+    rows    (n, k) of the readings
+    read    (r,) which components of which rows were read, flat
+    errors  (r,) readings less what the parameters predict, SI
+    sigma   (r,) their noise, SI
+    kernel  of the joints' errors
+    prior   of trends
+    """
+
+    model: JointErrors
+    rows: ErrorRows
+    read: Index
+    errors: Array
+    sigma: Array
+    kernel: Kernel
+    prior: _Prior
+
+    def mean(self, command: Array) -> Array:
+        """Expected errors (m, k) at commands, SI, beyond what the parameters predict."""
+        cross = self._cross(self.model.rows(command))
+        return np.asarray((cross @ self._weights).reshape(len(command), -1))
+
+    def covariance(self, command: Array) -> Array:
+        """Covariance (m k, m k) of the errors at commands, SI."""
+        rows = self.model.rows(command)
+        cross = self._cross(rows)
+        reduction = cross @ linalg.cho_solve(self._factor, cross.T)
+        return np.asarray(self.prior.variance(self.kernel, rows, rows) - reduction)
+
+    def left_out(self, group: Index) -> tuple[Array, Array]:
+        """Readings less their prediction by the other groups, and its sd, (r,), SI.
+
+        group  (r,) number of the node of each reading
+        """
+        inverse = linalg.cho_solve(self._factor, np.eye(len(self.errors)))
+        residual, sd = np.empty(len(group)), np.empty(len(group))
+        for number in np.unique(group):
+            members = np.flatnonzero(group == number)
+            covariance = np.linalg.inv(inverse[np.ix_(members, members)])
+            residual[members] = covariance @ self._weights[members]
+            sd[members] = np.sqrt(np.diag(covariance))
+        return residual, sd
+
+    def _cross(self, rows: ErrorRows) -> Array:
+        """Covariance (m k, r) of errors with the readings."""
+        whole = self.prior.variance(self.kernel, rows, self.rows)
+        return np.asarray(whole[:, self.read])
+
+    @functools.cached_property
+    def _factor(self) -> tuple[Array, bool]:
+        whole = _covariance(self.prior, self.kernel, self.rows, self.read, self.sigma)
+        factor, lower = linalg.cho_factor(whole, lower=True)
+        return np.asarray(factor), bool(lower)
+
+    @functools.cached_property
+    def _weights(self) -> Array:
+        return np.asarray(linalg.cho_solve(self._factor, self.errors))
+
+
+def _covariance(
+    prior: _Prior, kernel: Kernel, rows: ErrorRows, read: Index, sigma: Array
+) -> Array:
+    """Covariance (r, r) of readings: errors, the instrument's zero, and noise."""
+    zero = prior.zero(rows)
+    whole = prior.variance(kernel, rows, rows) + zero @ zero.T
+    whole = whole[np.ix_(read, read)]
+    return whole + np.diag(sigma**2 + NUGGET * np.diag(whole))
+
+
+def fit_error_field(
+    model: JointErrors, command: Array, errors: Array, sigma: Array
+) -> ErrorField:
+    """The field that readings `errors` (n, k) at commands make most probable.
+
+    errors  SI, less what the parameters predict; NaN where none was read
+    sigma   (n, k) noise of a reading, SI
+
+    Raises ValueError for fewer commands than a trend needs, with one to spare.
+    """
+    rows = model.rows(command)
+    needed = rows.places.shape[1] + 2
+    nodes = len(np.unique(np.round(command[~np.isnan(errors).all(axis=1)], 9), axis=0))
+    if nodes < needed:
+        raise ValueError(f"{nodes} nodes are too few: read {needed} or more")
+    read = np.flatnonzero(~np.isnan(errors).ravel())
+    values, noise = errors.ravel()[read], sigma.ravel()[read]
+    of_noise = joint_size(rows, np.where(np.isnan(errors), np.nan, sigma))
+    size = max(joint_size(rows, errors), of_noise)
+    prior = _Prior(model.home_place, TREND_SIZE * size, of_noise)
+    kernel = _fit_kernel(prior, rows, read, values, noise, size)
+    return ErrorField(model, rows, read, values, noise, kernel, prior)
+
+
+def joint_size(rows: ErrorRows, errors: Array) -> float:
+    """Size of joint errors that make errors (n, k), SI, by the largest component."""
+    per_joint = np.sqrt((rows.local**2).sum(axis=2).mean(axis=0))
+    deviation = np.sqrt(np.nanmean(errors**2, axis=0))
+    return max(float(np.nanmax(deviation / per_joint)), 1e-12)
+
+
+def _fit_kernel(
+    prior: _Prior,
+    rows: ErrorRows,
+    read: Index,
+    values: Array,
+    sigma: Array,
+    size: float,
+) -> Kernel:
+    """The kernel with the largest posterior density among all orders."""
+    axes = rows.places.shape[1]
+
+    def kernel_of(point: Array, order: str) -> Kernel:
+        return Kernel(order, size * float(np.exp(point[0])), LENGTH * np.exp(point[1:]))
+
+    def negative_log_posterior(point: Array, order: str) -> float:
+        covariance = _covariance(prior, kernel_of(point, order), rows, read, sigma)
+        try:
+            root = linalg.cholesky(covariance, lower=True)
+        except linalg.LinAlgError:
+            return 1e10
+        whitened = linalg.solve_triangular(root, values, lower=True)
+        fit = 0.5 * float(whitened @ whitened) + float(np.log(np.diag(root)).sum())
+        return fit + 0.5 * float(np.sum((point[1:] / LENGTH_SPREAD) ** 2))
+
+    best, best_value = expected_kernel(size, axes), np.inf
+    for order in ORDERS:
+        for start in STARTS:
+            solution = optimize.minimize(
+                negative_log_posterior,
+                np.r_[-1.0, np.full(axes, np.log(start))],
+                args=(order,),
+                method="L-BFGS-B",
+                bounds=[(-8.0, 8.0), *[(-3.0, 3.0)] * axes],
+            )
+            if solution.fun < best_value:
+                best, best_value = kernel_of(solution.x, order), solution.fun
+    return best
+
+
+@dataclasses.dataclass(frozen=True)
+class NodeDesign:
+    """Candidates to read.
+
+    indices    chosen candidates, the most useful one first
+    predicted  (k,) rms error that interpolation between these readings leaves, SI
+    """
+
+    indices: Index
+    predicted: Array
+
+
+def design_nodes(
+    model: JointErrors,
+    candidates: Array,
+    most: int,
+    kernel: Kernel,
+    sigma: Array,
+    wanted: Array,
+) -> NodeDesign:
+    """Choose candidates (n, n_dof), SI, until the wanted accuracy, `most` at most.
+
+    sigma   (k,) noise of a reading, SI
+    wanted  (k,) rms error that interpolation may leave, SI; NaN where none is stated.
+            Without any, `most` are chosen
+
+    Each lowers the variance of the errors over the workspace most.
+    """
+    readings, errors = _linear(model, kernel, candidates, sigma)
+    blocks = readings / sigma[:, None]
+    factors = errors.swapaxes(0, 1) / np.sqrt(len(errors))
+    belief = Belief(np.eye(blocks.shape[2]), weights_of(factors))
+    chosen: list[int] = []
+    while len(chosen) < most and open_components(belief, wanted):
+        chosen.append(best_candidate(belief, blocks, wanted))
+        belief = belief.after(blocks[chosen[-1]])
+    return NodeDesign(np.array(chosen), np.sqrt(belief.variances))
+
+
+def _linear(
+    model: JointErrors, kernel: Kernel, candidates: Array, sigma: Array
+) -> tuple[Array, Array]:
+    """Readings (n, k, b) at candidates and errors (m, k, b) over the workspace.
+
+    They are per standard deviation of trends, parameters, modes of the fields and zeros.
+    """
+    both = model.rows(np.vstack([candidates, model.command]))
+    noise = joint_size(both, np.broadcast_to(sigma, both.local.shape[:2]))
+    prior = _Prior(model.home_place, TREND_SIZE * kernel.size, noise)
+    zero = prior.zero(both)
+    parts = [prior.columns(both), _modes(prior, kernel, both), zero]
+    n, k = both.local.shape[:2]
+    whole = np.hstack(parts).reshape(n, k, -1)
+    errors = whole[len(candidates) :].copy()
+    errors[:, :, -zero.shape[1] :] = 0.0
+    return whole[: len(candidates)], errors
+
+
+def _modes(prior: _Prior, kernel: Kernel, rows: ErrorRows) -> Array:
+    """Errors (n k, b) per standard deviation of the fields' leading modes."""
+    places = np.vstack([rows.places, prior.home[None]])
+    values, vectors = np.linalg.eigh(kernel.covariance(places, places))
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     needed = int(np.searchsorted(np.cumsum(values), ENERGY * values.sum())) + 1
     size = min(needed, MODES)
-    field = vectors[:, :size] * np.sqrt(values[:size])
-    trend = TREND * kernel.size * np.column_stack([np.ones(len(scaled)), scaled])
-    return np.hstack([trend, field])
-
-
-def _error_rows(motion: Array, modes: list[Array]) -> Array:
-    """Rows (n, k, sum r) of the pose errors over the coefficients of all struts' modes.
-
-    motion  (n, k, struts)
-    modes   of each strut (n, r)
-    """
-    parts = [motion[:, :, j, None] * m[:, None] for j, m in enumerate(modes)]
-    return np.concatenate(parts, axis=2)
+    modes = vectors[:, :size] * np.sqrt(values[:size])
+    slopes = np.einsum("nkq,na->nkqa", rows.local, modes[:-1])
+    slopes += np.einsum("nkq,a->nkqa", rows.at_home, modes[-1])
+    n, k = rows.local.shape[:2]
+    return np.asarray(slopes.reshape(n * k, -1))

@@ -52,7 +52,7 @@ def joint_errors(
     if further is not None and offsets is not None:
         missed = offsets - further.offsets(poses, parameters)
         twist -= further.twists(poses, missed)
-    return _components_against(kinematics, command, twist, reference)
+    return components_against(kinematics, command, twist, reference)
 
 
 def interpolation_errors(
@@ -124,10 +124,10 @@ def known_errors(
     modelled = parameters if controller is None else controller
     joints = compensated_joints(kinematics, poses, modelled)
     twist = pose_error(kinematics, poses, joints, parameters)
-    return _components_against(kinematics, command, twist, reference)
+    return components_against(kinematics, command, twist, reference)
 
 
-def _components_against(
+def components_against(
     kinematics: Kinematics, command: Array, twist: Array, reference: Reference
 ) -> Array:
     """Errors (n, k) of the pose components, SI, of twists (n + 1, 6), home the last."""

@@ -36,16 +36,6 @@ class InterpolationTable:
             if not (np.diff(places) > 0.0).all():
                 raise ValueError(f"the knots of {name} must ascend")
 
-    @property
-    def size(self) -> int:
-        """Number of nodes."""
-        return int(np.prod([len(places) for places in self.knots]))
-
-    @property
-    def nodes(self) -> Array:
-        """Places (size, a) of the nodes, the last axis running fastest."""
-        return grid_nodes(self.knots)
-
     def at(self, places: Array) -> Array:
         """Interpolated values (n, m) at places (n, a)."""
         low = np.array([axis[0] for axis in self.knots])

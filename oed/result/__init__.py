@@ -39,6 +39,7 @@ from oed.result.fit import (
     PosteriorSection,
     PredictiveCheckRecord,
 )
+from oed.result.forecast import ForecastComponent, ForecastSection
 from oed.result.gap import (
     AnswerRecord,
     ClosureRecord,
@@ -131,6 +132,8 @@ __all__ = [
     "EffectSizeRecord",
     "EffectTable",
     "EstimateSection",
+    "ForecastComponent",
+    "ForecastSection",
     "GapBeforeSection",
     "GapSection",
     "GoodnessSection",

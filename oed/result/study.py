@@ -12,6 +12,7 @@ from oed.result.adjustment import AdjustmentSection
 from oed.result.corrected import CorrectedSection
 from oed.result.design import DesignSection
 from oed.result.fit import EstimateSection, PosteriorSection
+from oed.result.forecast import ForecastSection
 from oed.result.gap import GapSection
 from oed.result.gap_before import GapBeforeSection
 from oed.result.goodness import GoodnessSection
@@ -133,6 +134,7 @@ class StudyResult(Record, frozen=True, kw_only=True):
     verification: VerificationSection | None = None
     adjustment: AdjustmentSection | None = None
     gap_before: GapBeforeSection | None = None
+    forecast: ForecastSection | None = None
     drawing: Drawing | None = None
     warnings: list[str] = []
     written: dict[str, str] = {}  # SHA-256 of the files to fill in or to copy from

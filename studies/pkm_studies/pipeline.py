@@ -16,7 +16,7 @@ from pkm_studies.base import files
 from pkm_studies.base.progress import Progress, Silent
 from pkm_studies.results import claims
 from pkm_studies.stages import describe, headline, result_folder
-from pkm_studies.stages.plan.earlier import read_earlier_session
+from pkm_studies.stages.plan.earlier import read_earlier_session, stored_knowledge
 from pkm_studies.stages.run_state import (
     Fitted,
     Measured,
@@ -38,6 +38,7 @@ from pkm_studies.stages.steps.design import (
     select_design,
 )
 from pkm_studies.stages.steps.fit import fit_parameters, sample_posterior
+from pkm_studies.stages.steps.forecast import forecast_errors
 from pkm_studies.stages.steps.gap import diagnose_always, diagnose_gap, preview_gap
 from pkm_studies.stages.steps.prediction import predict_accuracy, predict_held_out
 from pkm_studies.stages.steps.readings import (
@@ -57,6 +58,7 @@ DIAGNOSIS_SECTIONS = (
     "identifiability",
     "identifiability_of",
 )
+FORECAST_SECTIONS = ("forecast",)
 PLAN_SECTIONS = ("plan", "identifiability", "gap_before")
 
 
@@ -78,6 +80,8 @@ def run(
     resumed. Raises InputError for what cannot be done, IdentificationError where a fit
     fails.
     """
+    if _asks_for_forecast_alone(study) and not readings:
+        return forecast(study, out, seed=seed, progress=progress)
     state = start(study, seed, progress or Silent(), readings)
     state = state.replace(with_effects=tuple(effects))
     result_folder.prepare(out)
@@ -132,6 +136,40 @@ def plan(
     result_folder.prepare(out)
     state = planned_state(study, after, seed, progress or Silent())
     return _finish(state, out, report=True, sections=PLAN_SECTIONS)
+
+
+def forecast(
+    study: Study,
+    out: Path,
+    *,
+    readings: Path | None = None,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> StudyResult:
+    """Plan the nodes of [forecast], or fit those that were measured.
+
+    A result in `out` is known, and gets the section. Raises InputError for what the study
+    misstates, or the file of nodes.
+    """
+    result_folder.prepare(out)
+    state = start(study, seed, progress or Silent(), [])
+    if not (out / result_folder.RESULT).is_file():
+        state = forecast_errors(state, None, readings)
+        return _finish(state, out, report=True, sections=FORECAST_SECTIONS)
+    stored = result_folder.load_result(out)
+    knowledge = stored_knowledge(state.resolved, stored, out)
+    state = forecast_errors(state, knowledge, readings)
+    result = msgspec.structs.replace(stored, forecast=state.result.forecast)
+    checked = claims.check_claims(study, msgspec.to_builtins(result), FORECAST_SECTIONS)
+    names = {claim.claim for claim in checked}
+    others = [claim for claim in stored.claims if claim.claim not in names]
+    result = msgspec.structs.replace(result, claims=[*others, *checked])
+    return result_folder.add_forecast(out, result, state)
+
+
+def _asks_for_forecast_alone(study: Study) -> bool:
+    others = (study.design, study.plan, study.readings)
+    return study.forecast is not None and others == (None, None, None)
 
 
 def planned_state(
@@ -211,6 +249,8 @@ def _evaluate(state: RunState) -> Scheduled:
     scheduled = predict_accuracy(scheduled)
     if isinstance(scheduled, Fitted):
         scheduled = predict_held_out(scheduled)
+    if scheduled.study.forecast is not None:
+        scheduled = forecast_errors(scheduled)
     return draw_machine(report_single_stage(scheduled, verdict))
 
 

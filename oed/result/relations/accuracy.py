@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from oed.result.acceptance import AcceptanceSection, VerificationSection
 from oed.result.adjustment import AdjustmentSection
 from oed.result.budget import BudgetSection
+from oed.result.forecast import ForecastSection
 from oed.result.prediction import MapPoint, PredictionSection, SpreadRecord
 from oed.result.relations import base
 from oed.result.relations.base import Breach
@@ -38,6 +39,8 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _verification(result.verification)
     if result.adjustment is not None:
         yield from _adjustment(result.adjustment)
+    if result.forecast is not None:
+        yield from _forecast(result.forecast)
 
 
 def _prediction(field: str, section: PredictionSection) -> Iterator[Breach]:
@@ -168,3 +171,11 @@ def _adjustment(section: AdjustmentSection) -> Iterator[Breach]:
             yield from base.same_names(
                 f"{at}.{part}", errors, section.unit, "adjustment.unit"
             )
+
+
+def _forecast(section: ForecastSection) -> Iterator[Breach]:
+    if not section.nodes:
+        yield Breach("forecast.nodes", "there is none")
+    yield from base.same_keys("forecast.nodes", section.nodes)
+    for name, component in section.components.items():
+        yield from base.unit(f"forecast.components.{name}.unit", component.unit)

@@ -12,6 +12,7 @@ from pkm_reports.sections import (
     accuracy,
     adjustment,
     corrected,
+    forecast,
     held_out,
     identifiability,
     identification,
@@ -39,6 +40,7 @@ CHAPTERS: Final = (
     gap.CHAPTER,
     corrected.CHAPTER,
     adjustment.CHAPTER,
+    forecast.CHAPTER,
     acceptance.CHAPTER,
     gap_before.CHAPTER,
 )

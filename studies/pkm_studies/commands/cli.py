@@ -21,6 +21,7 @@ from pkm_studies.commands.check import check
 from pkm_studies.commands.compare import compare
 from pkm_studies.commands.compensate import compensate
 from pkm_studies.commands.diagnose import diagnose
+from pkm_studies.commands.forecast import forecast
 from pkm_studies.commands.history import history
 from pkm_studies.commands.identify import identify
 from pkm_studies.commands.import_files import import_files
@@ -60,6 +61,7 @@ app.command()(schema)
 app.command()(new)
 app.command(name="import")(import_files)
 app.command()(compensate)
+app.command()(forecast)
 app.command()(verify)
 app.command()(adjust)
 app.command()(history)

@@ -19,6 +19,7 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
+from pkm_studies.stages.forecast import words as forecast_words
 from pkm_studies.stages.plan.phrases import plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
 
@@ -45,6 +46,7 @@ def sentences(result: StudyResult, recorded: bool = False) -> list[str]:
         *_wanted(result),
         *_unmodelled(result.prediction),
         *_held_out(result.held_out),
+        *forecast_words.figures(result.forecast),
         *_rank(result.identifiability),
         *_gain(chosen),
         *_design(chosen),

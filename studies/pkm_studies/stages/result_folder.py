@@ -76,6 +76,17 @@ def write(
     return result
 
 
+def add_forecast(folder: Path, result: StudyResult, state: RunState) -> StudyResult:
+    """Write the files of a forecast beside a result of the folder, which names them."""
+    known, written = _written_before(folder), dict(result.written)
+    for name, text in state.forecast_files.items():
+        path = own_files.write_own(folder / name, text.encode(), known)
+        written[path.name] = files.digest(text.encode())
+    result = msgspec.structs.replace(result, written=written)
+    rewrite(folder, result)
+    return result
+
+
 def rewrite(folder: Path, result: StudyResult) -> None:
     """Write result.json of a folder again, and the reports that the folder has."""
     _set_aside(folder)
@@ -122,7 +133,7 @@ def _write_result(folder: Path, result: StudyResult) -> None:
 
 def _texts(result: StudyResult, state: RunState) -> dict[str, str]:
     """Text files by name that go with the result."""
-    texts = {}
+    texts = dict(state.forecast_files)
     if state.gap_poses is not None:
         texts["gap_poses.csv"] = state.gap_poses
     if result.design is not None or state.planned:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
@@ -65,6 +65,7 @@ class Stream(enum.IntEnum):
     TOOLS = 19
     LAPLACE = 20
     SIZES = 21
+    FORECAST = 22
 
 
 class HeldOut(NamedTuple):
@@ -113,6 +114,7 @@ class RunState:
     design           the chosen design
     plan             the plan of stages
     gap_poses        readings of the runs of [gap.design], as CSV
+    forecast_files   nodes to measure, and the table of measured ones, as CSV by name
     planned          readings to write down as poses, in working order
     with_effects     names of effects to estimate together with the parameters
     checkpoint       where an unfinished chain of draws is saved, if anywhere
@@ -130,6 +132,7 @@ class RunState:
     design: ChosenDesign | None = None
     plan: PlanOutcome | None = None
     gap_poses: str | None = None
+    forecast_files: Mapping[str, str] = dataclasses.field(default_factory=dict)
     planned: tuple[Series, ...] = ()
     with_effects: tuple[str, ...] = ()
     checkpoint: Checkpoint | None = None

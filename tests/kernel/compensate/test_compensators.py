@@ -5,7 +5,7 @@ import pytest
 from oracles import a3_geometry as a3
 
 from oed import compensate
-from oed.compensate import InterpolationTable, forecast_from_nodes
+from oed.compensate import InterpolationTable
 from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import a3_head, hexapod, planar_2dof
 
@@ -162,21 +162,3 @@ def test_a_table_is_multilinear_and_keeps_its_border(rng: np.random.Generator) -
     assert table.at(beyond) == pytest.approx(table.at(border))
     with pytest.raises(ValueError, match="ascend"):
         InterpolationTable(("u",), (np.array([1.0, 0.0]),), np.zeros((2, 1)))
-
-
-def test_forecast_subtracts_the_error_relative_to_the_reference() -> None:
-    """Chang, Li and Li (2011), section 3: X' = X - (dX - dX_0), by hand."""
-    knots = (np.array([-1.0, 1.0]), np.array([0.0, 1.0]))
-    errors = np.zeros((2, 2, 2))
-    errors[1] = [3e-5, 0.0]  # y error at y = 1
-    errors[..., 1] = 7e-5  # a z error everywhere: home zeroes it
-    forecast = forecast_from_nodes(PLANAR, knots, errors, np.array([-1.0, 0.0]))
-    command = np.array([[0.0, 0.5], [1.0, 0.0]])
-    changed = forecast.corrected(command)
-    assert changed - command == pytest.approx(
-        np.array([[-1.5e-5, 0.0], [-3e-5, 0.0]]), abs=1e-15
-    )
-    with pytest.raises(ValueError, match="corrected_commands"):
-        forecast_from_nodes(
-            Kinematics(hexapod.machine), knots, errors, hexapod.machine.home_command
-        )

@@ -1,4 +1,4 @@
-"""Knowledge from an earlier session: identified machine, covariance, time spent."""
+"""EstimatedParameters from an earlier session: identified machine, covariance, time spent."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from oed.result import CorrectedSection, ParameterEstimate, StudyResult
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve.plan import PlanRequest, request_of
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
+from pkm_studies.stages.forecast.task import EstimatedParameters
 
 #: identified parameters by name
 Estimates = Mapping[str, ParameterEstimate]
@@ -85,6 +86,31 @@ def read_earlier_session(
         seconds=seconds,
         words=words,
     )
+
+
+def stored_knowledge(
+    resolved: ResolvedStudy, stored: StudyResult, folder: Path
+) -> EstimatedParameters | None:
+    """The machine's parameters as identified in a folder; None where none were.
+
+    Raises InputError where the result is about another machine.
+    """
+    if stored.final_estimate is None:
+        return None
+    machine = resolved.machine
+    measurement = resolved.measurement_with(())
+    free = _free_names(measurement)
+    estimate = _estimate(stored, machine.name, free, folder)
+    if stored.corrected is not None:
+        value, covariance, _ = _corrected(stored.corrected, free)
+    else:
+        value, covariance, _ = _posterior(folder / FILE, estimate, free)
+    at = [machine.index(name) for name in free]
+    values = machine.nominal.copy()
+    values[at] = value
+    whole = np.zeros((len(values), len(values)))
+    whole[np.ix_(at, at)] = covariance
+    return EstimatedParameters(values, whole)
 
 
 def _free_names(measurement: Measurement) -> list[str]:

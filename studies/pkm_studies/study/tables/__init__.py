@@ -10,6 +10,7 @@ from pkm_studies.study.tables.design import RobustTable as RobustTable
 from pkm_studies.study.tables.file import ClaimTable as ClaimTable
 from pkm_studies.study.tables.file import ReportTable as ReportTable
 from pkm_studies.study.tables.file import StudyFile as StudyFile
+from pkm_studies.study.tables.fit import ForecastTable as ForecastTable
 from pkm_studies.study.tables.fit import IdentifyTable as IdentifyTable
 from pkm_studies.study.tables.fit import PosteriorTable as PosteriorTable
 from pkm_studies.study.tables.fit import PredictionTable as PredictionTable

@@ -15,6 +15,7 @@ from pkm_studies.study.tables.base import (
 )
 from pkm_studies.study.tables.design import DesignTable
 from pkm_studies.study.tables.fit import (
+    ForecastTable,
     IdentifyTable,
     PosteriorTable,
     PredictionTable,
@@ -80,6 +81,7 @@ class StudyFile(StudyTable, frozen=True, kw_only=True):
     identify   [identify]: how parameters are fitted
     posterior  [posterior]: how long to sample
     prediction [prediction]: accuracy over the workspace
+    forecast   [forecast]: forecast compensation
     effects    [effects]: expected sizes of effects, the unit in the name:
                `leg_thermal_C = 1`
     gap        [gap]: effects that a diagnosis tries
@@ -105,6 +107,7 @@ class StudyFile(StudyTable, frozen=True, kw_only=True):
     identify: IdentifyTable = IdentifyTable()
     posterior: PosteriorTable = PosteriorTable()
     prediction: PredictionTable | None = None
+    forecast: ForecastTable | None = None
     effects: dict[str, Positive] = {}
     gap: GapTable | None = None
     controller: ControllerTable | None = None

@@ -78,6 +78,33 @@ class PosteriorTable(StudyTable, frozen=True, kw_only=True):
     thin: Count = 1
 
 
+class ForecastTable(StudyTable, frozen=True, kw_only=True):
+    """[forecast]: forecast compensation over the workspace of [prediction].
+
+    expected     rms error that calibration leaves, by component, `{ y_um = 60 }`
+    sigma        standard deviation of one measured error, likewise; that of the set-up's
+                 channel of this name by default
+    wanted       rms error that may be left, likewise; nodes are added until it is reached
+    nodes        number of nodes, at most
+    setup        set-up that measures: its times, its noise; the first one by default
+    readings     file of measured nodes
+    check        file of nodes that are not fitted, and show what is left
+    compensated  whether the nodes are measured with the estimate in the controller; else
+                 with the nominal numbers
+    commands     largest number of commands of the controller's table
+    """
+
+    expected: dict[str, Positive]
+    sigma: dict[str, Positive] = {}
+    wanted: dict[str, Positive] = {}
+    nodes: Annotated[int, msgspec.Meta(ge=3, le=1000)] = 40
+    setup: str = ""
+    readings: str = ""
+    check: str = ""
+    compensated: bool = True
+    commands: Annotated[int, msgspec.Meta(ge=2, le=1_000_000)] = 5000
+
+
 class PredictionTable(StudyTable, frozen=True, kw_only=True):
     """[prediction]: residual accuracy over a grid of the workspace.
 

@@ -1,0 +1,103 @@
+"""Chapter: forecast compensation, its nodes and what its table leaves."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from oed.result import ForecastSection, StudyResult
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
+    Block,
+    Chapter,
+    Paragraph,
+    Table,
+    TableColumn,
+    headed_list,
+    number_columns,
+)
+
+
+def blocks(result: StudyResult) -> list[Block]:
+    """What is left, and the nodes that were or are to be measured."""
+    forecast = result.forecast
+    if forecast is None:
+        return []
+    chapter: list[Block] = [Paragraph(_about(forecast)), _planned(forecast)]
+    if forecast.readings:
+        chapter.append(_residual(forecast))
+    if any(c.checked is not None for c in forecast.components.values()):
+        chapter.append(_checked(forecast))
+    chapter += headed_list("These figures rest on:", forecast.sentences)
+    chapter.append(_nodes(forecast))
+    return chapter
+
+
+def _about(forecast: ForecastSection) -> str:
+    words = (
+        f"Errors that come back at the same command are measured at nodes and subtracted in"
+        f" advance, relative to {forecast.reference}. The plan has"
+        f" {text.count(len(forecast.nodes), 'node')}, which set-up {forecast.setup} reads"
+        f" in {forecast.minutes:.0f} min."
+    )
+    if not forecast.readings:
+        return f"{words} They are not measured yet."
+    grid = " x ".join(str(count) for count in forecast.table.values())
+    rows = text.count(forecast.readings, "measured row")
+    return (
+        f"{words} A field of errors is estimated from {rows} with their noise known, and"
+        f" the controller's table has {grid} commands."
+    )
+
+
+def _cells(*values: float | None) -> list[str]:
+    return ["" if value is None else text.number(value) for value in values]
+
+
+def _table(
+    forecast: ForecastSection, titles: list[str], fields: list[str], caption: str
+) -> Table:
+    """One row for each component."""
+    rows = [
+        [
+            f"{name} [{text.unit_symbol(c.unit)}]",
+            *_cells(*(getattr(c, field) for field in fields)),
+        ]
+        for name, c in forecast.components.items()
+    ]
+    return Table([TableColumn("Component"), *number_columns(*titles)], rows, caption)
+
+
+def _planned(forecast: ForecastSection) -> Table:
+    caption = (
+        "Before a reading: rms errors that calibration is expected to leave, and that"
+        " interpolation between the nodes is predicted to leave."
+    )
+    return _table(forecast, ["Expected", "Left"], ["expected", "planned"], caption)
+
+
+def _residual(forecast: ForecastSection) -> Table:
+    titles = ["At nodes", "Left", "2.5 %", "97.5 %", "Left out", "Predicted"]
+    fields = ["measured", "predicted", "low", "high"]
+    fields += ["left_out", "left_out_predicted"]
+    caption = (
+        "Rms errors at the nodes, and those that the table is predicted to leave over the"
+        " workspace with their 95 % interval. Left out: errors of nodes less their"
+        " prediction by all other nodes, and as predicted."
+    )
+    return _table(forecast, titles, fields, caption)
+
+
+def _checked(forecast: ForecastSection) -> Table:
+    titles = ["Rms", "Predicted", "Largest", "Largest without"]
+    fields = ["checked", "checked_predicted", "checked_max", "checked_max_before"]
+    caption = "What the table leaves at measured nodes that were not fitted."
+    return _table(forecast, titles, fields, caption)
+
+
+def _nodes(forecast: ForecastSection) -> Table:
+    titles = [text.heading(name) for name in forecast.nodes[0]]
+    rows = [[text.trimmed(v, 6) for v in node.values()] for node in forecast.nodes]
+    return Table(number_columns(*titles), rows, "Nodes, the most useful one first.")
+
+
+CHAPTER: Final = Chapter("forecast", "Forecast compensation", blocks)

@@ -1,0 +1,1 @@
+"""Forecast compensation of a study: nodes to measure, and the controller's table."""

@@ -1,0 +1,233 @@
+"""Section `forecast` of a result: the planned nodes, the measured ones, what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from msgspec.structs import replace
+
+from oed.base import units
+from oed.base.arrays import Array, Index
+from oed.base.text import quantity
+from oed.compensate import InterpolationTable
+from oed.compensate.command_grid import joint_motion
+from oed.compensate.error_field import (
+    ErrorField,
+    NodeDesign,
+    design_nodes,
+    fit_error_field,
+)
+from oed.compensate.forecast import Forecast, forecast_table
+from oed.result import ForecastComponent, ForecastSection
+from pkm_studies.base.errors import InputError
+from pkm_studies.stages import describe
+from pkm_studies.stages.forecast import files
+from pkm_studies.stages.forecast.task import ForecastTask
+
+#: a node is in doubt that is so many standard deviations off what the others predict
+DOUBT = 4.5
+#: what a table of errors can do, whatever they come from
+REPEATS = (
+    "the table removes errors that come back at the same command in the same state"
+    " (temperature, payload, direction), and adds nothing at home"
+)
+
+
+def planned(task: ForecastTask) -> tuple[ForecastSection, Array]:
+    """The section with the nodes (n, n_dof), SI, to measure."""
+    design = design_nodes(
+        task.model,
+        task.candidates,
+        task.table.nodes,
+        task.kernel,
+        task.sigma,
+        task.wanted,
+    )
+    nodes = task.candidates[design.indices]
+    machine = task.kinematics.machine
+    mounting, reading = task.seconds
+    section = ForecastSection(
+        components=_components(task, design),
+        reference=task.model.reference,
+        nodes=[describe.displayed_command(machine, node) for node in nodes],
+        setup=task.setup,
+        minutes=(mounting + len(nodes) * reading) / 60.0,
+        sentences=[*_of_plan(task, design)],
+    )
+    return section, nodes
+
+
+def _components(task: ForecastTask, design: NodeDesign) -> dict[str, ForecastComponent]:
+    components = {}
+    for k, c in enumerate(task.model.driven):
+        unit = units.FINE[c.unit]
+        rows = task.model.rows(task.model.command)
+        size = task.kernel.size * np.sqrt((rows.local[:, k] ** 2).sum(axis=1).mean())
+        expected = size if np.isnan(task.expected[k]) else task.expected[k]
+        components[c.name] = ForecastComponent(
+            unit=unit,
+            expected=units.number(float(expected), unit),
+            planned=units.number(float(design.predicted[k]), unit),
+        )
+    return components
+
+
+def _of_plan(task: ForecastTask, design: NodeDesign) -> Iterator[str]:
+    """What the plan rests on, and what it does not reach."""
+    if task.model.reference == "home":
+        yield (
+            "errors are against home: zero the instrument there, or subtract the errors"
+            " that it reads there"
+        )
+    yield REPEATS
+    undriven = [
+        c.name for c in task.kinematics.machine.components if not c.compensatable
+    ]
+    if undriven:
+        yield f"no joint drives {', '.join(undriven)}: the table leaves their errors"
+    for k, c in enumerate(task.model.driven):
+        if design.predicted[k] > task.wanted[k]:
+            rest = quantity(float(design.predicted[k]), c.unit)
+            yield (
+                f"{len(design.indices)} nodes are predicted to leave {c.name} {rest}"
+                f" rms, more than the wanted {quantity(float(task.wanted[k]), c.unit)}:"
+                " allow more `nodes`, or measure more accurately"
+            )
+
+
+def measured(
+    task: ForecastTask,
+    section: ForecastSection,
+    path: Path,
+    check: Path | None,
+    rng: np.random.Generator,
+) -> tuple[ForecastSection, str]:
+    """The section with the field of measured nodes, and the controller's table as CSV.
+
+    path   file of the nodes
+    check  file of nodes that are not fitted
+
+    Raises InputError for files that cannot be used.
+    """
+    command, errors, sigma = files.read_nodes(task, path)
+    known = task.predicted_errors(command)
+    try:
+        field = fit_error_field(task.model, command, errors - known, sigma)
+    except ValueError as error:
+        raise InputError(str(error), "measure more nodes", file=str(path)) from error
+    forecast = forecast_table(
+        field, task.predicted_errors, task.axes, task.table.commands, rng
+    )
+    node = _node_of_readings(field, command)
+    figures = _figures(errors, field, forecast, node)
+    sentences = [*section.sentences, *_doubts(task, field, command, node)]
+    if check is not None:
+        figures |= _checked(task, field, forecast, check)
+    if not forecast.grid.is_fine:
+        sentences.append(
+            f"the table has {len(forecast.joints)} commands, and interpolation in it"
+            " costs more than a fifth of what is left: raise `commands`"
+        )
+    names = list(section.nodes[0])
+    filled = replace(
+        section,
+        components=_with_figures(task, section, figures),
+        readings=len(command),
+        table=dict(zip(names, forecast.grid.counts, strict=True)),
+        sentences=sentences,
+    )
+    return filled, files.table_csv(task.kinematics, forecast)
+
+
+#: figures (k,) of the components by name, SI
+Figures = dict[str, Array]
+
+
+def _node_of_readings(field: ErrorField, command: Array) -> Index:
+    """Number (r,) of the node of each reading; repeats are of one node."""
+    count = field.rows.local.shape[1]
+    _, node = np.unique(np.round(command, 9), axis=0, return_inverse=True)
+    return np.asarray(node.ravel()[field.read // count])
+
+
+def _figures(
+    errors: Array, field: ErrorField, forecast: Forecast, node: Index
+) -> Figures:
+    component = field.read % errors.shape[1]
+    residual, sd = field.left_out(node)
+    return {
+        "measured": _rms(errors),
+        "predicted": forecast.predicted,
+        "low": forecast.interval[0],
+        "high": forecast.interval[1],
+        "left_out": _rms_by(component, residual, errors.shape[1]),
+        "left_out_predicted": _rms_by(component, sd, errors.shape[1]),
+    }
+
+
+def _rms_by(component: Index, values: Array, count: int) -> Array:
+    parts = [values[component == k] for k in range(count)]
+    return np.array([np.sqrt(np.mean(p**2)) if len(p) else np.nan for p in parts])
+
+
+def _rms(errors: Array) -> Array:
+    return np.asarray(np.sqrt(np.nanmean(errors**2, axis=0)))
+
+
+def _checked(
+    task: ForecastTask, field: ErrorField, forecast: Forecast, path: Path
+) -> Figures:
+    """What the table leaves at nodes that were not fitted, with their noise."""
+    command, errors, sigma = files.read_nodes(task, path)
+    grid = forecast.grid
+    table = InterpolationTable(
+        tuple(axis.name for axis in grid.axes),
+        grid.knots,
+        forecast.joints.reshape(*grid.counts, -1),
+        grid.turns,
+    )
+    motion = joint_motion(task.kinematics, command)
+    residual = errors + np.einsum("nkq,nq->nk", motion, table.at(command))
+    variance = np.diag(field.covariance(command)).reshape(errors.shape) + sigma**2
+    return {
+        "checked": _rms(residual),
+        "checked_predicted": np.sqrt(variance.mean(axis=0)),
+        "checked_max": np.nanmax(np.abs(residual), axis=0),
+        "checked_max_before": np.nanmax(np.abs(errors), axis=0),
+    }
+
+
+def _with_figures(
+    task: ForecastTask, section: ForecastSection, figures: Mapping[str, Array]
+) -> dict[str, ForecastComponent]:
+    """The components with further figures, in their units; none of what was not read."""
+    filled = {}
+    for k, c in enumerate(task.model.driven):
+        component = section.components[c.name]
+        values = {
+            name: units.number(float(value[k]), component.unit)
+            for name, value in figures.items()
+            if np.isfinite(value[k])
+        }
+        filled[c.name] = replace(component, **values)
+    return filled
+
+
+def _doubts(
+    task: ForecastTask, field: ErrorField, command: Array, node: Index
+) -> Iterator[str]:
+    """A sentence on each node that the others contradict."""
+    k = len(task.model.driven)
+    residual, sd = field.left_out(node)
+    pull = np.abs(residual / sd)
+    for worst in np.flatnonzero(pull > DOUBT):
+        row, component = divmod(int(field.read[worst]), k)
+        pose = describe.displayed_command(task.kinematics.machine, command[row])
+        at = ", ".join(f"{name} = {value:.6g}" for name, value in pose.items())
+        yield (
+            f"the error in {task.model.driven[component].name} at {at} is"
+            f" {pull[worst]:.1f} standard deviations off what the other nodes predict:"
+            " measure it again"
+        )
