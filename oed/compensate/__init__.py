@@ -21,6 +21,7 @@ from oed.compensate.error_field import (
     fit_error_field,
 )
 from oed.compensate.exact import (
+    command_of_pose,
     compensated_joints,
     corrected_commands,
     joint_corrections,
@@ -57,6 +58,7 @@ __all__ = [
     "Kernel",
     "box_axes",
     "choose_command_grid",
+    "command_of_pose",
     "compensated_joints",
     "component_errors",
     "corrected_commands",

@@ -56,10 +56,10 @@ def corrected_commands(
     start, _ = kinematics.inverse(command, nominal, tool)
     joints = compensated_joints(kinematics, command, parameters, tool)
     reached = kinematics.forward(joints, nominal, start)
-    return _command_of_pose(kinematics, reached, command, tool)
+    return command_of_pose(kinematics, reached, command, tool)
 
 
-def _command_of_pose(
+def command_of_pose(
     kinematics: Kinematics, pose: Array, start: Array, tool: Array
 ) -> Array:
     """Command (n, n_dof) whose target is that of poses (n, nx), by Gauss-Newton."""

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from oed.base import units
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, StudyResult
 from pkm_studies.catalogue.controller_format import Identified
+from pkm_studies.resolve.earlier_result import identified_values
 
 
 def identified_parameters(
@@ -16,20 +14,11 @@ def identified_parameters(
     """The parameters that everything downstream takes; None without an identification.
 
     `tables` says whether the file holds tables of effects.
-
-    Those of the section `corrected` come first: they are estimated together with the
-    effects that a diagnosis found.
     """
     corrected = result.corrected
-    section = result.final_estimate
-    if section is None:
+    if result.final_estimate is None:
         return None
-    values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))
-    for k, parameter in enumerate(machine.parameters):
-        estimate = section.parameters.get(parameter.name)
-        if estimate is not None:
-            values[k] = units.to_si(estimate.value, estimate.unit)
-            sd[k] = units.to_si(estimate.sd, estimate.unit)
+    values, sd = identified_values(result, machine)
     origin = "estimate" if corrected is None else "corrected"
     conditions = () if corrected is None else _of_effects(corrected, tables)
     return Identified(values, sd, origin, conditions)
