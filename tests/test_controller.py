@@ -259,3 +259,64 @@ def test_every_format_says_that_it_is_the_whole(
     elif form != "csv":
         rows = [line for line in written.splitlines() if HELD not in line]
         assert rows == alone.splitlines()
+
+
+# -- an earlier session as the prior ---------------------------------------------------
+
+
+def session(covariance: Array) -> StudyResult:
+    """A result whose estimate has this covariance of the free parameters, mm and mrad."""
+    content = sample.result(a3_head.machine, si(KNOWN))
+    assert content.estimate is not None
+    frame = set(a3_head.machine.frame)
+    rows = {n: p for n, p in content.estimate.parameters.items() if n not in frame}
+    estimate = msgspec.structs.replace(
+        content.estimate, parameters=rows, covariance=covariance.tolist()
+    )
+    return msgspec.structs.replace(content, estimate=estimate)
+
+
+def test_the_posterior_of_an_earlier_session_is_the_prior(folder: Path) -> None:
+    rng = np.random.default_rng(4)
+    root = 0.01 * rng.standard_normal((18, 18))
+    covariance = root @ root.T
+    sample.save(folder / "session", session(covariance))
+    text = STUDY.format(controller="first") + '[prior]\nearlier = "session"\n'
+    study = resolve(parse(text, folder / "round2.study.toml"), readings=())
+    m = study.measurement_with(study.setups)
+    free = np.flatnonzero(m.free)
+    assert len(free) == 18
+    assert m.nominal[free] == pytest.approx(si(KNOWN)[free], rel=1e-12)
+    assert (m.drawn == 0.0).all()
+    prior = m.prior_covariance[np.ix_(free, free)]
+    scale = 1e-6 * np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    assert np.abs(prior - 1e-6 * covariance).max() < 1e-9 * scale.max()
+    # what is fixed stays at the drawing, and so does the pose that is wanted
+    assert (study.machine.nominal == 0.0).all()
+    x, _ = m.kinematics.inverse(commands())
+    tip, _ = a3.nominal_pose(*commands().T)
+    assert np.abs(x[:, :3] - tip).max() < 1e-10
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('[[prior.correlated]]\nparameters = ["dq*"]\ncorrelation = 0.5', "has correl"),
+        (
+            '[plan]\nbudget_min = 10\n[[plan.measurement]]\nname = "a"\ncounts = [6]',
+            "does not know it",
+        ),
+        ("[machine.nominal]\ndq1_mm = 1", "dq1 = 1 for 0 mm"),
+    ],
+)
+def test_what_the_posterior_of_a_session_does_not_go_with(
+    folder: Path, table: str, words: str
+) -> None:
+    content = session(np.eye(18))
+    rows = [{"name": "dq1", "nominal": 0.0, "tolerance": 1.0, "unit": "mm"}]
+    machine = msgspec.structs.replace(content.machine, parameters=rows)
+    sample.save(folder / "session", msgspec.structs.replace(content, machine=machine))
+    text = STUDY.replace('controller = "{controller}"\n', "")
+    text += f'[prior]\nearlier = "session"\n{table}\n'
+    with pytest.raises(InputError, match=words):
+        resolve(parse(text, folder / "round2.study.toml"), readings=())
