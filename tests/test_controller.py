@@ -42,6 +42,22 @@ name = "long"
 instrument = "camera_known_frame"
 tool_mm = [0, 0, 150]
 """
+TEACH = np.array([[a3.Z_TEACH, 0.0, 0.0]])
+BAR = """
+[[setup]]
+name = "bar"
+instrument = "ball_bar_free_cup"
+length_mm = 300
+at_x_mm = {:.9f}
+at_y_mm = {:.9f}
+at_z_mm = {:.9f}
+[[design.reference]]
+name = "circle"
+setup = "bar"
+z_mm = 1146
+psi_deg = {{ from = 0, to = 360, count = 8, endpoint = false }}
+theta = "hold"
+"""
 HELD = "replaces what the controller holds (../first)"
 
 
@@ -201,6 +217,25 @@ def test_what_cannot_be_the_controller_is_named(
     assert code == 2
     assert words in out + err
     assert "machine.controller" in out + err or "_grid.csv" in out + err
+
+
+def test_a_bar_is_held_where_the_compensated_machine_is(folder: Path) -> None:
+    """Commands of a circle of the bar, on the head that the controller believes in."""
+    cup = a3.forward(KNOWN, rounds.of_parameters(KNOWN)(TEACH, 0.0)).tip[0]
+    text = STUDY.format(controller="first") + BAR.format(*(1e3 * cup))
+    study = resolve(parse(text, folder / "round2.study.toml"), readings=())
+    command = study.reference_plans[0].series[0].reading_commands()
+    tip = a3.forward(KNOWN, rounds.of_parameters(KNOWN)(command, 0.0)).tip
+    assert np.linalg.norm(tip - cup, axis=1) == pytest.approx(0.3, abs=1e-9)
+
+
+def test_polishing_is_for_nominal_numbers(folder: Path, oed: Run) -> None:
+    path = folder / "round2.study.toml"
+    bar = STUDY.format(controller="first") + BAR.format(0, 0, 1286)
+    path.write_text(bar + "[design.polish]\n")
+    code, _, err = oed("check", path)
+    assert code == 2
+    assert "design.polish: polishing moves poses of a controller with nominal" in err
 
 
 @pytest.mark.parametrize("table", ["controller", "earlier"])

@@ -181,7 +181,7 @@ def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
     commands: list[dict[str, float]] = []
     for s in series:
         setup = measurement.setups[s.setup]
-        poses = measurement.poses(s, measurement.nominal)
+        poses = measurement.expected_poses(s)
         _, tool_points, _ = kinematics.frames(poses, np.array(setup.tool))
         runs += [str(name) for name in s.run]
         commands += [displayed_command(machine, c) for c in s.reading_commands()]
