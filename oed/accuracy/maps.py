@@ -24,7 +24,7 @@ from oed.base.arrays import Array
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.mechanism.nearby_poses import NearbyPoses
-from oed.mechanism.pose_errors import NO_TOOL
+from oed.mechanism.pose_errors import NO_TOOL, pose_error
 
 Reference = Literal["home", "absolute", "best_fit"]
 
@@ -213,6 +213,34 @@ def compensated_errors(
     commands = np.tile(command, (len(parameters), 1))
     components = kinematics.error_components(commands, np.hstack([shift, turns]))
     return components.reshape(len(parameters), len(command), -1)
+
+
+def controller_errors(
+    kinematics: Kinematics,
+    command: Array,
+    parameters: Array,
+    reference: Reference,
+    tool: Array = NO_TOOL,
+) -> Array:
+    """Exact errors (n, k) of pose components at commands (n, n_dof), SI.
+
+    The machine has these parameters (np,) and is at the joints that its controller
+    sends, whatever that holds. Raises AssemblyError.
+    """
+    machine = kinematics.machine
+    home = machine.with_tool(machine.home_command[None], tool)
+    poses = np.vstack([command, home])
+    _, joints = kinematics.sent(poses, tool)
+    twist = pose_error(kinematics, poses, joints, parameters, tool)
+    relative = relative_to_reference(
+        twist[:-1],
+        twist[-1:],
+        error_model(kinematics, command, tool),
+        error_model(kinematics, home, tool),
+        reference,
+        machine.alignment_lever,
+    )
+    return kinematics.error_components(command, relative)
 
 
 def _frames(

@@ -118,7 +118,9 @@ def predict(
     rng: np.random.Generator,
     *,
     mean: Array | None = None,
+    centre: Array | None = None,
     known: Array | None = None,
+    before: Array | None = None,
     draws: Array | None = None,
     worth: float | None = None,
     reference: Reference = "home",
@@ -127,8 +129,11 @@ def predict(
     """Predict the residual accuracy from prior and posterior covariances (np, np), SI.
 
     mean     (np,) identified errors p_hat - p_nominal; None before measuring
+    centre   (np,) errors that are expected before measuring; 0 by default
     known    (n, k) exact errors that the compensated machine has if p_hat is right; R
              dp_hat by default, which misses the squares of large errors
+    before   (n, k) exact errors under the controller as it is, if p_hat is right; by
+             default those under one with nominal parameters, A dp_hat
     draws    (m, np) draws of delta from the posterior of the parameters, SI, of which
              `posterior` is the second moment; normal draws by default
     worth    number of independent draws that these are worth; m by default
@@ -148,7 +153,8 @@ def predict(
     0.5
     """
     measured = mean is not None
-    centre = np.zeros(len(prior)) if mean is None else mean
+    if mean is not None or centre is None:
+        centre = np.zeros(len(prior)) if mean is None else mean
     unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
     count = _machines(maps)
     if draws is None:
@@ -157,31 +163,29 @@ def predict(
         delta, worth = _choose(draws, rng, count, worth)
     estimate = centre + _draw(unknown_estimate, rng, len(delta))
     undetermined = _apply(maps.raw, delta)
-    rms_undetermined = _rms(maps.raw, posterior, np.zeros(len(prior)))
+    rms_undetermined = _rms(maps.raw, posterior, 0.0)
     if variance is not None:
         linear, rms_undetermined = rms_undetermined, np.sqrt(variance)
-        scale = np.ones_like(linear)
-        np.divide(rms_undetermined, linear, out=scale, where=linear > 0.0)
-        undetermined = undetermined * scale
+        undetermined = undetermined * _ratio(rms_undetermined, linear)
     remaining = _apply(maps.remaining, estimate) if known is None else known
+    uncorrected = maps.raw @ centre
+    start = uncorrected if before is None else before
     errors = {
-        "before": _apply(maps.raw, estimate + delta),
+        "before": _apply(maps.raw, estimate + delta) + (start - uncorrected),
         "after": remaining + undetermined,
         "fully_corrected": undetermined,
     }
     rms_known = (
-        _rms(maps.remaining, unknown_estimate, centre)
+        _rms(maps.remaining, unknown_estimate, maps.remaining @ centre)
         if known is None
         else np.abs(known)
     )
     rms = {
-        "before": _rms(maps.raw, posterior if measured else prior, centre),
+        "before": _rms(maps.raw, posterior if measured else prior, start),
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),
         "fully_corrected": rms_undetermined,
     }
-    spreads = {
-        key: _spreads(maps.names, errors[key], rms[key], worth) for key in errors
-    }
+    spreads = {k: _spreads(maps.names, errors[k], rms[k], worth) for k in errors}
     return Prediction(
         reference=reference,
         command=maps.command,
@@ -192,6 +196,13 @@ def predict(
         sd_before=rms["before"],
         sd_after=rms["after"],
     )
+
+
+def _ratio(exact: Array, linear: Array) -> Array:
+    """Exact over linear errors; 1 where the maps have none."""
+    scale = np.ones_like(linear)
+    np.divide(exact, linear, out=scale, where=linear > 0.0)
+    return scale
 
 
 def error_spread(errors: Array, worth: float | None = None) -> Spread:
@@ -275,10 +286,10 @@ def _apply(maps: Array, parameters: Array) -> Array:
     return np.asarray(np.einsum("nkp,dp->dnk", maps, parameters, optimize=True))
 
 
-def _rms(maps: Array, covariance: Array, mean: Array) -> Array:
-    """Root mean square (n, k) of maps @ N(mean, covariance)."""
+def _rms(maps: Array, covariance: Array, mean: Array | float) -> Array:
+    """Root mean square (n, k) of maps @ N(0, covariance) + mean (n, k)."""
     variance = np.einsum("nkp,pq,nkq->nk", maps, covariance, maps, optimize=True)
-    return np.asarray(np.sqrt(np.maximum(variance, 0.0) + (maps @ mean) ** 2))
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0) + np.square(mean)))
 
 
 class Drawn(NamedTuple):

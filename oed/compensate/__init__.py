@@ -12,6 +12,7 @@ from oed.compensate.command_grid import (
     joint_motion,
 )
 from oed.compensate.exact import (
+    command_of_pose,
     compensated_joints,
     corrected_commands,
     joint_corrections,
@@ -37,6 +38,7 @@ __all__ = [
     "InterpolationTable",
     "box_axes",
     "choose_command_grid",
+    "command_of_pose",
     "compensated_joints",
     "component_errors",
     "corrected_commands",

@@ -109,19 +109,19 @@ def check_readings(
     A reading may depend on a second pose (teach, reference of the run). This pose must
     be within joint travel, away from singular poses and clear of obstacles too.
     """
-    x = measurement.poses(series, measurement.nominal)
+    x = measurement.expected_poses(series)
     refused: dict[str, Mask] = dict(_outside_joints(measurement, series, limits))
     details: dict[str, Array] = {}
     if limits.singularity is not None:
         margin = measurement.kinematics.slopes.reciprocal_condition(
-            x, series.q, measurement.machine.nominal
+            x, series.q, measurement.kinematics.held
         )
         details["singularity"] = margin[series.index].min(axis=1)
         too_near = details["singularity"] < limits.singularity
         refused["are too near a singular pose"] = too_near
     if limits.travel is not None:
         held = _held_value(measurement, series, limits.held)
-        readings = measurement.readings([series], measurement.nominal)
+        readings = measurement.expected_readings(series)
         distance = np.abs(_first_channel(measurement, series, readings) - held)
         details["travel"] = distance
         refused["leave the travel of the instrument"] = distance > limits.travel

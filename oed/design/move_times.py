@@ -45,7 +45,7 @@ def travel_from_home(
     measurement: Measurement, series: Series, speeds: ArrayLike
 ) -> Array:
     """Seconds (n,) from home to the poses of a series; home has the reference tool."""
-    _, q = measurement.kinematics.inverse(measurement.machine.home_command)
+    _, q = measurement.kinematics.sent(measurement.machine.home_command)
     times = travel_times(q, series.q[series.index[:, 0]], speeds)
     return np.asarray(times[0])
 

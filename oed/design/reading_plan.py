@@ -66,7 +66,7 @@ def at_commands(plan: ReadingPlan, commands: Sequence[Array]) -> ReadingPlan:
         setup = plan.setup(series)
         if plan.has_teach_pose(series):
             command[-1] = setup.teach
-        x, q = plan.measurement.kinematics.inverse(command, None, np.array(setup.tool))
+        x, q = plan.measurement.kinematics.sent(command, np.array(setup.tool))
         moved.append(dataclasses.replace(series, q=q, start=x, command=command))
     return ReadingPlan(plan.measurement, tuple(moved))
 

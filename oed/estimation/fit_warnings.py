@@ -68,11 +68,15 @@ def large_residuals(estimate: Estimate) -> list[str]:
 def _wide_parameters(
     measurement: Measurement, estimate: Estimate, above: float, below: float
 ) -> list[str]:
-    """Parameters whose shrinkage lies between the two, with their posterior."""
+    """Parameters whose shrinkage lies between the two, with their posterior.
+
+    Those whose prior is the posterior of an earlier session are well known, whatever
+    the readings add.
+    """
     phrases = []
     rows = zip(measurement.parameters, estimate.sd, estimate.shrinkage, strict=True)
     for parameter, sd, shrinkage in rows:
-        if above < shrinkage <= below:
+        if above < shrinkage <= below and parameter.expected is None:
             unit = units.display(parameter.unit)
             suffix = "" if unit == "1" else f" {unit}"
             value = f"{units.number(sd, unit):.2g}{suffix}"

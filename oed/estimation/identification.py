@@ -65,7 +65,7 @@ def identify(
     estimate_noise  estimate the noise law from the readings, and integrate over it;
                     otherwise the noise is as stated
     noise           of the readings; as stated by default
-    start           (n,) where to begin; nominal by default
+    start           (n,) where to begin; by default nominal, or as the controller holds
     max_iterations  of each solution
     discrepancy     what effects that the model lacks can do to the readings. They are
                     integrated over with the noise law, which is then estimated
@@ -93,7 +93,7 @@ def identify(
     fit = _Fit(measurement, series, y, max_iterations)
     fit.check_readings()
     stated = measurement.noise(series) if noise is None else as_noise(noise)
-    theta = measurement.nominal if start is None else start
+    theta = measurement.start if start is None else start
     residuals_before = residuals = fit.residuals(theta)
     done = []
     for patterns in stages[:-1]:

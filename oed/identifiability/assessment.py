@@ -195,7 +195,8 @@ def _more_pose_components(assessment: Assessment) -> list[Trial]:
 def _pose_slopes(assessment: Assessment) -> tuple[Array, Array, Array]:
     """Slopes (rows, n_machine) of tool position, tool axis and full pose, all poses."""
     measurement = assessment.measurement
-    kinematics, nominal = measurement.kinematics, measurement.machine.nominal
+    kinematics = measurement.kinematics
+    nominal = measurement.nominal[: len(measurement.machine.parameters)]
     position, axis, pose = [], [], []
     for s in assessment.series:
         tool = np.array(measurement.setups[s.setup].tool)

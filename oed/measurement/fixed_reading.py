@@ -64,8 +64,6 @@ def commands_at_fixed_reading(
     limits = measurement.machine.workspace(mounted.tool)[column]
 
     def read(poses: Array) -> Array:
-        return measurement.readings(
-            [measurement.series(setup, poses)], measurement.nominal
-        )
+        return measurement.expected_readings(measurement.series(setup, poses))
 
     return _solve_coordinate(read, wanted, command, column, limits)

@@ -84,7 +84,8 @@ class Measurement(ParameterVector):
         """Readings at commanded poses (n, n_dof), SI.
 
         run         label of each pose's run; one run by default
-        controller  (np,) parameters that the controller believes in; nominal by default
+        controller  (np,) parameters of the controller, in place of what that of the
+                    kinematics holds
 
         For instruments with a run reference the first pose of each run is the
         reference, and no reading. Raises AssemblyError for poses out of reach.
@@ -94,7 +95,7 @@ class Measurement(ParameterVector):
         labels = run_labels(run, len(command))
         if mounted.teach is not None:
             command = np.vstack([command, np.array(mounted.teach)[None]])
-        x, q = self.kinematics.inverse(command, controller, np.array(mounted.tool))
+        x, q = self._sent(command, controller, np.array(mounted.tool))
         index, labels = index_poses(mounted.instrument, labels)
         return Series(setup, q, x, command, index, labels)
 
@@ -110,11 +111,18 @@ class Measurement(ParameterVector):
         if mounted.teach is not None:
             teach = np.array(mounted.teach)[None]
             tool = np.array(mounted.tool)
-            teach_x, teach_q = self.kinematics.inverse(teach, None, tool)
+            teach_x, teach_q = self.kinematics.sent(teach, tool)
             q, x = np.vstack([q, teach_q]), np.vstack([x, teach_x])
             command = np.vstack([command, teach])
         index, labels = index_poses(mounted.instrument, labels)
         return Series(setup, q, x, command, index, labels)
+
+    def _sent(
+        self, command: Array, controller: Array | None, tool: Array
+    ) -> tuple[Array, Array]:
+        if controller is None:
+            return self.kinematics.sent(command, tool)
+        return self.kinematics.inverse(command, controller, tool)
 
     # -- readings ----------------------------------------------------------------------
 
@@ -183,6 +191,34 @@ class Measurement(ParameterVector):
         vectors = np.atleast_2d(theta)
         rows = np.concatenate([self._jacobian(s, vectors) for s in series], axis=1)
         return rows[0] if theta.ndim == 1 else rows
+
+    @property
+    def start(self) -> Array:
+        """Theta (n,) at which a fit begins: nominal, or free parameters as held, SI."""
+        theta, controller = self.nominal, self.kinematics.controller
+        if controller is not None and controller.corrections is None:
+            free = np.flatnonzero(self.free[: len(controller.parameters)])
+            theta[free] = controller.parameters[free]
+        return theta
+
+    def expected_poses(self, series: Series) -> Array:
+        """Poses (m, nx) at which readings are planned. Raises AssemblyError.
+
+        A controller that was compensated brings the machine where it means to be; the
+        nominal machine is elsewhere at its joints.
+        """
+        if self.kinematics.controller is None:
+            return self.poses(series, self.nominal)
+        return series.start
+
+    def expected_readings(self, series: Series) -> Array:
+        """What a series (N,) reads at the expected poses, SI. Raises AssemblyError."""
+        theta = self.nominal
+        if self.kinematics.controller is None:
+            return self.readings([series], theta)
+        theta[: len(self.machine.parameters)] = self.kinematics.held
+        y = self._read_at(series, self.expected_poses(series)[None], theta[None])
+        return np.asarray(y[0])
 
     def poses(self, series: Series, theta: Array) -> Array:
         """True poses (m, nx) of a series at theta (n,). Raises AssemblyError."""

@@ -29,6 +29,7 @@ import numpy as np
 from oed.base.arrays import Array, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
+from oed.mechanism.controller import Controller
 from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import AssemblyError, InverseKinematics, listed
 from oed.mechanism.pose_slopes import PoseSlopes
@@ -54,6 +55,9 @@ class Kinematics:
     Shapes: n poses, m parameter vectors, nx pose coordinates, nq joints, np parameters.
     """
 
+    #: what the controller holds; None: nominal parameters
+    controller: Controller | None = None
+
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
         self._expressions = e = machine_expressions(machine)
@@ -74,6 +78,18 @@ class Kinematics:
         shared = copy.copy(self)
         shared.machine = machine
         return shared
+
+    def with_controller(self, controller: Controller | None) -> Kinematics:
+        """The same machine under a controller; None: one with nominal parameters."""
+        shared = copy.copy(self)
+        shared.controller = controller
+        return shared
+
+    @property
+    def held(self) -> Array:
+        """Parameters (np,) of the controller, SI."""
+        held = self.controller
+        return self.machine.nominal if held is None else held.parameters
 
     @functools.cached_property
     def _commanded_slope(self) -> BatchedFunction:
@@ -103,6 +119,16 @@ class Kinematics:
         parameters = self.machine.nominal if p is None else p
         tool = np.zeros(3) if tool is None else np.asarray(tool, dtype=float)
         return self._inverse.solve(command, parameters, tool)
+
+    def sent(self, command: Array, tool: Array | None = None) -> tuple[Array, Array]:
+        """Pose (n, nx) that the controller means by commands, and joints that it sends.
+
+        The pose is that of its own parameters. Raises AssemblyError.
+        """
+        x, q = self.inverse(command, self.held, tool)
+        if self.controller is not None:
+            q = self.controller.corrected(np.atleast_2d(command), x, q)
+        return x, q
 
     # -- the machine -------------------------------------------------------------------
 

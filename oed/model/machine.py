@@ -45,6 +45,7 @@ class Parameter:
     about      what it is, for tables
     bounds     least and largest value that it can have, SI
     adjust     what moves it at the machine; None where nothing does
+    expected   prior mean, SI, where an earlier session knows better than the drawing
 
     >>> from oed import Parameter
     >>> length = Parameter("l1", nominal=3.350, tolerance=0.5e-3, unit="m")
@@ -59,6 +60,7 @@ class Parameter:
     about: str = ""
     bounds: tuple[float, float] = (-np.inf, np.inf)
     adjust: Adjustment | None = None
+    expected: float | None = None
 
     def __post_init__(self) -> None:
         if self.unit not in units.DISPLAY:
@@ -74,6 +76,11 @@ class Parameter:
             )
         if not self.bounds[0] <= self.nominal <= self.bounds[1]:
             raise ValueError(f"parameter {self.name}: nominal is out of its bounds")
+
+    @property
+    def mean(self) -> float:
+        """Prior mean, SI: nominal without an earlier session."""
+        return self.nominal if self.expected is None else self.expected
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -178,12 +185,12 @@ class Family:
 class CommonTolerance:
     """Parameters whose errors are correlated: parts of one batch, holes of one jig.
 
-    names        of the parameters
-    correlation  between each two of them, below 1
+    names        of the k parameters
+    correlation  between each two of them, below 1; or all of them, (k, k)
     """
 
     names: tuple[str, ...]
-    correlation: float
+    correlation: float | tuple[tuple[float, ...], ...]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -47,7 +47,12 @@ class ParameterVector:
 
     @property
     def nominal(self) -> Array:
-        """Nominal theta (n,), SI."""
+        """Prior mean (n,) of theta, SI: nominal but for what an earlier session knows."""
+        return np.array([p.mean for p in self.parameters])
+
+    @property
+    def drawn(self) -> Array:
+        """Theta (n,) of the drawing, SI."""
         return np.array([p.nominal for p in self.parameters])
 
     @property
@@ -107,7 +112,7 @@ class ParameterVector:
             return None
         block = correlation[np.ix_(members, members)]
         values, vectors = np.linalg.eigh(block)
-        return np.asarray((vectors * np.sqrt(values)) @ vectors.T)
+        return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
     def prior_root(self, freed: Mask | None = None) -> Array:
         """Root R (n, n), SI, of the prior covariance: theta = nominal + R z.

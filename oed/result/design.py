@@ -11,7 +11,7 @@ from oed.result.record import Number, Record
 
 class PlannedReading(Record, frozen=True):
     """One planned reading: where it is taken, in user units (`z_mm`, ...), and what it
-    nominally reads; `joints` are those of the nominal machine, by column (`q1_mm`, ...).
+    nominally reads; `joints` are those that the controller sends, by column (`q1_mm`, ...).
     """
 
     setup: str

@@ -72,13 +72,21 @@ class Drawing(Record, frozen=True):
 
 
 class MachineInfo(Record, frozen=True):
-    """The machine's table, in display units."""
+    """The machine's table, in display units.
+
+    parameters  rows of name, about, unit, nominal, tolerance; `held` where the
+                controller holds other values, `expected` where the prior mean is another
+    controller  what the study names as held by the controller; "" for nominal numbers
+    earlier     session whose posterior is the prior; "" for tolerances
+    """
 
     name: str
     about: str
     source: str
     parameters: list[dict[str, str | float]]
     frame: list[str]
+    controller: str = ""
+    earlier: str = ""
 
 
 class SetupInfo(Record, frozen=True):

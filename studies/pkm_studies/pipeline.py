@@ -293,13 +293,16 @@ def _finish(
 def assemble_result(state: RunState) -> StudyResult:
     """The result of the steps so far; without claims."""
     machine, setups = state.resolved.machine, state.measurement.setups.values()
+    info = describe.with_earlier_sessions(
+        describe.machine_info(machine), state.study, state.resolved.measurement
+    )
     recorded = state.resolved.dataset is not None
     return msgspec.structs.replace(
         state.result,
         seed=state.seed,
-        machine=describe.machine_info(machine),
+        machine=info,
         setups=[describe.setup_info(machine, setup) for setup in setups],
         versions=describe.package_versions(),
-        headline=headline.sentences(state.result, recorded),
+        headline=headline.sentences(state.result, recorded, info),
         warnings=list(dict.fromkeys(state.warnings)),
     )

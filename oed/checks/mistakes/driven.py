@@ -40,7 +40,7 @@ def commanded(
         command[changed] = wrapped(change(command[changed]), machine)
         if not inside(command[changed], machine, setup.tool, slack):
             return None
-        x, q = measurement.kinematics.inverse(command, None, np.array(setup.tool))
+        x, q = measurement.kinematics.sent(command, np.array(setup.tool))
         return dataclasses.replace(series, q=q, start=x, command=command)
 
     return moved

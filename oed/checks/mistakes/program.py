@@ -146,7 +146,7 @@ def _place_of_rows(series: Series, rows: Mask) -> Array:
 
 def _at(measurement: Measurement, series: Series, command: Array) -> Series:
     tool = np.array(measurement.setups[series.setup].tool)
-    x, q = measurement.kinematics.inverse(command, None, tool)
+    x, q = measurement.kinematics.sent(command, tool)
     return dataclasses.replace(series, q=q, start=x, command=command)
 
 

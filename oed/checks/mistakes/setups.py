@@ -73,7 +73,7 @@ def in_other_setup(measurement: Measurement, names: Mapping[str, str]) -> Moved:
         if not np.isfinite(command).all():
             return dataclasses.replace(series, setup=other)
         tool = np.array(mounted.tool)
-        x, q = measurement.kinematics.inverse(command, None, tool)
+        x, q = measurement.kinematics.sent(command, tool)
         return dataclasses.replace(series, setup=other, q=q, start=x, command=command)
 
     return moved

@@ -15,7 +15,12 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.accuracy.budget import Budget, budget_model, budget_of
-from oed.accuracy.maps import ErrorMaps, Reference, error_maps
+from oed.accuracy.maps import (
+    ErrorMaps,
+    Reference,
+    controller_errors,
+    error_maps,
+)
 from oed.accuracy.prediction import Prediction, Spread
 from oed.base.arrays import Array, Index
 from oed.compensate.effects.effect_maps import (
@@ -68,7 +73,7 @@ def predict_corrected(
     )
     theta = corrected.estimate.theta
     used = np.r_[0:count, setups : len(theta)]
-    nominal = corrected.measurement.nominal
+    nominal = corrected.measurement.drawn
     mean, covariance = (theta - nominal)[used], corrected.estimate.covariance
     covariance = covariance[np.ix_(used, used)]
     changes = None
@@ -76,6 +81,10 @@ def predict_corrected(
         changes = (draws - theta)[:, used]
         covariance = changes.T @ changes / len(changes)
     prior = corrected.measurement.prior_covariance[np.ix_(used, used)]
+    before = None
+    if kinematics.controller is not None:
+        before = controller_errors(kinematics, command, theta[:count], reference)
+        before = before + of_effects.raw @ mean[count:]
 
     def predicted(of: ErrorMaps) -> Prediction:
         return prediction.predict(
@@ -84,6 +93,7 @@ def predict_corrected(
             covariance,
             rng,
             mean=mean,
+            before=before,
             draws=changes,
             worth=worth,
             reference=reference,

@@ -155,8 +155,8 @@ def _table(values: Estimates) -> Table:
         TableColumn("Verdict"),
     ]
     caption = (
-        "Identified parameters with standard deviations; the tolerance is the standard"
-        " deviation before any reading."
+        "Identified parameters with standard deviations; nominal value and tolerance are"
+        " mean and standard deviation before any reading."
     )
     with_truth = any(estimate.truth is not None for estimate in values.values())
     if with_truth:

@@ -12,7 +12,12 @@ from pkm_reports.page.blocks import Block, Table, TableColumn, wide_column
 #: columns of the machine's table that hold sentences
 SENTENCES: Final = ("about", "text")
 #: titles of the columns of the machine's table
-TITLES: Final = {"name": "Parameter", "about": "What it is"}
+TITLES: Final = {
+    "name": "Parameter",
+    "about": "What it is",
+    "held": "In the controller",
+    "expected": "Prior mean",
+}
 
 
 def setups(setups: Sequence[SetupInfo]) -> list[Block]:

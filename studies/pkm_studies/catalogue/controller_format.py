@@ -61,6 +61,8 @@ class Compensation:
     tables      joint corrections of effects by state, for formats that hold them
     grid        of the commands of a table, for formats that hold one
     controller  what the study says of the machine's firmware
+    held        what the controller holds so far, as the study names it; "" for nominal
+                numbers. The export takes its place
     """
 
     study: str
@@ -74,6 +76,7 @@ class Compensation:
     tables: tuple[EffectTable, ...] = ()
     grid: CommandGrid | None = None
     controller: ControllerTable | None = None
+    held: str = ""
 
     @property
     def tabled(self) -> Array:

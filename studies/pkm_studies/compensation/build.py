@@ -50,6 +50,9 @@ def compensation(
             file=str(folder / "result.json"),
         )
     notes = [f"parameters: section {parameters.origin} of result.json"]
+    held = study.machine.controller
+    if held is not None and (controller.table or controller.joints is not None):
+        notes.append(replaces(held))
     if identified.is_virtual(result):
         notes.append("the readings are simulated: these values fit no real machine")
     content = Compensation(
@@ -63,10 +66,19 @@ def compensation(
         notes=(*notes, *parameters.conditions),
         tables=tuple(result.corrected.tables) if result.corrected and tables else (),
         controller=study.controller,
+        held=held or "",
     )
     if not controller.table:
         return content
     return _with_grid(content, result, workspace_axes(study, machine), largest)
+
+
+def replaces(controller: str) -> str:
+    """How a file of a later round relates to what the controller holds."""
+    return (
+        f"the whole compensation: it replaces what the controller holds ({controller});"
+        " do not add the two"
+    )
 
 
 def _with_grid(

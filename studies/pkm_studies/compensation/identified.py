@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import msgspec
 import numpy as np
 
-from oed.base import units
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
 from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue.controller_format import Identified
+from pkm_studies.resolve.earlier_result import controller_values
 
 #: what the parameters are where a study allows effects
 ABSORBED = (
@@ -26,29 +24,16 @@ def identified_parameters(
     """The parameters that everything downstream takes; None without an identification.
 
     `tables` says whether the file holds tables of effects.
-
-    Those of the section `corrected` come first: they are estimated together with the
-    effects that a diagnosis found.
     """
     corrected = result.corrected
-    section = result.final_estimate
-    if section is None:
+    if result.final_estimate is None:
         return None
-    sent: Mapping[str, float] = {}
-    if corrected is None and result.estimate is not None:
-        sent = result.estimate.controller
-    values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))
-    for k, parameter in enumerate(machine.parameters):
-        estimate = section.parameters.get(parameter.name)
-        if estimate is not None:
-            value = sent.get(parameter.name, estimate.value)
-            values[k] = units.to_si(value, estimate.unit)
-            sd[k] = units.to_si(estimate.sd, estimate.unit)
+    values, sd = controller_values(result, machine)
     origin = "estimate" if corrected is None else "corrected"
     conditions: tuple[str, ...] = ()
     if corrected is not None:
         conditions = _of_effects(corrected, tables)
-    elif sent:
+    elif result.estimate is not None and result.estimate.controller:
         conditions = (ABSORBED,)
     return Identified(values, sd, origin, conditions)
 

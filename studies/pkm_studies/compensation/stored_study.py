@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
-from oed.result import MachineInfo, StudyResult
+from oed.result import StudyResult
 from pkm_studies.base import user_code
 from pkm_studies.base.errors import Place
 from pkm_studies.base.user_code import Consent
+from pkm_studies.resolve.earlier_result import machine_difference
 from pkm_studies.resolve.machine import study_machine
-from pkm_studies.stages.describe import machine_info
 from pkm_studies.study import SUFFIX, Study, load, parse
-
-#: difference of two nominal numbers, in their unit and relative, that is rounding
-SAME = 1e-9
 
 
 def result_study(
@@ -53,23 +49,10 @@ def _given_study(
 ) -> Study:
     """The study of a file, if it is that of the result's machine."""
     study = load(study_file, consent)
-    difference = _difference(result.machine, machine_info(study_machine(study)))
+    difference = machine_difference(result.machine, study_machine(study))
     if difference is None:
         return study
     raise place.error(
         f"the machine of {study_file} is not that of this result: {difference}",
         "give the study that the result was made with",
     )
-
-
-def _difference(stored: MachineInfo, given: MachineInfo) -> str | None:
-    """The first thing in which two machines differ, in words; None for one machine."""
-    if stored.name != given.name:
-        return f"{given.name} for {stored.name}"
-    nominal = {str(row["name"]): row["nominal"] for row in given.parameters}
-    for row in stored.parameters:
-        name = str(row["name"])
-        value = float(nominal.pop(name, math.nan))
-        if not math.isclose(value, float(row["nominal"]), rel_tol=SAME, abs_tol=SAME):
-            return f"{name} = {value:.9g} for {float(row['nominal']):.9g} {row['unit']}"
-    return None

@@ -81,8 +81,8 @@ def _hold_warnings(measurement: Measurement, series: Series, place: Place) -> li
         return []
     length = setup.instrument.fixed_reading(setup.settings)
     unit = setup.instrument.channels[0].unit
-    nominal = measurement.readings([series], measurement.nominal)
-    readings = nominal[:: len(setup.sigma)]
+    expected = measurement.expected_readings(series)
+    readings = expected[:: len(setup.sigma)]
     off = np.abs(readings - length) > HOLD_TOLERANCE * length
     count = int(np.count_nonzero(off))
     if not count:

@@ -94,15 +94,24 @@ def _check_fields(study: Study, table: DesignTable, place: Place) -> None:
     _check_method(table, place)
     if table.how_many is not None:
         _check_needs(study, table, "I", place.key("how_many"))
-    polish = table.polish
-    if polish is not None and polish.enabled and table.judged_by not in POLISHED:
-        raise place.key("polish").error(
-            f"criterion {table.judged_by} has no slope to polish along",
-            f"take one of {', '.join(POLISHED)}, or leave polishing out",
-        )
+    if table.polish is not None and table.polish.enabled:
+        _check_polish(study, table, place.key("polish"))
     if table.keep is not None and table.keep_readings is not None:
         raise place.key("keep").error(
             "keep_readings is given as well", "keep one of the two", table.keep
+        )
+
+
+def _check_polish(study: Study, table: DesignTable, place: Place) -> None:
+    if table.judged_by not in POLISHED:
+        raise place.error(
+            f"criterion {table.judged_by} has no slope to polish along",
+            f"take one of {', '.join(POLISHED)}, or leave polishing out",
+        )
+    if study.machine.controller is not None:
+        raise place.error(
+            "polishing moves poses of a controller with nominal numbers",
+            "leave polishing out: [machine] controller holds others",
         )
 
 

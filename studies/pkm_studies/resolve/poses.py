@@ -227,7 +227,7 @@ def within_reach(
     high = np.array([joint.upper for joint in joints]) + SLACK
     while reached.size:
         try:
-            _, q = kinematics.inverse(command[reached], None, np.array(tool))
+            _, q = kinematics.sent(command[reached], np.array(tool))
         except AssemblyError as error:
             reached = np.delete(reached, error.indices)
             continue

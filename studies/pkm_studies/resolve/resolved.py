@@ -16,6 +16,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
 from pkm_studies.resolve import candidates, roles, setups, tolerances
+from pkm_studies.resolve.controller import with_held
 from pkm_studies.resolve.design import DesignRequest, design_request
 from pkm_studies.resolve.gap import GapRequest, gap_request, stated_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
@@ -92,7 +93,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
 
     `readings` replaces the files of [readings]; with an empty list, none are read.
     """
-    nominal = study_kinematics(study)
+    nominal = with_held(study, study_kinematics(study))
     mounted = setups.mounted_setups(study, nominal)
     machine, mounted = tolerances.with_tolerances(study, nominal.machine, mounted)
     kinematics = nominal.with_priors_of(machine)

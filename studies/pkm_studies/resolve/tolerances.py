@@ -14,6 +14,7 @@ from oed.model.machine import CommonTolerance, Machine, Parameter
 from oed.model.parameter_vector import ParameterVector
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve import lookup, quantities
+from pkm_studies.resolve.earlier_result import known_parameters, named_result
 from pkm_studies.resolve.noise import LARGEST, with_noise
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
@@ -46,6 +47,7 @@ def with_tolerances(
         prior |= {name: 0.0 for name in fixed}
     machine = with_bounds(study, machine)
     machine = with_correlation(study, machine)
+    machine = with_earlier(study, machine)
     setups = with_noise(study, setups)
     stated = {s.name: _stems(s.tolerance) for s in study.setup}
     changed = {}
@@ -223,3 +225,44 @@ def with_correlation(study: Study, machine: Machine) -> Machine:
                 table.correlation,
             )
     return dataclasses.replace(machine, correlated=tuple(groups))
+
+
+# -- knowledge of an earlier session ---------------------------------------------------
+
+
+def with_earlier(study: Study, machine: Machine) -> Machine:
+    """The machine with the posterior of [prior] earlier in place of its tolerances.
+
+    Raises InputError where the result does not fit.
+    """
+    name = study.prior.earlier
+    if name is None:
+        return machine
+    place = study.place.key("prior").key("earlier")
+    if study.plan is not None:
+        remedy = "remove [plan]; `oed plan STUDY --after DIR` plans after a session"
+        raise place.error("the planner of [plan] does not know it", remedy, name)
+    if machine.correlated:
+        remedy = "remove [[prior.correlated]]: the earlier session had it"
+        raise place.error("it has correlations of its own", remedy, name)
+    result, folder = named_result(study, name, place, machine)
+    held = {p.name for p in machine.parameters if p.tolerance == 0.0}
+    held |= set(machine.frame)
+    free = [p.name for p in machine.parameters if p.name not in held]
+    mean, covariance, _ = known_parameters(result, machine.name, free, folder)
+    sd = np.sqrt(np.diag(covariance))
+    known = dict(zip(free, zip(mean, sd, strict=True), strict=True))
+    parameters = [
+        dataclasses.replace(
+            p, expected=float(known[p.name][0]), tolerance=float(known[p.name][1])
+        )
+        if p.name in known
+        else p
+        for p in machine.parameters
+    ]
+    matrix = covariance / np.outer(sd, sd)
+    correlation = tuple(tuple(float(v) for v in row) for row in matrix)
+    return dataclasses.replace(
+        machine.with_parameters(parameters),
+        correlated=(CommonTolerance(tuple(free), correlation),),
+    )

@@ -28,13 +28,13 @@ from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.resolve import earlier_result
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.prediction import wanted_accuracy
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.sessions.acceptance.promise import covariances
 from pkm_studies.sessions.verification import refuse_bad_fit
 from pkm_studies.stages import result_folder
-from pkm_studies.stages.plan import earlier
 from pkm_studies.study import Study
 
 CSV, NOMINAL = "adjust.csv", "adjusted.toml"
@@ -144,8 +144,8 @@ def _covariance(
     names = [p.name for p in machine.parameters if p.name in section.parameters]
     draws = None
     if result.posterior is not None and result.corrected is None:
-        path = folder / earlier.FILE
-        draws = earlier.read_draws(path, names) if path.is_file() else None
+        path = folder / earlier_result.FILE
+        draws = earlier_result.read_draws(path, names) if path.is_file() else None
     if draws is None:
         return covariances(machine, section)[0]
     at = [machine.index(name) for name in names]

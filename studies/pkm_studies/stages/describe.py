@@ -6,6 +6,7 @@ import importlib.metadata
 import platform
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 import oed
@@ -54,6 +55,30 @@ def machine_info(machine: Machine) -> MachineInfo:
         )
     return MachineInfo(
         machine.name, machine.about, machine.source, table, list(machine.frame)
+    )
+
+
+def with_earlier_sessions(
+    info: MachineInfo, study: Study, measurement: Measurement
+) -> MachineInfo:
+    """The table with what controller and prior have from earlier sessions."""
+    held = measurement.kinematics.held
+    rows = []
+    for k, (p, row) in enumerate(
+        zip(measurement.machine.parameters, info.parameters, strict=True)
+    ):
+        unit = units.display(p.unit)
+        known = dict(row)
+        if study.machine.controller is not None:
+            known["held"] = _in_unit(float(held[k]), unit)
+        if p.expected is not None:
+            known["expected"] = _in_unit(p.expected, unit)
+        rows.append(known)
+    return msgspec.structs.replace(
+        info,
+        parameters=rows,
+        controller=study.machine.controller or "",
+        earlier=study.prior.earlier or "",
     )
 
 
@@ -156,7 +181,7 @@ def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:
     commands: list[dict[str, float]] = []
     for s in series:
         setup = measurement.setups[s.setup]
-        poses = measurement.poses(s, measurement.nominal)
+        poses = measurement.expected_poses(s)
         _, tool_points, _ = kinematics.frames(poses, np.array(setup.tool))
         runs += [str(name) for name in s.run]
         commands += [displayed_command(machine, c) for c in s.reading_commands()]

@@ -14,6 +14,7 @@ from oed.result import (
     GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
+    MachineInfo,
     PlanScore,
     PosteriorSection,
     PredictionSection,
@@ -31,11 +32,14 @@ REFERENCES = {
 }
 
 
-def sentences(result: StudyResult, recorded: bool = False) -> list[str]:
+def sentences(
+    result: StudyResult, recorded: bool = False, machine: MachineInfo | None = None
+) -> list[str]:
     """Sentences about the sections that are there.
 
     Findings about the readings come first, then all those of a diagnosis. Where the
-    readings are `recorded`, no plan chose them: nothing is said about a design.
+    readings are `recorded`, no plan chose them: nothing is said about a design. The
+    `machine` says what earlier sessions give.
     """
     chosen = None if recorded else result.design
     ranked = [
@@ -58,7 +62,23 @@ def sentences(result: StudyResult, recorded: bool = False) -> list[str]:
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
     noise = [] if checked is None else checked.noise_words
-    return [*alarms, *findings, *noise, *ranked[:MAX_SENTENCES]]
+    rounds = [] if machine is None else earlier_sentences(machine)
+    return [*alarms, *findings, *noise, *rounds, *ranked[:MAX_SENTENCES]]
+
+
+def earlier_sentences(machine: MachineInfo) -> list[str]:
+    """What the controller holds, and where the prior comes from."""
+    words = []
+    if machine.controller:
+        words.append(
+            f"The controller holds {machine.controller}: errors before compensation are"
+            " those that it leaves."
+        )
+    if machine.earlier:
+        words.append(
+            f"The prior is the posterior of {machine.earlier}, not the tolerances."
+        )
+    return words
 
 
 def accuracy_sentences(result: StudyResult) -> list[str]:

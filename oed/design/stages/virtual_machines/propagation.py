@@ -148,8 +148,10 @@ class _Propagation:
     ) -> list[list[MachineErrors]]:
         """Errors of some virtual machines after each stage, machine by machine."""
         truth, normals = self._draw_machines(machines, rng)
-        nominal = np.tile(self.workspace.kinematics.machine.nominal, (machines, 1))
-        theta, parameters = nominal, nominal.shape[1]
+        held = np.tile(self.workspace.kinematics.held, (machines, 1))
+        parameters = held.shape[1]
+        first = self.stages[0].measurement.nominal[:parameters]
+        theta = np.tile(first, (machines, 1))
         readings: list[VirtualReadings] = []
         errors = []
         for stage, of_stage in zip(self.stages, normals, strict=True):
@@ -167,7 +169,7 @@ class _Propagation:
             identified = theta[:, :parameters]
             errors.append(
                 self.workspace.evaluate(
-                    identified if self.compensated else nominal,
+                    identified if self.compensated else held,
                     identified,
                     truth[:, :parameters],
                     covariance[:, :parameters, :parameters],

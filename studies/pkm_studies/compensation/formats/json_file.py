@@ -114,9 +114,12 @@ def columns_about(compensation: Compensation) -> dict[str, str]:
         words[column(joint.name, joint.unit)] = _about(
             "joint that holds the command", joint.about
         )
+    whole = ""
+    if compensation.held:
+        whole = f"; replaces what the controller holds ({compensation.held})"
     for joint in machine.joints:
         words[column(f"correction_{joint.name}", joint.unit)] = (
-            f"to add to {joint.name} of the nominal model; interpolate linearly"
+            f"to add to {joint.name} of the nominal model; interpolate linearly{whole}"
         )
     axes = zip(offset_names(compensation), compensation.further.axes, strict=True)
     for (name, _), axis in axes:

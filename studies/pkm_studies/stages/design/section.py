@@ -80,8 +80,8 @@ def planned_readings(
     planned = []
     for s in series:
         channels = measurement.setups[s.setup].instrument.channels
-        nominal = measurement.readings([s], measurement.nominal)
-        y = nominal.reshape(len(s), len(channels))
+        expected = measurement.expected_readings(s)
+        y = expected.reshape(len(s), len(channels))
         commands = s.reading_commands()
         joints = s.q[s.index[:, 0]]
         number: Counter[str] = Counter()

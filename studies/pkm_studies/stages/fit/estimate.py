@@ -80,7 +80,7 @@ def _parameters(
             value=units.number(estimate.theta[k], unit),
             sd=units.number(estimate.sd[k], unit),
             unit=unit,
-            nominal=units.number(p.nominal, unit),
+            nominal=units.number(p.mean, unit),
             prior_sd=units.number(estimate.prior_sd[k], unit),
             identified=_how_well(float(estimate.shrinkage[k])),
             truth=None if truth is None else units.number(truth[k], unit),

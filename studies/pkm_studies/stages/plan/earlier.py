@@ -1,4 +1,4 @@
-"""EstimatedParameters from an earlier session: identified machine, covariance, time spent."""
+"""Knowledge from an earlier session: identified machine, covariance, time spent."""
 
 from __future__ import annotations
 
@@ -16,15 +16,11 @@ from oed.design.stages.option import Option
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from oed.result import CorrectedSection, ParameterEstimate, StudyResult
-from pkm_studies.base.errors import Place
+from oed.result import StudyResult
+from pkm_studies.resolve.earlier_result import known_parameters
 from pkm_studies.resolve.plan import PlanRequest, request_of
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
 from pkm_studies.stages.forecast.task import EstimatedParameters
-
-#: identified parameters by name
-Estimates = Mapping[str, ParameterEstimate]
-FILE = "posterior.nc"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -50,20 +46,12 @@ def read_earlier_session(
 ) -> EarlierSession:
     """What the result `stored` in `folder` tells about the study's machine.
 
-    The covariance is that of the section `corrected` where there is one, which effects
-    do not bend. Otherwise it comes from the draws of the posterior, or, where there are
-    none, from the standard deviations of the estimate.
-
     Raises InputError where the result does not fit the study.
     """
     machine = resolved.machine
     measurement = resolved.measurement_with(())
     free = _free_names(measurement)
-    estimate = _estimate(stored, machine.name, free, folder)
-    if stored.corrected is not None:
-        value, covariance, source = _corrected(stored.corrected, free)
-    else:
-        value, covariance, source = _posterior(folder / FILE, estimate, free)
+    value, covariance, source = known_parameters(stored, machine.name, free, folder)
     identified = dict(zip(free, value, strict=True))
     parameters = [
         dataclasses.replace(p, nominal=float(identified.get(p.name, p.nominal)))
@@ -98,13 +86,8 @@ def stored_knowledge(
     if stored.final_estimate is None:
         return None
     machine = resolved.machine
-    measurement = resolved.measurement_with(())
-    free = _free_names(measurement)
-    estimate = _estimate(stored, machine.name, free, folder)
-    if stored.corrected is not None:
-        value, covariance, _ = _corrected(stored.corrected, free)
-    else:
-        value, covariance, _ = _posterior(folder / FILE, estimate, free)
+    free = _free_names(resolved.measurement_with(()))
+    value, covariance, _ = known_parameters(stored, machine.name, free, folder)
     at = [machine.index(name) for name in free]
     values = machine.nominal.copy()
     values[at] = value
@@ -119,24 +102,6 @@ def _free_names(measurement: Measurement) -> list[str]:
     return [name for name, is_free in pairs if is_free]
 
 
-def _estimate(
-    stored: StudyResult, machine: str, free: Sequence[str], folder: Path
-) -> Estimates:
-    """The estimated parameters of a stored result, all of the free ones among them."""
-    place = Place(str(folder / "result.json")).key("estimate")
-    section = stored.final_estimate
-    if section is None:
-        raise place.error("nothing was identified there", "make it with `oed identify`")
-    estimate = section.parameters
-    remedy = f"give a result for {machine} of this study"
-    absent = [name for name in free if name not in estimate]
-    if absent:
-        raise place.error(f"it has no estimate of {absent[0]}", remedy)
-    if stored.machine.name != machine:
-        raise place.error(f"it is about {stored.machine.name}", remedy)
-    return estimate
-
-
 def _without_done(
     resolved: ResolvedStudy,
     request: PlanRequest,
@@ -144,7 +109,10 @@ def _without_done(
     done: Mapping[str, int],
 ) -> tuple[ResolvedStudy, PlanRequest]:
     """The study about another machine, without the measurements that are done."""
-    measurement_with = measurement_factory(Kinematics(machine), resolved.setups)
+    measurement_with = measurement_factory(
+        Kinematics(machine).with_controller(resolved.measurement.kinematics.controller),
+        resolved.setups,
+    )
     plan = request_of(
         request.table,
         resolved.study,
@@ -161,54 +129,6 @@ def _without_done(
         plan=plan,
     )
     return changed, plan
-
-
-def _corrected(
-    corrected: CorrectedSection, free: Sequence[str]
-) -> tuple[Array, Array, str]:
-    """Values (n,), their covariance (n, n), SI, and where they come from."""
-    names = list(corrected.parameters)
-    at = [names.index(name) for name in free]
-    rows = [corrected.parameters[name] for name in free]
-    value = _in_si([row.value for row in rows], rows)
-    factors = np.array([units.factor(row.unit) for row in rows])
-    covariance = np.array(corrected.covariance)[np.ix_(at, at)]
-    source = "parameters and effects estimated together"
-    return value, covariance * np.outer(factors, factors), source
-
-
-def _posterior(
-    draws: Path, estimate: Estimates, free: list[str]
-) -> tuple[Array, Array, str]:
-    """Values (n,), their covariance (n, n), SI, and where they come from."""
-    sample = read_draws(draws, free) if draws.is_file() else None
-    if sample is not None:
-        covariance = np.atleast_2d(np.cov(sample.T))
-        return sample.mean(axis=0), covariance, "draws of the posterior"
-    rows = [estimate[name] for name in free]
-    value = _in_si([row.value for row in rows], rows)
-    sd = _in_si([row.sd for row in rows], rows)
-    source = "standard deviations of the estimate, taken as independent"
-    return value, np.diag(sd**2), source
-
-
-def _in_si(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> Array:
-    """One number (n,) of each estimate, given in the estimate's unit."""
-    pairs = zip(numbers, rows, strict=True)
-    return np.array([float(units.to_si(number, row.unit)) for number, row in pairs])
-
-
-def read_draws(path: Path, free: list[str]) -> Array | None:
-    """Draws (draws, n) of the free parameters, SI; None where some are absent."""
-    import xarray  # takes a second to import, and only a plan after a session needs it
-
-    with xarray.open_dataset(path, group="posterior", engine="h5netcdf") as data:
-        names = [str(name) for name in data["parameter"].values]
-        if not set(free) <= set(names):
-            return None
-        theta = np.asarray(data["theta"].values, dtype=float)
-    columns = [names.index(name) for name in free]
-    return theta.reshape(-1, len(names))[:, columns]
 
 
 def _session_seconds(

@@ -14,6 +14,7 @@ from oed.accuracy.maps import (
     ErrorMaps,
     Reference,
     compensated_errors,
+    controller_errors,
     error_maps,
     maps_by_reference,
 )
@@ -59,6 +60,21 @@ class ParameterKnowledge:
     estimated: Array | None = None
     effects: ActingEffects | None = None
     sent: Array | None = None
+
+    @property
+    def centre(self) -> Array:
+        """Errors (np,) that are expected: identified ones, else those of the prior."""
+        measurement = self.measurement
+        expected = (measurement.nominal - measurement.drawn)[: len(self.covariance)]
+        return expected if self.mean is None else self.mean
+
+    def before(self, command: Array, reference: Reference, tool: Array) -> Array | None:
+        """Exact errors (n, k) under the controller as it is, SI; None: a nominal one."""
+        kinematics = self.measurement.kinematics
+        if kinematics.controller is None:
+            return None
+        expected = kinematics.machine.nominal + self.centre
+        return controller_errors(kinematics, command, expected, reference, tool)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -129,7 +145,7 @@ def identified(
         tuple(series),
         budget_model(measurement, series, estimate.theta, laws=laws),
         draws.T @ draws / len(draws),
-        mean=(estimate.theta - measurement.nominal)[:count],
+        mean=(estimate.theta - measurement.drawn)[:count],
         draws=draws,
         worth=known.worth,
         estimated=estimated,
@@ -159,6 +175,7 @@ def accuracy(
     result = {}
     for reference in references:
         remaining = _remaining(known, command, reference, tool)
+        before = known.before(command, reference, tool)
         if known.effects is None or known.draws is None or known.mean is None:
             predicted = prediction.predict(
                 maps[reference],
@@ -166,7 +183,9 @@ def accuracy(
                 known.covariance,
                 rng,
                 mean=known.mean,
+                centre=known.centre,
                 known=remaining,
+                before=before,
                 draws=known.draws,
                 worth=known.worth,
                 reference=reference,
@@ -180,6 +199,7 @@ def accuracy(
                 known.mean,
                 maps[reference],
                 remaining,
+                before,
                 reference,
                 rng,
             )
@@ -200,6 +220,7 @@ def _with_effects(
     mean: Array,
     maps: ErrorMaps,
     remaining: Array | None,
+    before: Array | None,
     reference: Reference,
     rng: np.random.Generator,
 ) -> Prediction:
@@ -219,6 +240,8 @@ def _with_effects(
     if remaining is None:
         remaining = maps.remaining @ mean - _change_by_controller(known, mean, maps)
     remaining = remaining + acting.raw @ of_effects
+    if before is not None:
+        before = before + acting.raw @ of_effects
     draws = np.hstack([parameters, effects.draws - of_effects])
     second_moment = draws.T @ draws / len(draws)
     return prediction.predict(
@@ -228,6 +251,7 @@ def _with_effects(
         rng,
         mean=np.concatenate([mean, of_effects]),
         known=remaining,
+        before=before,
         draws=draws,
         worth=known.worth,
         reference=reference,

@@ -158,7 +158,7 @@ def _true_parameters(state: RunState) -> Array:
     if table is None or table.draw or not stated:
         truth = simulation.draw_parameters(measurement, state.rng(Stream.TRUTH))
     else:
-        truth = measurement.nominal
+        truth = measurement.drawn
     for k, name in enumerate(measurement.names):
         truth[k] = stated.get(name, truth[k])
     return truth

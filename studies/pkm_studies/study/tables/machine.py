@@ -45,6 +45,9 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     fixed      parameters that are not identified, in place of the model's list
     drive      what moves the joints; effects that it cannot have are left out
     adjust     [[machine.adjust]] tables, in place of the model's adjustments
+    controller what the controller holds of an earlier calibration, relative to the study:
+               the folder of its result, or a file of `oed compensate --to json|csv`;
+               nominal numbers by default
     """
 
     model: str
@@ -56,6 +59,7 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     fixed: list[str] | None = None
     drive: Literal["screw", "belt", "cable", "linear_motor"] | None = None
     adjust: list[AdjustTable] | None = None
+    controller: str | None = None
 
 
 class SetupTable(StudyTable, frozen=True, kw_only=True):
@@ -200,8 +204,12 @@ class PriorTable(StudyTable, frozen=True, kw_only=True):
     correlated  [[prior.correlated]] tables; later ones win
     bounds      [[prior.bounds]] tables; draws of the posterior, of virtual machines and of
                 predictions keep to them, estimates and plans ignore them
+    earlier     folder of the result of an earlier session, relative to the study: its
+                posterior of the machine's parameters takes the place of nominal numbers
+                and tolerances
     """
 
     tolerance: list[ToleranceTable] = []
     correlated: list[CorrelatedTable] = []
     bounds: list[BoundsTable] = []
+    earlier: str | None = None
