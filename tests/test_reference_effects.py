@@ -17,16 +17,17 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.measurement import draw_parameters, draw_readings
 from oed.model.effect import Effect, State
-from oed.model.instrument import Instrument
+from oed.model.instrument import Instrument, Setup
 from oed.noise.law import stated_law
 from pkm_models.instruments import (
+    ball_bar,
     ball_plate,
     height_probe,
     length_gauge,
     pose_tracker,
     relative,
 )
-from pkm_models.machines import hexapod, linear_delta, planar_2dof
+from pkm_models.machines import a3_head, hexapod, linear_delta, planar_2dof
 from pkm_studies import study as studies
 from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve import machine as machines
@@ -202,3 +203,78 @@ def test_a_bent_ruler_is_named_as_of_its_set_up(seed: int) -> None:
 def test_a_healthy_ruler_is_not_blamed() -> None:
     problem = planar_session.ruler_session(("rm5", "rm2"), 0.0, 4, interleaved=True)
     assert _diagnosis(problem).verdict == "none"
+
+
+def _session(
+    machine, setups: list[Setup], commands: dict[str, np.ndarray], change: np.ndarray
+) -> GapProblem:
+    """Readings of a drawn machine in one run a set-up, or along lines, plus a change."""
+    measurement = Measurement(machine, setups)
+    rng = np.random.default_rng(11)
+    series, rows = [], []
+    for setup in setups:
+        command = commands[setup.name]
+        relative_to = setup.instrument.reference == "run"
+        axis = 0 if setup.name == "rm4" else 1
+        runs = [f"{v:g}" for v in command[:, axis]] if relative_to else None
+        series.append(measurement.series(setup.name, command, runs))
+        labels = np.asarray(series[-1].run, dtype=str)
+        order = np.arange(1, len(labels) + 1)
+        rows.append(pd.DataFrame({"setup": setup.name, "run": labels, "order": order}))
+    theta = draw_parameters(measurement, rng)
+    y = draw_readings(measurement, series, theta, rng)
+    y[: len(change)] += change
+    return prepare(measurement, series, y, pd.concat(rows, ignore_index=True))
+
+
+def _lines(
+    along: np.ndarray, across: list[float], order: tuple[int, int]
+) -> np.ndarray:
+    points = [(a, b) for a in across for b in along]
+    return np.array(points)[:, list(order)]
+
+
+@pytest.mark.parametrize("tracker", [True, False])
+def test_a_square_s_error_is_named_where_a_third_instrument_reads(
+    tracker: bool,
+) -> None:
+    """A common tilt of both guides is a square's error to RM 4 and RM 5 alone."""
+    up, along = np.linspace(0.0, 1.5, 11), np.linspace(-1.5, 1.5, 13)
+    commands = {
+        "rm4": _lines(up, [-1.5, 0.0, 1.5], (0, 1)),
+        "rm5": _lines(along, [0.0, 0.75, 1.5], (1, 0)),
+    }
+    commands["tracker"] = commands["rm5"]
+    setups = [mount(relative.rm4, "rm4"), mount(relative.rm5, "rm5")]
+    if tracker:
+        setups.append(mount(pose_tracker.position, "tracker"))
+    change = 40e-6 * np.tile(up[1:], 3)
+    diagnosis = _diagnosis(_session(planar_2dof.machine, setups, commands, change))
+    if not tracker:
+        assert "square_error" in diagnosis.not_testable
+        return
+    assert diagnosis.answers[0].effects[0] == "square_error"
+    assert diagnosis.where[0].block == "set-up rm4"
+    assert any("square" in sentence for sentence in diagnosis.next)
+
+
+def test_a_bar_that_is_off_is_named_with_its_set_up() -> None:
+    rng = np.random.default_rng(3)
+    upright, angle = (1.09, -np.pi, 0.0), (1.24, np.pi, np.deg2rad(38.0))
+    commands = {
+        name: rng.uniform(upright, angle, (60, 3)) for name in ("short", "long")
+    }
+    setups = [
+        mount(
+            ball_bar.instrument, name, length=length, teach=[1.16, 0.0, 0.0], tool=tool
+        )
+        for name, length, tool in (
+            ("short", 0.15, (0.0, 0.0, -0.1)),
+            ("long", 0.3, (0.0, 0.0, -0.2)),
+        )
+    ]
+    change = np.full(60, -8e-6)
+    diagnosis = _diagnosis(_session(a3_head.machine, setups, commands, change))
+    assert diagnosis.answers[0].effects[0] == "bar_length"
+    assert diagnosis.where[0].block == "set-up short"
+    assert diagnosis.where[0].same_as == "run short 1"
