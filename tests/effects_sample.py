@@ -36,6 +36,15 @@ NAMES = (
     "mount_drift",
     "step",
 )
+#: errors of references and instruments, each by an instrument that has it
+REFERENCES = {
+    "ruler_bow": "rm5",
+    "square_error": "rm4",
+    "plate_certificate": "ball_plate",
+    "probe_lobing": "height_probe",
+    "probe_abbe": "height_probe",
+    "air_refraction": "rm5",
+}
 CARRIAGES = {
     "hexaglide",
     "linear_delta",

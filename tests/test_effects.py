@@ -12,6 +12,7 @@ from effects_sample import (
     CARRIAGES,
     HERE,
     NAMES,
+    REFERENCES,
     ROUND,
     columns,
     effect_of,
@@ -47,11 +48,11 @@ FITTING = [(machine, name) for machine, name in PAIRS if fits(machine, name)]
 
 def test_the_library_is_that_of_the_contract() -> None:
     entries = catalogue.listing("effects")
-    assert sorted(e.name for e in entries) == sorted(NAMES)
+    assert sorted(e.name for e in entries) == sorted([*NAMES, *REFERENCES])
     assert all(e.where == f"pkm_models.effects.{e.name}:effect" for e in entries)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *REFERENCES])
 def test_an_effect_says_what_it_is_and_what_to_do(name: str) -> None:
     effect = effect_of(name)
     for text in (

@@ -14,7 +14,7 @@ import dataclasses
 import fnmatch
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,10 @@ class State:
 
     machine                the machine
     setup                  name of the set-up
+    instrument             name of its instrument
     pose                   (m, nx) pose coordinates
     tool                   (m, 3) tool point, base frame
+    rotation               (m, 3, 3) orientation of the platform, base frame
     axis                   (m, 3) the platform's z, base frame
     joints                 (m, nq) commanded joint coordinates
     motion_sign            (m, nq) sign of each joint's last motion in the run; 0 where
@@ -81,8 +83,10 @@ class State:
 
     machine: Machine
     setup: str
+    instrument: str
     pose: Array
     tool: Array
+    rotation: Array
     axis: Array
     joints: Array
     motion_sign: Array
@@ -165,7 +169,8 @@ class Column:
     name        of the coefficient, such as `leg 1`; set-ups share the columns of one
                 name, so a coefficient of one set-up has the set-up in its name
     scale       prior standard deviation of the coefficient
-    label       block it belongs to, such as `leg 1`; "" for all
+    label       block it belongs to, such as `leg 1`; "" for all. A coefficient that
+                set-ups share belongs to none of them
     joints      {joint index: (m,)} change of the joint's true position, m or rad
     parameters  {name: (m,)} change of a geometric parameter of the machine, SI
     nuisances   {name: (m,)} change of an unknown of the set-up, such as `cup_x`, SI
@@ -210,6 +215,8 @@ class Effect:
     check                what to check where it is far larger than expected
     nature               what it has in common with others, in words: how a class of many
                          effects is named
+    instruments          instruments of whose set-ups it is an error; empty where it is none
+                         of a set-up's reference or instrument
     unfit(machine)       why it cannot occur on a machine, in words; None where it can
     common_to_limbs      whether limbs of one design, or set-ups, usually share coefficients
     units                {pattern of coefficients' names: SI unit}, the first that suits;
@@ -235,6 +242,7 @@ class Effect:
     exposed_by: str = ""
     check: str = ""
     nature: str = ""
+    instruments: tuple[str, ...] = ()
     unfit: Callable[[Machine], str | None] = lambda machine: None
     common_to_limbs: bool = False
     textbook_share: float = 0.5
@@ -245,6 +253,10 @@ class Effect:
         """Whether it is a function of the time or of a temperature."""
         options = [part.strip() for need in self.needs for part in need.split(" or ")]
         return any(part == "time" or part.startswith("temp_") for part in options)
+
+    def is_offered(self, instruments: Collection[str]) -> bool:
+        """Whether readings by these instruments can have it."""
+        return not self.instruments or any(n in self.instruments for n in instruments)
 
     def unit(self, coefficient: str) -> str:
         """SI unit of a coefficient by its name."""

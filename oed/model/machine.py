@@ -48,8 +48,7 @@ class Parameter:
     expected   prior mean, SI, where an earlier session knows better than the drawing
 
     >>> from oed import Parameter
-    >>> length = Parameter("l1", nominal=3.350, tolerance=0.5e-3, unit="m")
-    >>> length.tolerance
+    >>> Parameter("l1", nominal=3.350, tolerance=0.5e-3, unit="m").tolerance
     0.0005
     """
 

@@ -9,14 +9,19 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.model.effect import Column, Effect, State
-from pkm_models.effects import bar, natures
+from pkm_models.effects import bar, natures, references
 
 WRONG = 10e-6  # m
 
 
 def columns(state: State) -> Iterable[Column]:
     """A constant a bar: what reads too much is shorter than it says."""
-    yield Column(bar.label(state), WRONG, reading={"length": np.ones(len(state))})
+    yield Column(
+        bar.label(state),
+        WRONG,
+        references.block(state),
+        reading={"length": np.ones(len(state))},
+    )
 
 
 effect = Effect(

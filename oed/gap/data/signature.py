@@ -51,6 +51,18 @@ class Signature:
     shape: Mask
     textbook: float
 
+    def take(self, chosen: Mask) -> Signature:
+        """The signature of the chosen (k,) columns alone."""
+        numbers = np.flatnonzero(chosen)
+        return dataclasses.replace(
+            self,
+            columns=self.columns[:, numbers],
+            names=tuple(self.names[k] for k in numbers),
+            labels=tuple(self.labels[k] for k in numbers),
+            scales=self.scales[numbers],
+            shape=self.shape[numbers],
+        )
+
 
 def signature(
     effect: Effect,
@@ -81,6 +93,8 @@ def signature(
             if name not in values:
                 columns[name] = column
                 values[name] = np.zeros(ends[-1])
+            if columns[name].label != column.label:  # set-ups share it: it is of none
+                columns[name] = dataclasses.replace(columns[name], label="")
             change = _read(column, response, measurement, s)
             values[name][rows] += column.scale * change
     sigma = measurement.sigma(series) if sigma is None else sigma
@@ -227,6 +241,8 @@ def untestable(effect: Effect, states: Sequence[State]) -> str | None:
     reason = effect.unfit(states[0].machine)
     if reason is not None:
         return reason
+    if not effect.is_offered([s.instrument for s in states]):
+        return f"it is an error of {', '.join(effect.instruments)} alone"
     missing = [need for need in effect.needs if not _any_recorded(need, states)]
     return LACKS + ", ".join(missing) if missing else None
 

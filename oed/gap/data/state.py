@@ -142,6 +142,7 @@ def _state(
     return State(
         machine=machine,
         setup=series.setup,
+        instrument=setup.instrument.name,
         joints=series.q,
         **geometry,
         motion_sign=moved.sense,
@@ -184,6 +185,7 @@ def _geometry(
     return {
         "pose": x,
         "tool": tip,
+        "rotation": rotation,
         "axis": rotation[:, :, 2],
         "tool_force": force,
         "platform_force": force + torque,

@@ -19,6 +19,7 @@ from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature, untestable
+from oed.gap.forms.aliased import ALIASED, distinct_from_parameters
 from oed.model.effect import Effect
 from oed.model.size_prior import EFFECT_SIZES
 
@@ -133,6 +134,11 @@ def build(
         forms = _forms(problem, effect, metric)
         if not forms:
             refused[effect.name] = "it changes none of these readings"
+            continue
+        if effect.instruments:
+            forms = distinct_from_parameters(problem, forms)
+        if not forms:
+            refused[effect.name] = ALIASED
             continue
         for form, log_weight, halved in _with_alike(forms, effect.common_to_limbs):
             start = len(names)

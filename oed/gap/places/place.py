@@ -186,30 +186,39 @@ def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
 def _with_same_readings(problem: GapProblem, block: PlaceRecord) -> PlaceRecord:
     """The block with the place of another kind that has the same readings, if any.
 
-    A set-up that was read in one stretch of the session is that stretch as well.
+    A set-up that was read in one stretch of the session is that stretch as well, and one
+    that was read in one run is that run.
     """
-    for setup, extent in _stretches_of_setups(problem).items():
-        names = (f"set-up {setup}", f"time {extent}")
+    for setup, others in _same_as_setups(problem).items():
+        names = (f"set-up {setup}", *others)
         if block.block in names:
-            (other,) = set(names) - {block.block}
+            other = next((n for n in names if n != block.block), "")
             return replace(block, same_as=other)
     return block
 
 
-def _stretches_of_setups(problem: GapProblem) -> dict[str, str]:
-    """Begin and end of each set-up in whose stretch of time no other was read."""
+def _same_as_setups(problem: GapProblem) -> dict[str, list[str]]:
+    """Names of the run and of the stretch of time that have a set-up's readings alone."""
     rows = problem.rows
-    if "time" not in rows.columns or rows["setup"].nunique() < 2:
+    if rows["setup"].nunique() < 2:
         return {}
+    same: dict[str, list[str]] = {str(setup): [] for setup in rows["setup"].unique()}
+    names = zip(_run_names(problem), problem.members, strict=True)
+    runs = rows.groupby("setup")["run"].nunique()
+    for name, members in names:
+        setup = rows["setup"].iloc[members[0]]
+        if runs[setup] == 1:
+            same[str(setup)].append(name)
+    if "time" not in rows.columns:
+        return same
     times = rows["time"].to_numpy(dtype=float)
-    stretches = {}
     for setup, members in rows.groupby("setup", sort=False).indices.items():
         of_setup = times[members]
         others = np.delete(times, members)
         inside = (others >= of_setup.min()) & (others <= of_setup.max())
         if np.isfinite(times).all() and not inside.any():
-            stretches[str(setup)] = _extent(times, of_setup)
-    return stretches
+            same[str(setup)].append(f"time {_extent(times, of_setup)}")
+    return same
 
 
 def _extent(times: Array, inside: Array) -> str:

@@ -87,6 +87,7 @@ def gap_request(study: Study, machine: Machine) -> GapRequest:
 def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect, ...]:
     """Effects in the order named; of two with one name, the later replaces the first."""
     effects: dict[str, Effect] = {}
+    named: set[str] = set()
     for i, entry in enumerate(table.effects):
         at = place.key("effects").item(i)
         names = [entry]
@@ -95,19 +96,35 @@ def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect,
         for name in names:
             effect = catalogue.effect(name, study.origin, at)
             effects[effect.name] = effect
+            if entry != ALL:
+                named.add(effect.name)
     for i, name in enumerate(table.without):
         if name not in effects:
             at = place.key("without").item(i)
             raise at.error("no such effect is tried", suggest(name, effects), name)
     check_sizes(study, effects.values())
+    instruments = _instruments(study)
     tried = tuple(
-        sized(e, study) for name, e in effects.items() if name not in table.without
+        sized(e, study)
+        for name, e in effects.items()
+        if name not in table.without and (name in named or e.is_offered(instruments))
     )
     if not tried:
         raise place.key("effects").error(
             "no effect is left to try", 'name some, or "all"'
         )
     return tried
+
+
+def _instruments(study: Study) -> list[str]:
+    """Names of the instruments of the study's set-ups."""
+    at = study.place.key("setup")
+    return [
+        catalogue.instrument(
+            table.instrument, study.origin, at.item(i).key("instrument")
+        ).name
+        for i, table in enumerate(study.setup)
+    ]
 
 
 def _acting_effect(

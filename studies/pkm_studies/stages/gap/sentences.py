@@ -354,13 +354,19 @@ def _next_steps(gap: GapSection) -> list[str]:
 
 
 def _effects_in_question(gap: GapSection) -> list[str]:
-    """Effects whose tests and remedies are reported; none of a class of many."""
+    """Effects whose tests and remedies are reported.
+
+    Of a class of many none are, but the likeliest where the gap is that of a set-up: its
+    reference is soon read again.
+    """
     if not gap.effect_reported:
         return []
     classes = gap.answers[0].classes
     if gap.verdict == "class" and classes:
-        few = [c for c in classes if len(c) <= MOST_NAMES]
-        members = [name for c in few for name in c if name != UNKNOWN]
+        of_setup = any(p.block.startswith("set-up") for p in _named_places(gap.where))
+        many = 1 if of_setup else 0
+        listed = [c if len(c) <= MOST_NAMES else c[:many] for c in classes]
+        members = [name for c in listed for name in c if name != UNKNOWN]
         return list(dict.fromkeys(members))
     return gap.selected
 

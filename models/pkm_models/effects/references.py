@@ -1,0 +1,44 @@
+"""What effects on the references of set-ups need: blocks, and places along a line."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.model.effect import State
+
+#: instruments that read across a straightedge or a square: its direction (base axis) and
+#: the channel that it errs in
+LINES = {"rm3": (1, "dz"), "rm4": (2, "dy"), "rm5": (1, "dz")}
+#: probes that read heights, along z of the base frame
+HEIGHT_PROBES = (
+    "height_probe",
+    "height_probe_tilted_bed",
+    "contact_probe",
+    "length_gauge",
+)
+
+
+def block(state: State) -> str:
+    """The place of a set-up's own error."""
+    return f"set-up {state.setup}"
+
+
+def along_line(state: State, axis: int) -> Array:
+    """Places (m,) along the straightedge of a set-up, from -1 to 1 at its ends.
+
+    It is as long as the way that the set-up reads along it.
+    """
+    place = state.tool[:, axis]
+    low, high = place.min(), place.max()
+    return np.asarray(2.0 * (place - low) / max(high - low, 1e-12) - 1.0)
+
+
+def from_reference(state: State, values: Array) -> Array:
+    """Values (m,) less that at the first pose of their run, which reads 0."""
+    relative = values.copy()
+    for run in dict.fromkeys(state.run):
+        members = np.flatnonzero(state.run == run)
+        first = members[np.argmin(state.order[members])]
+        relative[members] -= values[first]
+    return relative
