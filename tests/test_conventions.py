@@ -277,6 +277,13 @@ def tilt_of_edge(p: np.ndarray, r: np.ndarray, k: dict[str, float]) -> float:
     return math.asin(r[0][2, 1])
 
 
+def swing1(p: np.ndarray, r: np.ndarray, k: dict[str, float]) -> float:
+    """Angle of the hexapod's leg 1 from z, outward, in the plane of its base joint."""
+    foot = np.array(hexapod.B[1])
+    leg = p[0] + r[0] @ hexapod.A[1] - foot
+    return math.atan2(leg @ foot / np.linalg.norm(foot), leg[2])
+
+
 POINT = {f"read_{n}": coordinate(i) for i, n in enumerate("xyz")}
 SLOPES: dict[str, Reading] = {
     "read_tilt_x": tilt_of_edge,
@@ -304,6 +311,12 @@ READINGS: dict[str, dict[str, Reading]] = {
     "planar_position": {n: POINT[n] for n in ("read_x", "read_y")},
     "pose_tracker": POINT,
     "pose_tracker_position": POINT,
+    "passive_joint": {"swing1": swing1},
+    "locked_joint": {
+        "off_swing1": lambda p, r, k: swing1(p, r, k) - k["at_swing1"],
+    },
+    "seat": {f"miss_{n}": from_plate(i) for i, n in enumerate("xyz")},
+    "touch_plane": {"off": lambda p, r, k: p[0, 2] - k["at"]},
     "rm1": {"dy": difference(1)},
     "rm2": {"dz": difference(2)},
     "rm3": {"dz": difference(2)},
@@ -323,6 +336,7 @@ SETTINGS = {
     "at_x": 0.1,
     "at_y": -0.7,
     "at_z": 0.05,
+    "at": 0.3,
     "bed_slope_x": 0.02,
     "bed_slope_y": -0.03,
 }

@@ -132,6 +132,26 @@ class PointGroup:
     points: tuple[tuple[tuple[str, str, str], tuple[float, float, float]], ...]
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class PassiveJoint:
+    """A joint that no drive moves, whose angle or length a sensor or a lock can take.
+
+    name   such as `swing1`; unique among the machine's coordinates
+    unit   SI unit, rad or m
+    value  its angle or length, an expression
+    about  what it measures: axis and sense, for tables
+    """
+
+    name: str
+    unit: str
+    value: Expr
+    about: str
+
+
+def _no_passive_joints(x: Values, q: Values, p: Values) -> Sequence[PassiveJoint]:
+    return ()
+
+
 def _translation_error(command: Values, twist: Sequence[Expr]) -> Sequence[Expr]:
     return list(twist[:3])
 
@@ -217,6 +237,7 @@ class Machine:
                          points (3,) in the base frame. Gravity, heat and bending act on
                          struts. The first row of the closure that holds joint k is the
                          distance of its ends less the strut's length, m
+    passive(x, q, p)     passive joints, which sensors can read and locks can hold
     drawn                the machine as drawn, where `nominal` or `home` are those of
                          another; its home pose states the assembly mode that is meant
     family               what made the machine from a table of geometry, if anything did
@@ -274,6 +295,9 @@ class Machine:
     read_error: Callable[[Values, Sequence[Expr]], Sequence[Expr]] = _translation_error
     skeleton: Callable[[Values, Values, Values], Sequence[Sequence[Expr]]] | None = None
     struts: Callable[[Values, Values, Values], Sequence[Strut]] | None = None
+    passive: Callable[[Values, Values, Values], Sequence[PassiveJoint]] = (
+        _no_passive_joints
+    )
     frame: tuple[str, ...] = ()
     correlated: tuple[CommonTolerance, ...] = ()
     groups: tuple[PointGroup, ...] = ()

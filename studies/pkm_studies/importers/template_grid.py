@@ -35,7 +35,11 @@ def grid_lines(machine: Machine, instrument: Instrument, share: float) -> list[s
     hold = _led_coordinate(machine, instrument, share)
     lines = []
     for c in machine.command:
-        if c.name == hold:
+        if instrument.fixed_point and c.name in "xyz":
+            key = column(c.name, c.unit)
+            value = format_number(machine.home[c.name], c.unit)
+            lines.append(f"{key} = [{value}]  # the place of the tool point")
+        elif c.name == hold:
             lines.append(f'{c.name} = "hold"  # led by the instrument')
         else:
             lines.append(axis(c, machine, share))
