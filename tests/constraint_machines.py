@@ -178,6 +178,13 @@ def hexapod_lengths(
     return np.linalg.norm(ends - feet, axis=2) - p[36:]
 
 
+def swing1(point: np.ndarray, rotation: np.ndarray) -> float:
+    """Angle of the first of some poses' leg 1 from z, outward, in its joint's plane."""
+    leg = point[0] + rotation[0] @ PLATFORM[0] - BASE[0]
+    outward = BASE[0] / np.linalg.norm(BASE[0])
+    return float(np.arctan2(leg @ outward, leg[2]))
+
+
 def turned(rng: np.random.Generator, n: int) -> Rotation:
     return Rotation.from_rotvec(rng.uniform(-0.25, 0.25, (n, 3)))
 

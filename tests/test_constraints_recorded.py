@@ -198,7 +198,7 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
         ("micro_cmm", "passive_joint"),
         ("micro_cmm", "locked_joint"),
         ("delta", "touch_plane"),
-        ("hexapod", "seat"),
+        pytest.param("hexapod", "seat", marks=pytest.mark.slow),
     ],
 )
 def test_a_new_study_is_sound_and_runs(
@@ -206,7 +206,6 @@ def test_a_new_study_is_sound_and_runs(
     instrument: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     new = ["new", "draft", "--machine", machine, "--instrument", instrument]
@@ -215,7 +214,7 @@ def test_a_new_study_is_sound_and_runs(
     text = study.read_text()
     study.write_text(text + "\n[report]\nhtml = false\npdf = false\n")
     assert main(["check", str(study)]) == 0
-    assert main(["run", str(study), "--out", "out", "--quiet"]) == 0, capsys
+    assert main(["run", str(study), "--out", "out", "--quiet"]) == 0
     assert (tmp_path / "out" / "poses.csv").exists()
 
 

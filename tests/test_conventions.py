@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import stated_order
+from constraint_machines import swing1
 from scipy.spatial.transform import Rotation
 
 from oed.base import units
@@ -277,13 +278,6 @@ def tilt_of_edge(p: np.ndarray, r: np.ndarray, k: dict[str, float]) -> float:
     return math.asin(r[0][2, 1])
 
 
-def swing1(p: np.ndarray, r: np.ndarray, k: dict[str, float]) -> float:
-    """Angle of the hexapod's leg 1 from z, outward, in the plane of its base joint."""
-    foot = np.array(hexapod.B[1])
-    leg = p[0] + r[0] @ hexapod.A[1] - foot
-    return math.atan2(leg @ foot / np.linalg.norm(foot), leg[2])
-
-
 POINT = {f"read_{n}": coordinate(i) for i, n in enumerate("xyz")}
 SLOPES: dict[str, Reading] = {
     "read_tilt_x": tilt_of_edge,
@@ -311,10 +305,8 @@ READINGS: dict[str, dict[str, Reading]] = {
     "planar_position": {n: POINT[n] for n in ("read_x", "read_y")},
     "pose_tracker": POINT,
     "pose_tracker_position": POINT,
-    "passive_joint": {"swing1": swing1},
-    "locked_joint": {
-        "off_swing1": lambda p, r, k: swing1(p, r, k) - k["at_swing1"],
-    },
+    "passive_joint": {"swing1": lambda p, r, k: swing1(p, r)},
+    "locked_joint": {"off_swing1": lambda p, r, k: swing1(p, r)},
     "seat": {f"miss_{n}": from_plate(i) for i, n in enumerate("xyz")},
     "touch_plane": {"off": lambda p, r, k: p[0, 2] - k["at"]},
     "rm1": {"dy": difference(1)},

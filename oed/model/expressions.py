@@ -15,9 +15,9 @@ from oed.model.machine import (
     Expr,
     Machine,
     Parameter,
-    PassiveJoint,
     Values,
 )
+from oed.model.passive_joint import PassiveJoint
 
 
 def symbols(

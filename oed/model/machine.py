@@ -17,6 +17,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation
+from oed.model.passive_joint import PassiveJoint
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any
@@ -130,26 +131,6 @@ class PointGroup:
     name: str
     origin: str
     points: tuple[tuple[tuple[str, str, str], tuple[float, float, float]], ...]
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class PassiveJoint:
-    """A joint that no drive moves, whose angle or length a sensor or a lock can take.
-
-    name   such as `swing1`; unique among the machine's coordinates
-    unit   SI unit, rad or m
-    value  its angle or length, an expression
-    about  what it measures: axis and sense, for tables
-    """
-
-    name: str
-    unit: str
-    value: Expr
-    about: str
-
-
-def _no_passive_joints(x: Values, q: Values, p: Values) -> Sequence[PassiveJoint]:
-    return ()
 
 
 def _translation_error(command: Values, twist: Sequence[Expr]) -> Sequence[Expr]:
@@ -296,7 +277,7 @@ class Machine:
     skeleton: Callable[[Values, Values, Values], Sequence[Sequence[Expr]]] | None = None
     struts: Callable[[Values, Values, Values], Sequence[Strut]] | None = None
     passive: Callable[[Values, Values, Values], Sequence[PassiveJoint]] = (
-        _no_passive_joints
+        lambda x, q, p: ()
     )
     frame: tuple[str, ...] = ()
     correlated: tuple[CommonTolerance, ...] = ()

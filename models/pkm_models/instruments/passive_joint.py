@@ -28,7 +28,8 @@ from collections.abc import Mapping, Sequence
 
 from oed.model.expressions import passive_at_home, passive_joints
 from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
-from oed.model.machine import Expr, Machine, Parameter, PassiveJoint, Values
+from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.model.passive_joint import PassiveJoint
 
 SOURCE = (
     "Rugbani and Schreve, The use of parallel mechanism micro-CMM in micrometrology,"

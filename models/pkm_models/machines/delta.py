@@ -32,10 +32,10 @@ from oed.model.machine import (
     Family,
     Machine,
     Parameter,
-    PassiveJoint,
     Start,
     Values,
 )
+from oed.model.passive_joint import PassiveJoint
 from pkm_models.machines import linear_delta
 from pkm_models.machines.linear_delta import DOWN
 from pkm_models.parts import families, passive

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 
 import casadi as ca
+import numpy as np
 
 from oed.model.machine import Expr, Machine, Parameter, PointGroup, Values
 from pkm_models.parts import passive
@@ -149,7 +150,7 @@ machine = Machine(
     skeleton=skeleton,
     struts=lambda x, q, p: _joints(x, p),
     passive=lambda x, q, p: passive.universals(
-        _joints(x, p), passive.tangents(list(B.values())), passive.UP
+        _joints(x, p), passive.tangents(np.array(list(B.values()))), passive.UP
     ),
     groups=(
         _group("platform joints", "the tool point", "da", A),

@@ -18,7 +18,8 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.machine import Expr, Machine, Parameter, PassiveJoint, Values
+from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.model.passive_joint import PassiveJoint
 from pkm_models.parts import passive
 from pkm_models.parts.coordinates import joint, point, point_errors, points
 

@@ -24,7 +24,8 @@ import casadi as ca
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.model.machine import Expr, Machine, Parameter, PassiveJoint, Values
+from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.model.passive_joint import PassiveJoint
 from pkm_models.parts import passive
 from pkm_models.parts.coordinates import joint, point, point_errors, points
 

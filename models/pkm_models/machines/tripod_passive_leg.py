@@ -29,10 +29,10 @@ from oed.model.machine import (
     Family,
     Machine,
     Parameter,
-    PassiveJoint,
     Start,
     Values,
 )
+from oed.model.passive_joint import PassiveJoint
 from pkm_models.parts import coordinates, families, legs, passive, six_dof
 from pkm_models.parts.families import XYZ, Geometry
 

@@ -17,7 +17,8 @@ import casadi as ca
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.model.machine import Expr, PassiveJoint, Strut
+from oed.model.machine import Expr, Strut
+from oed.model.passive_joint import PassiveJoint
 
 #: direction of an upright strut, from its base joint
 UP, DOWN = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
@@ -37,7 +38,9 @@ def tangents(points: Array) -> Array:
 
 
 def hinges(
-    struts: Sequence[Strut], axes: Sequence[Expr], upright: Array | Sequence[float]
+    struts: Sequence[Strut],
+    axes: Array | Sequence[Expr],
+    upright: Array | Sequence[float],
 ) -> list[PassiveJoint]:
     """`swing1`, ... of n struts about their hinges' axes (3,).
 
@@ -49,7 +52,9 @@ def hinges(
 
 
 def universals(
-    struts: Sequence[Strut], axes: Sequence[Expr], upright: Array | Sequence[float]
+    struts: Sequence[Strut],
+    axes: Array | Sequence[Expr],
+    upright: Array | Sequence[float],
 ) -> list[PassiveJoint]:
     """`swing1`, `side1`, ... of struts with universal joints of first axes (3,)."""
     joints = []

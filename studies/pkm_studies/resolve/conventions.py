@@ -13,7 +13,8 @@ from oed.dataset.columns import parse_column
 from oed.measurement.measurement import Measurement
 from oed.model.expressions import passive_joints
 from oed.model.instrument import Channel, Instrument
-from oed.model.machine import Component, Coordinate, Machine, PassiveJoint
+from oed.model.machine import Component, Coordinate, Machine
+from oed.model.passive_joint import PassiveJoint
 from pkm_studies.catalogue import catalogue
 from pkm_studies.catalogue.catalogue import CatalogueEntry
 from pkm_studies.resolve.machine import study_machine
