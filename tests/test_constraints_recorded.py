@@ -31,7 +31,9 @@ from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup, mount
 from pkm_models.instruments import passive_joint, seat, touch_plane
 from pkm_models.machines import hexapod
+from pkm_reports.page.sheet import _table
 from pkm_studies.commands.cli import main
+from pkm_studies.stages.design.section import planned_readings
 
 NORMAL95 = 1.959964
 
@@ -233,3 +235,21 @@ def test_a_lock_without_its_joint_is_refused(
     new = ["new", "s", "--machine", "micro_cmm", "--instrument", "seat"]
     assert main(new) == 2
     assert "it could not move" in capsys.readouterr().err
+
+
+def test_the_plan_of_a_constraint_records_its_joints() -> None:
+    """On the printed sheet the joints are cells to write in; sensors keep their own."""
+    measurement, _ = planned()
+    series = [
+        measurement.series("lock1", locked_poses(0)),
+        measurement.series("sensors", GRID[:1]),
+    ]
+    *locked, read = planned_readings(measurement, series)
+    q = 1e3 * lengths(locked_poses(0), CMM.nominal)
+    for row, values in zip(locked, q, strict=True):
+        assert list(row.reading) == ["q1_mm", "q2_mm", "q3_mm"]
+        assert list(row.reading.values()) == pytest.approx(values, abs=1e-4)
+    assert "swing1_deg" in read.reading
+    table = _table("lock1", {}, locked, len(locked))
+    assert table.writing == 3
+    assert len(table.titles) == 1 + 3 + 3  # number, command, joints
