@@ -30,6 +30,7 @@ _KERNEL = {
     "Parameter": "oed.model.machine",
     "Coordinate": "oed.model.machine",
     "Component": "oed.model.machine",
+    "PassiveJoint": "oed.model.passive_joint",
     "PointGroup": "oed.model.machine",
     "Instrument": "oed.model.instrument",
     "Channel": "oed.model.instrument",

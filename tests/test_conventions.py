@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import stated_order
+from constraint_machines import swing1
 from scipy.spatial.transform import Rotation
 
 from oed.base import units
@@ -304,6 +305,10 @@ READINGS: dict[str, dict[str, Reading]] = {
     "planar_position": {n: POINT[n] for n in ("read_x", "read_y")},
     "pose_tracker": POINT,
     "pose_tracker_position": POINT,
+    "passive_joint": {"swing1": lambda p, r, k: swing1(p, r)},
+    "locked_joint": {"off_swing1": lambda p, r, k: swing1(p, r)},
+    "seat": {f"miss_{n}": from_plate(i) for i, n in enumerate("xyz")},
+    "touch_plane": {"off": lambda p, r, k: p[0, 2] - k["at"]},
     "rm1": {"dy": difference(1)},
     "rm2": {"dz": difference(2)},
     "rm3": {"dz": difference(2)},
@@ -323,6 +328,7 @@ SETTINGS = {
     "at_x": 0.1,
     "at_y": -0.7,
     "at_z": 0.05,
+    "at": 0.3,
     "bed_slope_x": 0.02,
     "bed_slope_y": -0.03,
 }

@@ -132,7 +132,8 @@ def _setup_readings(
     if instrument.reference == "run":
         reference = ~frame.duplicated("run").to_numpy()
         _check_runs_have_readings(merged, frame, rows, reference)
-    values = _channel_values(frame, instrument)
+    stems = [joint.name for joint in measurement.machine.joints]
+    values = _channel_values(frame, instrument, stems)
     taken = np.isfinite(values).all(axis=1) & ~reference
     series = None
     if taken.any():
@@ -146,16 +147,33 @@ def _setup_readings(
     )
 
 
-def _channel_values(frame: pd.DataFrame, instrument: Instrument) -> Array:
-    """Readings (n, channels), NaN where not taken; the implied one without a column."""
+def _channel_values(
+    frame: pd.DataFrame, instrument: Instrument, joints: Sequence[str]
+) -> Array:
+    """Readings (n, channels), NaN where not taken.
+
+    Where an instrument implies its reading, an empty cell beside recorded joints has it.
+    So has a row of commands without a column, where the file has no joints at all.
+    """
+    implied = np.full(len(frame), np.nan)
+    if instrument.implied is not None:
+        implied[_recorded(frame, joints)] = instrument.implied
     columns = []
     for channel in instrument.channels:
+        values = implied.copy()
         if channel.name in frame:
-            columns.append(frame[channel.name].to_numpy(dtype=float))
-        else:
-            implied = np.nan if instrument.implied is None else instrument.implied
-            columns.append(np.full(len(frame), implied))
+            read = frame[channel.name].to_numpy(dtype=float)
+            values = np.where(np.isfinite(read), read, implied)
+        elif instrument.implied is not None and not set(joints) & set(frame):
+            values[:] = instrument.implied
+        columns.append(values)
     return np.column_stack(columns)
+
+
+def _recorded(frame: pd.DataFrame, joints: Sequence[str]) -> Mask:
+    """Mask (n,) of the rows in which a joint was recorded."""
+    present = [stem for stem in joints if stem in frame]
+    return np.asarray(frame[present].notna().any(axis=1))
 
 
 def _check_runs_have_readings(

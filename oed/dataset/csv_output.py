@@ -35,7 +35,7 @@ def to_csv(
     """The text of a readings file.
 
     References of runs are rows of their own. Readings that are NaN give empty cells, to
-    be filled in.
+    be filled in; where the joints are the measurement, these are the joints' cells.
 
     comments  lines above the header, from the names of the columns
     """
@@ -72,9 +72,18 @@ def _rows(
             if is_covariate(stem):
                 unit = covariate_unit(stem)
                 row[column_name(stem, unit)] = cell(value, unit)
+        if layout.implied and np.isnan(values[i]).all():
+            row = _joint_cells(layout) | row
+            yield row
+            continue
         for channel, value in zip(layout.channels, values[i], strict=True):
             row[column_name(channel.name, channel.unit)] = cell(value, channel.unit)
         yield row
+
+
+def _joint_cells(layout: ColumnLayout) -> dict[str, str]:
+    """Empty cells for the joints, which are recorded where a constraint holds."""
+    return {column_name(c.name, c.unit): "" for c in layout.joints}
 
 
 def _labels(setup: str, run: str, order: int) -> dict[str, str]:

@@ -23,12 +23,15 @@ class ColumnLayout:
     joints     joints, where these were recorded instead
     channels   channels of the instrument
     reference  whether the first row of a run is its reference
+    implied    whether the joints, as recorded, are the measurement: a closure, a contact,
+               a constraint
     """
 
     command: tuple[Coordinate, ...]
     joints: tuple[Coordinate, ...]
     channels: tuple[Channel, ...]
     reference: bool
+    implied: bool = False
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -119,6 +122,7 @@ def column_layout(machine: Machine, setup: Setup) -> ColumnLayout:
         joints=machine.joints,
         channels=instrument.channels,
         reference=instrument.reference == "run",
+        implied=instrument.implied is not None,
     )
 
 

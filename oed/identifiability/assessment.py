@@ -7,8 +7,8 @@ puts the result into sentences.
 
 Remedies for lost directions are additional readings, tried on the slopes H. Each trial
 adds readings to the plan and counts the directions that no reading determines afterwards:
-the same poses with a longer tool, with the tool's position or axis read as well, or with
-another set-up of the study.
+the same poses with a longer tool, with the tool's position or axis read as well, with
+sensors on the machine's passive joints, or with another set-up of the study.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ from oed.base.arrays import Array, Index
 from oed.identifiability import identifiability, information
 from oed.identifiability.identifiability import Identifiability
 from oed.measurement.measurement import Measurement, Series
+from oed.model.expressions import passive_joints
+from oed.model.instrument import Channel, Cost, Frame, Instrument, mount
+from oed.model.machine import Expr, Parameter, Values
 
 #: readings as a machine with its set-ups, and their series
 Readings = tuple[Measurement, Sequence[Series]]
@@ -113,6 +116,7 @@ def recoveries(
     trials = [
         *_longer_tool(assessment),
         *_more_pose_components(assessment),
+        *_passive_sensors(assessment),
         *_alternatives(assessment, alternatives),
     ]
     return [
@@ -209,6 +213,43 @@ def _pose_slopes(assessment: Assessment) -> tuple[Array, Array, Array]:
         axis.append(in_tool_frame[:, :2].reshape(-1, parameters))
         pose.append(slope.reshape(-1, parameters))
     return np.vstack(position), np.vstack(axis), np.vstack(pose)
+
+
+def _passive_sensors(assessment: Assessment) -> list[Trial]:
+    """The same joint positions with every passive joint read; zeros are unknown."""
+    measurement = assessment.measurement
+    joints = passive_joints(measurement.machine)
+    if not joints:
+        return []
+    names = [joint.name for joint in joints]
+
+    def observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+        return [frames[0].passive[name] + s[name] for name in names]
+
+    sensors = Instrument(
+        name="sensors on passive joints",
+        source="",
+        channels=tuple(Channel(j.name, j.unit, 1.0) for j in joints),
+        settings=(),
+        nuisances=tuple(Parameter(j.name, 0.0, 1.0, j.unit) for j in joints),
+        cost=Cost(0.0, 0.0),
+        observe=observe,
+    )
+    setup = mount(sensors, sensors.name)
+    trial = measurement.with_setups([*measurement.setups.values(), setup])
+    series = [*assessment.series]
+    series += [_read_alone(s, setup.name) for s in assessment.series]
+    rows = trial.jacobian(series, trial.nominal)
+    rows *= trial.reading_length_factors(series)[:, None]
+    lost = _lost_directions(
+        rows, free_parameters(trial, series), 1.0 / trial.length_factors
+    )
+    return [Trial(f"sensors on the passive joints, {', '.join(names)},", lost)]
+
+
+def _read_alone(series: Series, setup: str) -> Series:
+    """The readings' own poses, read by another set-up without a reference."""
+    return dataclasses.replace(series, setup=setup, index=series.index[:, :1])
 
 
 def _alternatives(

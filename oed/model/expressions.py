@@ -10,7 +10,14 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.instrument import Frame
-from oed.model.machine import Coordinate, Expr, Machine, Parameter, Values
+from oed.model.machine import (
+    Coordinate,
+    Expr,
+    Machine,
+    Parameter,
+    Values,
+)
+from oed.model.passive_joint import PassiveJoint
 
 
 def symbols(
@@ -149,13 +156,31 @@ def machine_frame(
     x_by_name, q_by_name, p_by_name = by_name
     rotation, origin = machine.platform(x_by_name)
     tip = origin + rotation @ tool
+    joints = machine.passive(x_by_name, q_by_name, p_by_name)
+    passive = {joint.name: joint.value for joint in joints}
     phi = ca.vertcat(*machine.closure(x_by_name, q_by_name, p_by_name))
     spare = phi.numel() - x.numel()
     if spare <= 0:
-        return Frame(rotation, tip)
+        return Frame(rotation, tip, passive=passive)
     null = _null_space(ca.jacobian(phi, x), _home_null_space(machine))
     misfits = null.T @ phi / np.sqrt(phi.numel())
-    return Frame(rotation, tip, closure_misfit(phi, x), misfits, null)
+    return Frame(rotation, tip, closure_misfit(phi, x), misfits, null, passive)
+
+
+def passive_joints(machine: Machine) -> list[PassiveJoint]:
+    """The passive joints of a machine, in expressions of symbols."""
+    parts = (machine.pose, machine.joints, machine.parameters)
+    return list(machine.passive(*(symbols("v", part)[1] for part in parts)))
+
+
+def passive_at_home(machine: Machine) -> dict[str, float]:
+    """Value of each passive joint, SI, by name, at the start for the home pose."""
+    p_by_name = {p.name: p.nominal for p in machine.parameters}
+    pose, joints = machine.start(machine.home, p_by_name)
+    x = dict(zip((c.name for c in machine.pose), pose, strict=True))
+    q = dict(zip((c.name for c in machine.joints), joints, strict=True))
+    joints = machine.passive(x, q, p_by_name)
+    return {j.name: round(float(ca.DM(j.value)), 12) + 0.0 for j in joints}
 
 
 def _home_null_space(machine: Machine) -> Array:

@@ -23,6 +23,8 @@ class Channel:
     resolution  step of its display, SI; a set-up's sigma holds its variance, a twelfth
                 of the square; 0 for fine ones
     about   what it reads: frame and sense, for tables
+    alone   settings and unknowns of the set-up that this channel alone has: they go
+            where it is not read
 
     >>> from oed import Channel
     >>> Channel("length", "m", sigma=1e-6, resolution=1e-7).unit
@@ -35,6 +37,7 @@ class Channel:
     shared: float = 0.0
     resolution: float = 0.0
     about: str = ""
+    alone: tuple[str, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -76,6 +79,7 @@ class Frame:
                     square root of the number of equations m; None unless the machine is
                     redundant, by k equations
     null_space      (m, k) orthonormal directions of these components
+    passive         angles and lengths of the machine's passive joints, by name
     """
 
     rotation: Expr
@@ -83,6 +87,7 @@ class Frame:
     closure_misfit: Expr | None = None
     closure_misfits: Expr | None = None
     null_space: Expr | None = None
+    passive: Values = dataclasses.field(default_factory=dict)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -141,6 +146,8 @@ class Instrument:
     adapt(machine)         the instrument for a machine, where its channels or settings
                            depend on it
     orientation            how its angles make the orientation that it reads
+    single                 whether a set-up reads one channel, which it has to name
+    fixed_point            whether the tool point is the same at all poses
 
     >>> from pkm_models.instruments.ball_bar import instrument
     >>> [channel.name for channel in instrument.channels]
@@ -166,6 +173,8 @@ class Instrument:
     adapt: Callable[[Machine], Instrument] | None = None
     orientation: Orientation | None = None
     inner: tuple[InnerReading, ...] = ()
+    single: bool = False
+    fixed_point: bool = False
 
     def for_machine(self, machine: Machine) -> Instrument:
         """The instrument with the channels and settings that it has on a machine."""
@@ -174,7 +183,8 @@ class Instrument:
     def take_channels(self, names: Sequence[str]) -> Instrument:
         """The instrument that reads some of its channels alone, in its own order.
 
-        Raises ValueError for unknown names, and for none.
+        Settings and unknowns of the other channels alone are left out. Raises
+        ValueError for unknown names, for none, and for several of a `single` one.
         """
         known = [c.name for c in self.channels]
         unknown = [n for n in names if n not in known]
@@ -184,13 +194,18 @@ class Instrument:
                 if unknown
                 else f"{self.name} must read one of {known} at least"
             )
+        if self.single and len(names) > 1:
+            raise ValueError(f"{self.name} reads one of {known} in a set-up")
         rows = [k for k, n in enumerate(known) if n in names]
+        absent = {n for c in self.channels if c.name not in names for n in c.alone}
         return dataclasses.replace(
             self,
             channels=tuple(self.channels[k] for k in rows),
+            settings=tuple(s for s in self.settings if s.name not in absent),
+            nuisances=tuple(n for n in self.nuisances if n.name not in absent),
             observe=_entries(self.observe, rows),
             sources=None if self.sources is None else _rows(self.sources, rows),
-            fixed_reading=self.fixed_reading if rows[0] == 0 else None,
+            fixed_reading=self.fixed_reading if self.single or rows[0] == 0 else None,
         )
 
     @property

@@ -14,10 +14,27 @@ from typing import Any
 
 import numpy as np
 
-from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation
-from oed.model.adjustment import Adjustment
+from oed.model.parameter import CommonTolerance, Parameter
+from oed.model.passive_joint import PassiveJoint
+
+__all__ = [
+    "CommonTolerance",
+    "Component",
+    "Coordinate",
+    "Dimension",
+    "Expr",
+    "Family",
+    "Machine",
+    "Parameter",
+    "PassiveJoint",
+    "PointGroup",
+    "Start",
+    "Strut",
+    "Tool",
+    "Values",
+]
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any
@@ -32,54 +49,6 @@ Tool = Sequence[float]
 
 #: a coordinate may exceed its range by this share of the range's upper end
 RANGE_SLACK = 1e-9
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Parameter:
-    """A calibration parameter.
-
-    name       unique within a machine or an instrument
-    nominal    value from the drawing, SI
-    tolerance  prior standard deviation, SI
-    unit       SI unit: m, rad, s, N, K or 1
-    about      what it is, for tables
-    bounds     least and largest value that it can have, SI
-    adjust     what moves it at the machine; None where nothing does
-    expected   prior mean, SI, where an earlier session knows better than the drawing
-
-    >>> from oed import Parameter
-    >>> Parameter("l1", nominal=3.350, tolerance=0.5e-3, unit="m").tolerance
-    0.0005
-    """
-
-    name: str
-    nominal: float
-    tolerance: float
-    unit: str
-    about: str = ""
-    bounds: tuple[float, float] = (-np.inf, np.inf)
-    adjust: Adjustment | None = None
-    expected: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.unit not in units.DISPLAY:
-            raise ValueError(
-                f"parameter {self.name}: unit {self.unit!r} is not SI (m, rad, s, N, K"
-                " or 1)"
-            )
-        finite = np.isfinite(self.nominal) and np.isfinite(self.tolerance)
-        if not finite or self.tolerance < 0.0:
-            raise ValueError(
-                f"parameter {self.name}: nominal and tolerance must be finite,"
-                " tolerance >= 0"
-            )
-        if not self.bounds[0] <= self.nominal <= self.bounds[1]:
-            raise ValueError(f"parameter {self.name}: nominal is out of its bounds")
-
-    @property
-    def mean(self) -> float:
-        """Prior mean, SI: nominal without an earlier session."""
-        return self.nominal if self.expected is None else self.expected
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -180,18 +149,6 @@ class Family:
     build: Callable[[Mapping[str, Any]], Machine]
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class CommonTolerance:
-    """Parameters whose errors are correlated: parts of one batch, holes of one jig.
-
-    names        of the k parameters
-    correlation  between each two of them, below 1; or all of them, (k, k)
-    """
-
-    names: tuple[str, ...]
-    correlation: float | tuple[tuple[float, ...], ...]
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Machine:
     """A parallel machine, defined by its closure.
@@ -226,6 +183,7 @@ class Machine:
                          points (3,) in the base frame. Gravity, heat and bending act on
                          struts. The first row of the closure that holds joint k is the
                          distance of its ends less the strut's length, m
+    passive(x, q, p)     passive joints, which sensors can read and locks can hold
     drawn                the machine as drawn, where `nominal` or `home` are those of
                          another; its home pose states the assembly mode that is meant
     family               what made the machine from a table of geometry, if anything did
@@ -283,6 +241,9 @@ class Machine:
     read_error: Callable[[Values, Sequence[Expr]], Sequence[Expr]] = _translation_error
     skeleton: Callable[[Values, Values, Values], Sequence[Sequence[Expr]]] | None = None
     struts: Callable[[Values, Values, Values], Sequence[Strut]] | None = None
+    passive: Callable[[Values, Values, Values], Sequence[PassiveJoint]] = (
+        lambda x, q, p: ()
+    )
     frame: tuple[str, ...] = ()
     correlated: tuple[CommonTolerance, ...] = ()
     groups: tuple[PointGroup, ...] = ()

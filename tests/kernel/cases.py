@@ -21,9 +21,12 @@ from pkm_models.instruments import (
     laser_ball_bar,
     length_gauge,
     orientation,
+    passive_joint,
     pose_tracker,
     redundancy,
     relative,
+    seat,
+    touch_plane,
 )
 from pkm_models.machines import (
     a3_head,
@@ -220,6 +223,30 @@ CASES = {
         setups=_PRS,
     ),
 }
+PASSIVE = ("a3_head", "hexapod", "linear_delta", "micro_cmm", "prs_spindle")
+
+
+def _of_constraints(machine: Machine) -> dict[str, Setup]:
+    """Sensors on passive joints, one of them locked, a plane; a seat where it can move."""
+    sensors = passive_joint.instrument.for_machine(machine)
+    lock = passive_joint.locked.for_machine(machine).take_channels(["off_swing2"])
+    slope = {"normal_x": 0.36, "normal_y": -0.48, "normal_z": 0.8}
+    setups = [
+        mount(sensors.take_channels(["swing1", "swing2"]), "passive_joint"),
+        mount(lock, "locked_joint", at_swing2=0.1),
+        mount(touch_plane.instrument, "touch_plane", at=0.1, **slope),
+    ]
+    if len(machine.command) > 3:
+        place = {"at_x": 0.01, "at_y": -0.02, "at_z": 0.5}
+        setups.append(mount(seat.instrument, "seat", tool=(0.0, 0.0, -0.05), **place))
+    return {setup.name: setup for setup in setups}
+
+
+for _name in PASSIVE:
+    _case = CASES[_name]
+    CASES[_name] = dataclasses.replace(
+        _case, setups={**_case.setups, **_of_constraints(_case.machine)}
+    )
 PAIRS = [(name, setup) for name, case in CASES.items() for setup in case.setups]
 
 

@@ -29,7 +29,7 @@ from oed.model.machine import (
     PointGroup,
     Values,
 )
-from pkm_models.parts import coordinates
+from pkm_models.parts import coordinates, passive
 from pkm_models.parts.rotation import tilt_torsion
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
@@ -70,6 +70,11 @@ def _joints(x: Values, p: Values) -> list[tuple[Expr, Expr]]:
     return joints
 
 
+def _hinge_axis(i: int) -> tuple[float, float, float]:
+    """Axis s1 of limb i's revolute joint."""
+    return (-math.sin(PHI[i]), math.cos(PHI[i]), 0.0)
+
+
 def platform(x: Values) -> tuple[Expr, Expr]:
     """Orientation and tool point."""
     return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
@@ -80,7 +85,7 @@ def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     rows = []
     for i, (base, joint) in zip(LIMBS, _joints(x, p), strict=True):
         v, length = joint - base, q[f"q{i}"] + p[f"dq{i}"]
-        s1 = ca.DM([-math.sin(PHI[i]), math.cos(PHI[i]), 0.0])
+        s1 = ca.DM(_hinge_axis(i))
         rows += [ca.norm_2(v) - length, ca.dot(s1, v) - length * ca.sin(p[f"beta{i}"])]
     return rows
 
@@ -192,6 +197,9 @@ machine = Machine(
     read_error=read_error,
     skeleton=skeleton,
     struts=lambda x, q, p: _joints(x, p),
+    passive=lambda x, q, p: passive.hinges(
+        _joints(x, p), [_hinge_axis(i) for i in LIMBS], passive.UP
+    ),
     frame=("db1x", "db2y", "db3y", "db1z", "db2z", "db3z"),  # Eq. (16)
     groups=(
         PointGroup(

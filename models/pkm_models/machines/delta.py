@@ -35,9 +35,10 @@ from oed.model.machine import (
     Start,
     Values,
 )
+from oed.model.passive_joint import PassiveJoint
 from pkm_models.machines import linear_delta
 from pkm_models.machines.linear_delta import DOWN
-from pkm_models.parts import families
+from pkm_models.parts import families, passive
 from pkm_models.parts.coordinates import joint, point, point_errors, points
 from pkm_models.parts.families import Geometry, as_rows
 
@@ -118,6 +119,14 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     return lines
 
 
+def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
+    """Joints of the arms at the carriages: first axes across the towers' radii."""
+    struts = [(_carriage(i, q, p), _tool(x)) for i in TOWERS]
+    angles = [p[f"angle{i}"] for i in TOWERS]
+    axes = [ca.vertcat(-ca.sin(a), ca.cos(a), 0.0) for a in angles]
+    return passive.universals(struts, axes, passive.DOWN)
+
+
 def build(geometry: Geometry) -> Machine:
     """A delta of this geometry. Raises ValueError where its arms are too short."""
     table = families.completed(DIMENSIONS, geometry)
@@ -151,6 +160,7 @@ def build(geometry: Geometry) -> Machine:
         guess=guess,
         skeleton=skeleton,
         struts=lambda x, q, p: [(_carriage(i, q, p), _tool(x)) for i in TOWERS],
+        passive=passive_joints,
         # Turning or tilting all towers together only turns the base frame.
         frame=("angle3",),
         family=family,

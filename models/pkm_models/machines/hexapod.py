@@ -19,8 +19,10 @@ from __future__ import annotations
 import math
 
 import casadi as ca
+import numpy as np
 
 from oed.model.machine import Expr, Machine, Parameter, PointGroup, Values
+from pkm_models.parts import passive
 from pkm_models.parts.coordinates import joint
 from pkm_models.parts.six_dof import (
     COMPONENTS,
@@ -147,6 +149,9 @@ machine = Machine(
     read_error=lambda c, twist: twist,
     skeleton=skeleton,
     struts=lambda x, q, p: _joints(x, p),
+    passive=lambda x, q, p: passive.universals(
+        _joints(x, p), passive.tangents(np.array(list(B.values()))), passive.UP
+    ),
     groups=(
         _group("platform joints", "the tool point", "da", A),
         _group("base joints", "the base centre", "db", B),

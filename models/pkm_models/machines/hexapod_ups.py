@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models.parts import families, legs, six_dof
+from pkm_models.parts import families, legs, passive, six_dof
 from pkm_models.parts.families import Geometry
 
 LEGS = (1, 2, 3, 4, 5, 6)
@@ -53,7 +53,8 @@ def build(geometry: Geometry) -> Machine:
     platform = families.array(table, "platform")
     home = families.array(table, "home")
     reach = families.number(table, "reach")
-    lengths = np.linalg.norm(home + platform - base, axis=1)
+    drawn = home + platform - base
+    lengths = np.linalg.norm(drawn, axis=1)
     size = families.largest(platform)
     tilt = families.number(table, "tilt")
     change = math.sqrt(3.0) * (reach + 2.0 * size * tilt)
@@ -76,6 +77,9 @@ def build(geometry: Geometry) -> Machine:
         guess=guess,
         skeleton=skeleton,
         struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        passive=lambda x, q, p: passive.universals(
+            [legs.leg(x, p, i) for i in LEGS], legs.across(drawn)[:, 0], drawn
+        ),
         base_frame=legs.GEOMETRY_FRAME,
         tool_axis=legs.GEOMETRY_TOOL_AXIS,
         family=family,

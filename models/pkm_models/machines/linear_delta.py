@@ -19,6 +19,8 @@ from collections.abc import Sequence
 import casadi as ca
 
 from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.model.passive_joint import PassiveJoint
+from pkm_models.parts import passive
 from pkm_models.parts.coordinates import joint, point, point_errors, points
 
 TOWERS = (1, 2, 3)
@@ -69,6 +71,14 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     return lines
 
 
+def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
+    """Joints of the arms at the carriages: first axes across the towers' radii."""
+    struts = [(_carriage(i, q, p), _tool(x)) for i in TOWERS]
+    angles = [p[f"angle{i}"] for i in TOWERS]
+    axes = [ca.vertcat(-ca.sin(a), ca.cos(a), 0.0) for a in angles]
+    return passive.universals(struts, axes, passive.DOWN)
+
+
 machine = Machine(
     name="linear_delta",
     source=(
@@ -114,5 +124,6 @@ machine = Machine(
     guess=guess,
     skeleton=skeleton,
     struts=lambda x, q, p: [(_carriage(i, q, p), _tool(x)) for i in TOWERS],
+    passive=passive_joints,
     frame=("angle3",),  # turning all towers together only turns the base frame
 )

@@ -25,6 +25,8 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.model.passive_joint import PassiveJoint
+from pkm_models.parts import passive
 from pkm_models.parts.coordinates import joint, point, point_errors, points
 
 LEGS = (1, 2, 3)
@@ -80,6 +82,14 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
         [*platform, platform[0]],
         *[[b, _probe(x)] for b in platform],
     ]
+
+
+def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
+    """Universal joints at the frame: first axes tangential, at the frame points' angles."""
+    struts = [_ends(x, p, i) for i in LEGS]
+    angles = [p[f"thetaf{i}"] for i in LEGS]
+    axes = [ca.vertcat(-ca.sin(a), ca.cos(a), 0.0) for a in angles]
+    return passive.universals(struts, axes, passive.DOWN)
 
 
 machine = Machine(
@@ -147,4 +157,5 @@ machine = Machine(
     ),
     skeleton=skeleton,
     struts=lambda x, q, p: [_ends(x, p, i) for i in LEGS],
+    passive=passive_joints,
 )

@@ -39,7 +39,7 @@ from oed.model.machine import (
     PointGroup,
     Values,
 )
-from pkm_models.parts import coordinates
+from pkm_models.parts import coordinates, passive
 from pkm_models.parts.rotation import tilt_torsion
 
 R, RADIUS, H, L = (
@@ -93,7 +93,12 @@ def platform(x: Values) -> tuple[Expr, Expr]:
 def out_of_plane(x: Values, q: Values, p: Values, i: int) -> Expr:
     """v_i . s_i: how far the ball joint is beside the plane of its strut, m."""
     slider, ball = joints(x, q, p, i)
-    return ca.dot(ca.DM([-math.sin(PHI[i]), math.cos(PHI[i]), 0.0]), ball - slider)
+    return ca.dot(ca.DM(_hinge_axis(i)), ball - slider)
+
+
+def _hinge_axis(i: int) -> tuple[float, float, float]:
+    """Axis s_i of the hinge on slider i."""
+    return (-math.sin(PHI[i]), math.cos(PHI[i]), 0.0)
 
 
 def strut(x: Values, q: Values, p: Values, i: int) -> Expr:
@@ -214,6 +219,11 @@ machine = Machine(
     read_error=read_error,
     skeleton=skeleton,
     struts=lambda x, q, p: [joints(x, q, p, i) for i in LIMBS],
+    passive=lambda x, q, p: passive.hinges(
+        [joints(x, q, p, i) for i in LIMBS],
+        [_hinge_axis(i) for i in LIMBS],
+        passive.DOWN,
+    ),
     groups=(
         PointGroup("platform joints", "the tool tip", _BALLS),  # type: ignore[arg-type]
         PointGroup("slider joints", "the machine's axis", _SLIDERS),

@@ -17,6 +17,7 @@ first_axis, the direction of n_1 about z from x; home and reach of the workspace
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import casadi as ca
@@ -31,7 +32,8 @@ from oed.model.machine import (
     Start,
     Values,
 )
-from pkm_models.parts import coordinates, families, legs, six_dof
+from oed.model.passive_joint import PassiveJoint
+from pkm_models.parts import coordinates, families, legs, passive, six_dof
 from pkm_models.parts.families import XYZ, Geometry
 
 LEGS = (1, 2, 3)
@@ -85,6 +87,24 @@ def _guess(c: Values, p: Values, up: float) -> Start:
     pose = [c["x"], c["y"], c["z"], -axis[1], axis[0], 0.0]
     x = families.by_name(six_dof.POSE, pose)
     return pose, [legs.leg_length(x, p, i) for i in LEGS]
+
+
+def _passive_joints(
+    x: Values, p: Values, angle: float, up: float
+) -> list[PassiveJoint]:
+    """Length of the passive leg, its turn about the first axis, its lean along it."""
+    _, origin = six_dof.platform(x)
+    first, _ = _axes(p, angle)
+    strut = (_pivot(p), origin)
+    upright = passive.DOWN if up > 0.0 else passive.UP
+    swing, side = passive.universals([strut], [first], upright)
+    about = "length of the passive leg, from its pivot to the tool point"
+    length = PassiveJoint("slide", "m", ca.norm_2(origin - _pivot(p)), about)
+    return [
+        length,
+        dataclasses.replace(swing, name="swing"),
+        dataclasses.replace(side, name="side"),
+    ]
 
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
@@ -157,6 +177,7 @@ def build(geometry: Geometry) -> Machine:
         read_error=lambda c, twist: twist,
         skeleton=skeleton,
         struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        passive=lambda x, q, p: _passive_joints(x, p, angle, up),
         base_frame=legs.GEOMETRY_FRAME,
         tool_axis=legs.GEOMETRY_TOOL_AXIS,
         orientation=six_dof.ORIENTATION,

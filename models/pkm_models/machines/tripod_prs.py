@@ -21,7 +21,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models.parts import coordinates, families, legs, six_dof
+from pkm_models.parts import coordinates, families, legs, passive, six_dof
 from pkm_models.parts.carriages import GuidedStruts
 from pkm_models.parts.families import Geometry, as_rows
 
@@ -61,6 +61,9 @@ def _builder(along: Array, axes: Array, side: Array) -> dict[str, object]:
         "guess": guess,
         "skeleton": limbs.skeleton,
         "struts": limbs.struts,
+        "passive": lambda x, q, p: passive.hinges(
+            limbs.struts(x, q, p), axes, -side[:, None] * along
+        ),
     }
 
 

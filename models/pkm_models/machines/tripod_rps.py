@@ -19,7 +19,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
-from pkm_models.parts import coordinates, families, legs, six_dof
+from pkm_models.parts import coordinates, families, legs, passive, six_dof
 from pkm_models.parts.families import Geometry
 
 LEGS = (1, 2, 3)
@@ -73,7 +73,8 @@ def build(geometry: Geometry) -> Machine:
     reach = families.number(table, "reach")
     axes = families.unit_vectors(table["axis"], 3)
     size = families.largest(platform)
-    lengths = np.linalg.norm(home + platform - base, axis=1)
+    drawn = home + platform - base
+    lengths = np.linalg.norm(drawn, axis=1)
     tilt = families.number(table, "tilt")
     legs_range = families.around(
         lengths, 2.0 * (reach + 2.0 * size * tilt), 3, legs.LEG
@@ -103,6 +104,9 @@ def build(geometry: Geometry) -> Machine:
         read_error=lambda c, twist: twist,
         skeleton=skeleton,
         struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        passive=lambda x, q, p: passive.hinges(
+            [legs.leg(x, p, i) for i in LEGS], axes, drawn
+        ),
         base_frame=legs.GEOMETRY_FRAME,
         tool_axis=legs.GEOMETRY_TOOL_AXIS,
         orientation=six_dof.ORIENTATION,

@@ -155,7 +155,11 @@ def _table(
     if len(set(runs)) > 1:
         titles.append("Run")
         cells.append([shorten(run, LONGEST_RUN) for run in runs])
-    named = [pose.command | pose.joints for pose in poses]
+    named = []
+    for pose in poses:
+        # joints that are to be recorded have cells to write in instead
+        joints = {k: v for k, v in pose.joints.items() if k not in channels}
+        named.append(pose.command | joints)
     for key in dict.fromkeys(key for values in named for key in values):
         titles.append(text.heading(key))
         cells.append(text.aligned(missing.column(named, key), most=3))

@@ -60,7 +60,10 @@ def default_instrument(machine: str, origin: Origin) -> tuple[str, list[str]]:
     place = Place("oed new")
     model = catalogue.machine(machine, origin, place.key("--machine"))
     names = [entry.name for entry in catalogue.listing("instruments")]
-    tools = {name: catalogue.instrument(name, origin, place) for name in names}
+    tools = {
+        name: catalogue.instrument(name, origin, place).for_machine(model)
+        for name in names
+    }
     able = [name for name in names if tools[name].unfit(model) is None]
     ready = [n for n in able if all(s.default is not None for s in tools[n].settings)]
     chosen = next((name for name in DEFAULTS if name in ready), None)
@@ -91,6 +94,8 @@ def write(name: str | None, machine: str, instrument: str, origin: Origin) -> Pa
         raise place.key("--instrument").error(
             f"it cannot read {model.name}: {reason}", "take another", instrument
         )
+    if tool.single:
+        tool = tool.take_channels([tool.channels[0].name])
     study = path.name.removesuffix(SUFFIX)
     drafts = (text(study, machine, model, instrument, tool, share) for share in SHARES)
     draft = _first_sound(drafts, path, origin)
@@ -200,6 +205,7 @@ def _geometry(family: Family) -> str:
 
 def _setup(reference: str, machine: Machine, instrument: Instrument) -> str:
     lines = ["[[setup]]", f'name = "{SETUP}"', f'instrument = "{reference}"']
+    lines += _channels(machine, instrument)
     lines += ["# tool_mm = [0.0, 0.0, 0.0]  # tool point, from the reference tool's"]
     for s in instrument.settings:
         value, remark = s.default, s.about
@@ -215,6 +221,18 @@ def _setup(reference: str, machine: Machine, instrument: Instrument) -> str:
         tolerance = f"{column(n.name, n.unit)} = {format_number(n.tolerance, n.unit)}"
         lines.append(f"# tolerance.{tolerance}  # {n.about}")
     return "\n".join(lines) + "\n"
+
+
+def _channels(machine: Machine, instrument: Instrument) -> list[str]:
+    """What is read, of an instrument whose channels are the machine's passive joints."""
+    if instrument.adapt is None:
+        return []
+    names = [c.name for c in instrument.channels]
+    every = [c.name for c in instrument.adapt(machine).channels]
+    chosen = ", ".join(f'"{name}"' for name in names)
+    if instrument.single:
+        return [f"channels = [{chosen}]  # one of {', '.join(every)}"]
+    return [f"# channels = [{chosen}]  # those that are read"] if names[1:] else []
 
 
 def _noise(instrument: Instrument) -> str:

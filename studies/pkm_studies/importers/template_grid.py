@@ -18,6 +18,8 @@ from pkm_studies.resolve.quantities import column, display_unit
 
 #: most poses of the grid; its values a coordinate, and with too many poses
 POSES, VALUES, FEWER_VALUES = 1000, 5, 3
+#: values where an instrument leaves two coordinates free: enough readings to choose from
+MORE_VALUES = 8
 #: values of an angle that goes all the way round
 TURN_VALUES = 12
 #: shares of the workspace that the grid spans: the first whose poses can be measured
@@ -33,16 +35,25 @@ ROUNDING = 1e-12
 
 def grid_lines(machine: Machine, instrument: Instrument, share: float) -> list[str]:
     hold = _led_coordinate(machine, instrument, share)
+    fixed = [
+        c.name for c in machine.command if instrument.fixed_point and c.name in "xyz"
+    ]
+    free = len(machine.command) - len(fixed) - (hold is not None)
     lines = []
     for c in machine.command:
-        if c.name == hold:
+        if c.name in fixed:
+            key = column(c.name, c.unit)
+            value = format_number(machine.home[c.name], c.unit)
+            lines.append(f"{key} = [{value}]  # the place of the tool point")
+        elif c.name == hold:
             lines.append(f'{c.name} = "hold"  # led by the instrument')
         else:
-            lines.append(axis(c, machine, share))
+            lines.append(axis(c, machine, share, free))
     return lines
 
 
-def axis(c: Coordinate, machine: Machine, share: float) -> str:
+def axis(c: Coordinate, machine: Machine, share: float, free: int | None = None) -> str:
+    """A coordinate's values; `free`, how many coordinates an instrument leaves free."""
     key = column(c.name, c.unit)
     if _turns(c, share):
         count = TURN_VALUES
@@ -50,12 +61,19 @@ def axis(c: Coordinate, machine: Machine, share: float) -> str:
             f"{key} = {{ from = 0.0, to = 360.0, count = {count}, endpoint = false }}"
         )
     low, high = (format_number(end, c.unit) for end in _span(c, machine, share))
-    return f"{key} = {{ from = {low}, to = {high}, count = {_count(machine)} }}"
+    return f"{key} = {{ from = {low}, to = {high}, count = {_count(machine, free)} }}"
 
 
-def _count(machine: Machine) -> int:
-    """Values of each coordinate: five, or fewer where six would make 15625 poses."""
-    few = VALUES ** len(machine.command) > POSES
+def _count(machine: Machine, free: int | None = None) -> int:
+    """Values of each coordinate: five, or fewer where six would make 15625 poses.
+
+    More where an instrument leaves at most two of three or more free.
+    """
+    every = len(machine.command)
+    free = every if free is None else free
+    if free < every and free <= 2:
+        return MORE_VALUES
+    few = VALUES**free > POSES
     return FEWER_VALUES if few else VALUES
 
 

@@ -10,8 +10,11 @@ from oed.base import units
 from oed.base.orientation import Orientation
 from oed.base.units import UnitError
 from oed.dataset.columns import parse_column
+from oed.measurement.measurement import Measurement
+from oed.model.expressions import passive_joints
 from oed.model.instrument import Channel, Instrument
 from oed.model.machine import Component, Coordinate, Machine
+from oed.model.passive_joint import PassiveJoint
 from pkm_studies.catalogue import catalogue
 from pkm_studies.catalogue.catalogue import CatalogueEntry
 from pkm_studies.resolve.machine import study_machine
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from oed.measurement.measurement import Measurement
 
 COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
+PASSIVE = "passive joint"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -34,7 +38,7 @@ class ColumnStatement:
 
 
 def machine_columns(machine: Machine) -> list[ColumnStatement]:
-    """Commands, joints and pose errors of a machine."""
+    """Commands, joints, pose errors and passive joints of a machine."""
     errors = [
         ColumnStatement(f"{c.name}_{units.FINE[c.unit]}", ERROR, _with_drive(c))
         for c in machine.components
@@ -46,6 +50,7 @@ def machine_columns(machine: Machine) -> list[ColumnStatement]:
         ),
         *(_statement(c, JOINT) for c in machine.joints),
         *errors,
+        *(_statement(joint, PASSIVE) for joint in passive_joints(machine)),
     ]
 
 
@@ -122,7 +127,7 @@ def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
     return lambda header: readings_comments(machine, setups, header)
 
 
-def _statement(item: Coordinate | Channel, role: str) -> ColumnStatement:
+def _statement(item: Coordinate | Channel | PassiveJoint, role: str) -> ColumnStatement:
     return ColumnStatement(column(item.name, item.unit), role, item.about)
 
 

@@ -60,6 +60,12 @@ def _instrument(
         problem = f"it cannot read {machine.name}: {reason}"
         raise at.error(problem, "take another", instrument.name)
     if table.channels is None:
+        if instrument.single:
+            first = instrument.channels[0].name
+            names = ", ".join(c.name for c in instrument.channels)
+            problem = f"{instrument.name} reads one channel, and none is named"
+            remedy = f'write channels = ["{first}"], or another of {names}'
+            raise place.key("channels").error(problem, remedy)
         return instrument
     try:
         return instrument.take_channels(table.channels)

@@ -79,7 +79,8 @@ def planned_readings(
     """The readings as poses to command, in working order, with their nominal values."""
     planned = []
     for s in series:
-        channels = measurement.setups[s.setup].instrument.channels
+        instrument = measurement.setups[s.setup].instrument
+        channels = instrument.channels
         expected = measurement.expected_readings(s)
         y = expected.reshape(len(s), len(channels))
         commands = s.reading_commands()
@@ -88,16 +89,19 @@ def planned_readings(
         for k, run in enumerate(s.run):
             number[run] += 1
             values = zip(channels, y[k], strict=True)
+            sent = displayed_joints(measurement.machine, joints[k])
+            read = {
+                column(c.name, c.unit): displayed(float(value), c.unit)
+                for c, value in values
+            }
             reading = PlannedReading(
                 setup=s.setup,
                 run=str(run),
                 order=number[run],
                 command=displayed_command(measurement.machine, commands[k]),
-                reading={
-                    column(c.name, c.unit): displayed(float(value), c.unit)
-                    for c, value in values
-                },
-                joints=displayed_joints(measurement.machine, joints[k]),
+                # what is recorded of a constraint are the joints at which it holds
+                reading=read if instrument.implied is None else sent,
+                joints=sent,
             )
             planned.append(reading)
     return planned

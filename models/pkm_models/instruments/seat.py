@@ -1,0 +1,76 @@
+"""Seat: the tool ball rests in a fixed seat while the platform turns about it.
+
+Constrained calibration: a magnetic cup of three balls on the table keeps the centre of
+the tool ball, the tool point P, at one place, whatever the orientation. With the stated
+place `at` and its unknown offset, the readings are by how far P is from it,
+
+    miss = P - at - seat = 0,
+
+in x, y and z of the base frame. The measurement is the joints that were recorded while
+the ball sat, with the motors yielding; files need no columns for the misses. Three
+gauges about a ball that does not sit (an R-test, ISO 230-7) read the same numbers.
+
+Another seat is another set-up. A machine of three or fewer degrees of freedom cannot
+move with its tool point held.
+
+Noise, one standard deviation: 1 um, the repeatability of a magnetic seat of three balls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
+from oed.model.machine import Expr, Machine, Parameter, Values
+
+AXES = "xyz"
+REPEATABILITY, PLACE = 1e-6, 1e-3  # m
+
+
+def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
+    seat = ca.vertcat(*[k[f"at_{n}"] + s[f"seat_{n}"] for n in AXES])
+    miss = frames[0].point - seat
+    return [miss[i] for i in range(3)]
+
+
+def _unfit(machine: Machine) -> str | None:
+    if len(machine.command) > len(AXES):
+        return None
+    return "with the tool point in a seat it could not move"
+
+
+def _seat(home: Sequence[float | None]) -> Instrument:
+    """The seat near a place (3,), m; None where a set-up has to state it."""
+    return Instrument(
+        name="seat",
+        source="Rugbani and Schreve, section VI: constrained calibration; ISO 230-7",
+        about="tool ball in a seat of unknown place: the point stays, the platform turns",
+        channels=tuple(
+            Channel(
+                f"miss_{n}",
+                "m",
+                REPEATABILITY,
+                about=f"{n} of the tool point less the seat's, base frame; 0 in the seat",
+            )
+            for n in AXES
+        ),
+        settings=tuple(
+            Setting(f"at_{n}", "m", value, f"{n} of the seat in the base frame, about")
+            for n, value in zip(AXES, home, strict=True)
+        ),
+        nuisances=tuple(
+            Parameter(f"seat_{n}", 0.0, PLACE, "m", f"{n} of the seat less the stated")
+            for n in AXES
+        ),
+        cost=Cost(setup=300.0, reading=15.0),
+        observe=_observe,
+        unfit=_unfit,
+        implied=0.0,
+        adapt=lambda machine: _seat([machine.home.get(n) for n in AXES]),
+        fixed_point=True,
+    )
+
+
+instrument = _seat([None, None, None])

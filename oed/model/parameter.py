@@ -1,0 +1,70 @@
+"""A calibration parameter, and what the tolerances of several have in common."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.base import units
+from oed.model.adjustment import Adjustment
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Parameter:
+    """A calibration parameter.
+
+    name       unique within a machine or an instrument
+    nominal    value from the drawing, SI
+    tolerance  prior standard deviation, SI
+    unit       SI unit: m, rad, s, N, K or 1
+    about      what it is, for tables
+    bounds     least and largest value that it can have, SI
+    adjust     what moves it at the machine; None where nothing does
+    expected   prior mean, SI, where an earlier session knows better than the drawing
+
+    >>> from oed import Parameter
+    >>> Parameter("l1", nominal=3.350, tolerance=0.5e-3, unit="m").tolerance
+    0.0005
+    """
+
+    name: str
+    nominal: float
+    tolerance: float
+    unit: str
+    about: str = ""
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    adjust: Adjustment | None = None
+    expected: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.unit not in units.DISPLAY:
+            raise ValueError(
+                f"parameter {self.name}: unit {self.unit!r} is not SI (m, rad, s, N, K"
+                " or 1)"
+            )
+        finite = np.isfinite(self.nominal) and np.isfinite(self.tolerance)
+        if not finite or self.tolerance < 0.0:
+            raise ValueError(
+                f"parameter {self.name}: nominal and tolerance must be finite,"
+                " tolerance >= 0"
+            )
+        if not self.bounds[0] <= self.nominal <= self.bounds[1]:
+            raise ValueError(f"parameter {self.name}: nominal is out of its bounds")
+
+    @property
+    def mean(self) -> float:
+        """Prior mean, SI: nominal without an earlier session."""
+        return self.nominal if self.expected is None else self.expected
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class CommonTolerance:
+    """Parameters whose errors are correlated: parts of one batch, holes of one jig.
+
+    names        of the k parameters
+    correlation  between each two of them, below 1; or all of them, (k, k)
+    """
+
+    names: tuple[str, ...]
+    correlation: float | tuple[tuple[float, ...], ...]
