@@ -27,7 +27,7 @@ __version__ = "0.2.0"
 _KERNEL = {
     "StudyResult": "oed.result",
     "Machine": "oed.model.machine",
-    "Parameter": "oed.model.machine",
+    "Parameter": "oed.model.parameter",
     "Coordinate": "oed.model.machine",
     "Component": "oed.model.machine",
     "PassiveJoint": "oed.model.passive_joint",

@@ -8,8 +8,8 @@ from oed.model.instrument import mount as mount
 from oed.model.machine import Component as Component
 from oed.model.machine import Coordinate as Coordinate
 from oed.model.machine import Machine as Machine
-from oed.model.machine import Parameter as Parameter
 from oed.model.machine import PointGroup as PointGroup
+from oed.model.parameter import Parameter as Parameter
 from oed.model.passive_joint import PassiveJoint as PassiveJoint
 from oed.result import StudyResult as StudyResult
 from pkm_studies.base.errors import InputError as InputError

@@ -35,7 +35,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from oed.base.arrays import Array, Index
 from oed.checks.fit import LeaveOneOut
@@ -239,15 +239,21 @@ def _odds_beside_heavy_tails(
 def _noise_densities(x: Array, tails: tuple[float, ...]) -> tuple[Array, Array]:
     """Log densities (T, K, n) of errors (n,) for tails and scales; log prior (T, K)."""
     scale = np.exp(SCALE_SD * heavy_scale(_SCALES))
-    prior = stats.norm.logpdf(_SCALES)
+    prior = -0.5 * _SCALES**2
     prior -= _log_sum(prior) + np.log(len(tails))
     scaled = x / scale[:, None]
-    densities = [
-        stats.norm.logpdf(scaled) if np.isinf(dof) else stats.t.logpdf(scaled, dof)
-        for dof in tails
-    ]
+    densities = [_log_student(scaled, dof) for dof in tails]
     by_tail = np.array(densities) - np.log(scale)[:, None]
     return by_tail, np.tile(prior, (len(tails), 1))
+
+
+def _log_student(x: Array, dof: float) -> Array:
+    """Log density of Student's t; normal where the degrees of freedom are infinite."""
+    if np.isinf(dof):
+        return np.asarray(-0.5 * (x**2 + np.log(2.0 * np.pi)))
+    constant = special.gammaln(0.5 * (dof + 1.0)) - special.gammaln(0.5 * dof)
+    constant -= 0.5 * np.log(dof * np.pi)
+    return np.asarray(constant - 0.5 * (dof + 1.0) * np.log1p(x**2 / dof))
 
 
 def _prediction_errors(suspects: Suspects) -> _PredictionErrors:

@@ -25,7 +25,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from oed.base.arrays import Array
 from oed.identifiability import identifiability
@@ -137,7 +137,7 @@ def compare(
     return SessionChange(
         chi2=change.chi2,
         dof=change.dof,
-        p_value=float(stats.chi2.sf(change.chi2, change.dof)) if change.dof else 1.0,
+        p_value=float(special.chdtrc(change.dof, change.chi2)) if change.dof else 1.0,
         combinations=combinations(names, tolerance, root, white),
         causes=_causes(names, tolerance, root, white),
         undetermined=len(names) - change.dof,
@@ -225,7 +225,7 @@ def combinations(
         coefficients = {names[pivot]: 1.0}
         for k in others:
             coefficients[names[k]] = float(row[k] * unit / tolerance[k])
-        p_value = 2.0 * stats.norm.sf(abs(estimate / sd))
+        p_value = 2.0 * special.ndtr(-abs(estimate / sd))
         changes.append(
             CombinationChange(
                 coefficients, float(estimate * unit), float(sd * unit), float(p_value)
@@ -252,7 +252,7 @@ def _causes(
                 change=float(estimate * unit),
                 sd=float(unit / np.sqrt(information)),
                 chi2=rest,
-                p_value=float(stats.chi2.sf(rest, dof - 1)) if dof > 1 else 1.0,
+                p_value=float(special.chdtrc(dof - 1, rest)) if dof > 1 else 1.0,
             )
         )
     return tuple(sorted(causes, key=lambda c: c.chi2))

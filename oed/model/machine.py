@@ -16,25 +16,9 @@ import numpy as np
 
 from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation
-from oed.model.parameter import CommonTolerance, Parameter
+from oed.model.parameter import CommonTolerance as CommonTolerance
+from oed.model.parameter import Parameter as Parameter
 from oed.model.passive_joint import PassiveJoint
-
-__all__ = [
-    "CommonTolerance",
-    "Component",
-    "Coordinate",
-    "Dimension",
-    "Expr",
-    "Family",
-    "Machine",
-    "Parameter",
-    "PassiveJoint",
-    "PointGroup",
-    "Start",
-    "Strut",
-    "Tool",
-    "Values",
-]
 
 #: A CasADi SX expression (CasADi ships no type stubs).
 Expr = Any

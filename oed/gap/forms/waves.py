@@ -13,7 +13,8 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy import signal, special
+import scipy  # scipy.signal takes a while to load: with its first use
+from scipy import special
 
 from oed.base import units
 from oed.base.arrays import Array
@@ -120,7 +121,7 @@ def peaks(problem: GapProblem, metric: Metric, band: Band) -> list[Wave]:
     heights = -_log_tails(problem, metric, band)
     for carrier, height in zip(band.carriers, heights, strict=True):
         padded = np.concatenate([[-1.0], height, [-1.0]])
-        maxima, _ = signal.find_peaks(padded, distance=int(2 * OVER))
+        maxima, _ = scipy.signal.find_peaks(padded, distance=int(2 * OVER))
         order = np.argsort(-height[maxima - 1])[:PEAKS]
         for k in maxima[order] - 1:
             fine = band.frequencies[k] + step * FINE
