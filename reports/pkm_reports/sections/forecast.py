@@ -32,6 +32,11 @@ def blocks(result: StudyResult) -> list[Block]:
     return chapter
 
 
+def answer(forecast: ForecastSection) -> Table:
+    """What the controller's table leaves; before a reading what the plan leaves."""
+    return _residual(forecast) if forecast.readings else _planned(forecast)
+
+
 def _about(forecast: ForecastSection) -> str:
     words = (
         f"Errors that come back at the same command are measured at nodes and subtracted in"

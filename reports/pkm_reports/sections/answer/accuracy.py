@@ -22,7 +22,7 @@ from pkm_reports.page.blocks import (
     TableColumn,
     number_columns,
 )
-from pkm_reports.sections import acceptance, accuracy_ranges
+from pkm_reports.sections import acceptance, accuracy_ranges, forecast
 from pkm_reports.sections.stages import wording
 
 REFERENCES: Final = {
@@ -79,6 +79,8 @@ def blocks(result: StudyResult) -> list[Block]:
         content += _predicted(result, prediction)
     elif result.plan is not None and result.plan.accuracy:
         content.append(_planned(result.plan))
+    if result.forecast is not None:
+        content.append(forecast.answer(result.forecast))
     return content
 
 
