@@ -13,6 +13,11 @@ from oracles import forecast_data, planar_geometry
 from scipy.interpolate import RegularGridInterpolator
 
 from pkm_studies.commands import cli
+from pkm_studies.resolve.resolved import resolve
+from pkm_studies.results.stored_result import load_result
+from pkm_studies.stages.forecast.task import forecast_task
+from pkm_studies.stages.plan.earlier import stored_knowledge
+from pkm_studies.study.loader import load
 
 STUDIES = Path(__file__).parents[1] / "studies"
 PLAN = """
@@ -282,6 +287,17 @@ name = "rm5" """
     left = planar_geometry.forward(joints, truth) - lines * 1e-3 - home
     assert np.abs(errors(lines * 1e-3)).max() > 200e-6
     assert np.abs(left).max() < 12e-6
+    # a controller that holds the estimate leaves nothing that parameters explain
+    predicted = {}
+    for name, line in (("nominal", ""), ("held", 'controller = "out"\n')):
+        held = tmp_path / f"{name}.study.toml"
+        held.write_text(text.replace("[machine]\n", f"[machine]\n{line}", 1))
+        resolved = resolve(load(held), readings=[])
+        knowledge = stored_knowledge(resolved, load_result(out), out)
+        task = forecast_task(resolved, knowledge, np.random.default_rng(0))
+        predicted[name] = np.abs(task.predicted_errors(lines * 1e-3)).max()
+    assert predicted["nominal"] > 200e-6
+    assert predicted["held"] < 1e-6
 
 
 def test_shipped_nodes_are_what_the_oracle_reads() -> None:

@@ -83,11 +83,12 @@ class ForecastTask:
 
         None where the controller compensates what was identified.
         """
-        if self.knowledge is None or self.table.compensated:
+        has_estimate = self.table.compensated and self.kinematics.controller is None
+        if self.knowledge is None or has_estimate:
             return np.zeros((len(command), len(self.expected)))
         machine = self.kinematics.machine
         poses = np.vstack([command, machine.home_command[None]])
-        joints = self.kinematics.inverse(poses)[1]
+        joints = self.kinematics.sent(poses)[1]
         twist = pose_error(self.kinematics, poses, joints, self.knowledge.values)
         errors = components_against(
             self.kinematics, command, twist, self.model.reference

@@ -90,7 +90,7 @@ class ForecastTable(StudyTable, frozen=True, kw_only=True):
     readings     file of measured nodes
     check        file of nodes that are not fitted, and show what is left
     compensated  whether the nodes are measured with the estimate in the controller; else
-                 with the nominal numbers
+                 with the nominal numbers. [machine] controller says what it holds instead
     commands     largest number of commands of the controller's table
     """
 
