@@ -32,6 +32,7 @@ from oed.result.fit import (
     ParameterEstimate,
     PosteriorSection,
     PredictiveCheckRecord,
+    RunCurve,
 )
 from oed.result.gap import (
     AnswerRecord,
@@ -151,6 +152,7 @@ __all__ = [
     "RelaxedSummary",
     "RivalRecord",
     "RobustSummary",
+    "RunCurve",
     "Sd",
     "SeparationRecord",
     "SequenceRecord",

@@ -18,6 +18,7 @@ from oed.result import (
     PosteriorSection,
     PredictionSection,
     StudyResult,
+    indices,
 )
 from pkm_studies.stages.plan.phrases import plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
@@ -56,7 +57,8 @@ def sentences(result: StudyResult, recorded: bool = False) -> list[str]:
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
     noise = [] if checked is None else checked.noise_words
-    return [*alarms, *findings, *noise, *ranked[:MAX_SENTENCES]]
+    asked = _indices(result.identifiability)
+    return [*alarms, *findings, *noise, *ranked[:MAX_SENTENCES], *asked]
 
 
 def accuracy_sentences(result: StudyResult) -> list[str]:
@@ -193,6 +195,11 @@ def _rank(section: IdentifiabilitySection | None) -> list[str]:
         f"{verdict}; {directions} undetermined, and the identifiability section names"
         " readings that would determine them."
     ]
+
+
+def _indices(section: IdentifiabilitySection | None) -> list[str]:
+    """The indices that the study asks for."""
+    return [] if section is None else indices.sentences(section.indices)
 
 
 def _gain(section: DesignSection | None) -> list[str]:
