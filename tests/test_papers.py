@@ -166,8 +166,8 @@ INDEPENDENT: dict[str, Callable[[], float]] = {
     "R5": lambda: rank(planar.identification_rows(3)),
     "R6": lambda: rank(planar.identification_rows(4)),
     "R7": lambda: rank(planar.identification_rows(5)),
-    "R8": lambda: of_rm(4) / of_rm(2),
-    "R9": lambda: of_rm(4) / of_rm(3),
+    "R8": lambda: of_rm(4),
+    "R9": lambda: of_rm(3),
     "R12": step_two,
 }
 

@@ -57,8 +57,7 @@ class EffectSizeRecord(Record, frozen=True):
 class RunCurve(Record, frozen=True):
     """Readings along a run, as departures from those of the nominal machine, in `unit`.
 
-    kind         circle: `at` is the angle in degrees; line: the way along it in mm;
-                 points: the number of the reading
+    kind         circle: `at` is the angle in degrees; line: the way along it in mm
     measured     of each reading
     predicted    of the identified machine
     half_widths  half of the 95 % interval of a reading about `predicted`

@@ -41,9 +41,14 @@ MEANING: Final[Mapping[str, str]] = {
 SYMBOLS: Final = {"kappa": "κ", "noise_amplification": "O"}
 
 
+def symbol(name: str) -> str:
+    """How an index is written in a table."""
+    return SYMBOLS.get(name, name)
+
+
 def sentences(indices: Mapping[str, float]) -> list[str]:
     """Each index of a plan with its value, in a sentence."""
     return [
-        f"{SYMBOLS.get(name, name)} = {value:.4g}: {MEANING.get(name, name)}."
+        f"{symbol(name)} = {value:.4g}: {MEANING.get(name, name)}."
         for name, value in indices.items()
     ]

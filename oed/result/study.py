@@ -10,7 +10,7 @@ from __future__ import annotations
 from oed.result.acceptance import AcceptanceSection, VerificationSection
 from oed.result.corrected import CorrectedSection
 from oed.result.design import DesignSection
-from oed.result.fit import EstimateSection, PosteriorSection
+from oed.result.fit import EstimateSection, PosteriorSection, RunCurve
 from oed.result.gap import GapSection
 from oed.result.gap_before import GapBeforeSection
 from oed.result.goodness import GoodnessSection
@@ -130,6 +130,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     corrected: CorrectedSection | None = None
     acceptance: AcceptanceSection | None = None
     verification: VerificationSection | None = None
+    #: circles and lines that the compensated machine was read along
+    after_compensation: list[RunCurve] = []
     gap_before: GapBeforeSection | None = None
     drawing: Drawing | None = None
     warnings: list[str] = []

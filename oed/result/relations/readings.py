@@ -16,6 +16,9 @@ from oed.result.relations import base
 from oed.result.relations.base import Breach
 from oed.result.study import StudyResult
 
+#: kinds of runs that have curves
+RUN_KINDS = ("circle", "line")
+
 
 def breaches(result: StudyResult) -> Iterator[Breach]:
     """Contradictions of the sections that readings make."""
@@ -27,6 +30,8 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _corrected(result.corrected)
     for k, section in enumerate(result.held_out, start=1):
         yield from _held_out(f"held_out[{k}]", section)
+    for k, curve in enumerate(result.after_compensation, start=1):
+        yield from run_curve(f"after_compensation[{k}]", curve)
     if result.goodness is not None:
         for name, record in result.goodness.noise.items():
             yield from base.unit(f"goodness.noise.{name}.unit", record.unit)
@@ -68,6 +73,7 @@ def _estimate(section: EstimateSection) -> Iterator[Breach]:
 def run_curve(field: str, curve: RunCurve) -> Iterator[Breach]:
     """Contradictions of the readings along a run."""
     yield from base.unit(f"{field}.unit", curve.unit)
+    yield from base.known(f"{field}.kind", [curve.kind], RUN_KINDS, "its values")
     for name in ("measured", "predicted", "half_widths"):
         values = getattr(curve, name)
         yield from base.lengths(f"{field}.{name}", values, f"{field}.at", len(curve.at))

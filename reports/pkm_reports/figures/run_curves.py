@@ -76,7 +76,7 @@ def _row(row: Sequence[Axes], curve: RunCurve) -> None:
     for axes in row:
         axes.axhline(0.0, color=style.INK, lw=0.6)
         axes.yaxis.set_major_locator(MaxNLocator(4))
-        axes.set_xlabel(AXIS_LABELS.get(curve.kind, "reading"))
+        axes.set_xlabel(AXIS_LABELS[curve.kind])
         if curve.kind == "circle":
             axes.set_xlim(0.0, 360.0)
             axes.xaxis.set_major_locator(MultipleLocator(90.0))

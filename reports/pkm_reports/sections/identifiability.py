@@ -201,7 +201,7 @@ def _indices(
 ) -> Table:
     """The indices that the study asks for: of its readings, and of the variants."""
     entries = {"this plan": section, **variants}
-    symbols = [indices.SYMBOLS.get(name, name) for name in section.indices]
+    symbols = [indices.symbol(name) for name in section.indices]
     rows = [
         [plan, str(one.rank), *_values(one, section.indices)]
         for plan, one in entries.items()

@@ -55,8 +55,8 @@ def _index(assessment: Assessment, name: str) -> float:
 def _poses(assessment: Assessment, series: Series) -> int:
     """Number of poses on the runs, references included, a teach pose not."""
     taught = assessment.measurement.setups[series.setup].teach is not None
-    seen = series.index[:, 0] if taught else series.index
-    return len(np.unique(seen))
+    poses = series.index[:, 0] if taught else series.index
+    return len(np.unique(poses))
 
 
 def variants(

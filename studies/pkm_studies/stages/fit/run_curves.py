@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from oed.base import units
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index
 from oed.compensate import compensated_joints
 from oed.estimation.estimate import Estimate
 from oed.gap.data.state import phase_along_runs
@@ -158,13 +158,13 @@ def _along(measurement: Measurement, series: Series) -> tuple[Array, Array]:
     return tips, phase_along_runs(tips, series.run, np.empty(0, dtype=np.intp))
 
 
-def _half_widths(curves: ReadingCurves, rows: Array, unit: str) -> list[float]:
+def _half_widths(curves: ReadingCurves, rows: Index, unit: str) -> list[float]:
     if curves.compensated_sd is None:
         return []
     return _displayed(HALF_WIDTH * curves.compensated_sd, rows, unit)
 
 
-def _displayed(values: Array | None, rows: Array, unit: str) -> list[float]:
+def _displayed(values: Array | None, rows: Index, unit: str) -> list[float]:
     if values is None:
         return []
     return [round(float(v), DIGITS) for v in units.from_si(values[rows], unit)]
