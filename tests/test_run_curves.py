@@ -177,3 +177,16 @@ def test_verify_compares_the_compensated_head_with_its_prediction(
     assert not curves[0].compensated
     error = np.abs(np.subtract(curves[1].measured, curves[1].predicted))
     assert error.max() == pytest.approx(error_um, abs=4.0)
+
+
+def test_verify_refuses_readings_of_a_result_without_estimate(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readings = tmp_path / "after.readings.csv"
+    write_readings(folder, readings, 0.0)
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    result = msgspec.structs.replace(load_result(folder), estimate=None)
+    (bare / "result.json").write_bytes(msgspec.json.encode(result))
+    assert main(["verify", str(bare), "--readings", str(readings)]) == 2
+    assert "no estimate" in capsys.readouterr().err

@@ -24,6 +24,7 @@ from pkm_studies.base.errors import Place
 from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.sessions.verification import refuse_bad_fit
 from pkm_studies.stages import result_folder
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.run_curves import ReadingCurves
@@ -63,13 +64,15 @@ def check_folder(
     """Compare the readings with the result of a folder, and write the runs into it.
 
     Raises InputError where the result holds no estimate, where its commands are unknown
-    or out of reach, and as readings are read.
+    or out of reach, and as readings are read; BadFitError where the fit promises
+    nothing.
     """
     result = result_folder.load_result(folder)
     place = Place(str(folder / "result.json"))
     section = result.final_estimate
     if section is None or not section.covariance:
         raise place.error("this result has no estimate", "identify the machine first")
+    refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     state = start(study, None, Silent(), [readings])
     data = state.resolved.dataset

@@ -49,7 +49,7 @@ def plan_folder(
     Raises InputError, and BadFitError where the fit promises nothing.
     """
     result = result_folder.load_result(folder)
-    _refuse_bad_fit(result)
+    refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     machine = study_machine(study)
     accuracy = promised_accuracy(
@@ -85,14 +85,14 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
             f"make it with `oed verify {folder}`",
             file=str(folder / "result.json"),
         )
-    _refuse_bad_fit(result)
+    refuse_bad_fit(result)
     section = judge_file(result.acceptance, readings)
     result = msgspec.structs.replace(result, verification=section)
     result_folder.rewrite(folder, result)
     return section
 
 
-def _refuse_bad_fit(result: StudyResult) -> None:
+def refuse_bad_fit(result: StudyResult) -> None:
     """Raises BadFitError where the fit promises nothing."""
     objections = trust.objections(result)
     if objections:
