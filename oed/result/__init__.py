@@ -38,6 +38,7 @@ from oed.result.fit import (
     ParameterEstimate,
     PosteriorSection,
     PredictiveCheckRecord,
+    RunCurve,
 )
 from oed.result.forecast import ForecastComponent, ForecastSection
 from oed.result.gap import (
@@ -166,6 +167,7 @@ __all__ = [
     "RelaxedSummary",
     "RivalRecord",
     "RobustSummary",
+    "RunCurve",
     "Sd",
     "SeparationRecord",
     "SequenceRecord",

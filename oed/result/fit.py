@@ -54,6 +54,31 @@ class EffectSizeRecord(Record, frozen=True):
     unknown: bool
 
 
+class RunCurve(Record, frozen=True):
+    """Readings along a run, as departures from those of the nominal machine, in `unit`.
+
+    kind         circle: `at` is the angle in degrees; line: the way along it in mm
+    measured     of each reading
+    predicted    of the identified machine
+    half_widths  half of the 95 % interval of a reading about `predicted`
+    compensated  what the compensated machine is predicted to read, from the parameters
+                 and what no drive corrects, with half of its 95 % interval; none where
+                 only joints are recorded, and of readings after compensation
+    """
+
+    setup: str
+    run: str
+    channel: str
+    unit: str
+    kind: str
+    at: list[float]
+    measured: list[float]
+    predicted: list[float]
+    half_widths: list[float]
+    compensated: list[float] = []
+    compensated_half_widths: list[float] = []
+
+
 class EstimateSection(Record, frozen=True):
     """Least squares with tolerance priors. rms and residuals are in the fine unit of
     their channel, `units`.
@@ -82,6 +107,8 @@ class EstimateSection(Record, frozen=True):
     # what the controller is given, in the units of `parameters`: it takes up what is known
     # of the effects; empty: the parameters themselves
     controller: dict[str, float] = {}
+    # circles and lines of the readings
+    runs: list[RunCurve] = []
 
 
 class Marginal(Record, frozen=True):

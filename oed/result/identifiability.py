@@ -29,6 +29,8 @@ class IdentifiabilitySection(Record, frozen=True):
     combinations: list[dict[str, float]]
     lost: list[dict[str, float]]
     words: list[IdentifiabilityFinding]
+    #: {index: value} over the determined directions, where the study asks for them
+    indices: dict[str, float] = {}
 
 
 class KappaMap(Record, frozen=True):

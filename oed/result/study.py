@@ -11,7 +11,7 @@ from oed.result.acceptance import AcceptanceSection, VerificationSection
 from oed.result.adjustment import AdjustmentSection
 from oed.result.corrected import CorrectedSection
 from oed.result.design import DesignSection
-from oed.result.fit import EstimateSection, PosteriorSection
+from oed.result.fit import EstimateSection, PosteriorSection, RunCurve
 from oed.result.forecast import ForecastSection
 from oed.result.gap import GapSection
 from oed.result.gap_before import GapBeforeSection
@@ -141,6 +141,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     acceptance: AcceptanceSection | None = None
     verification: VerificationSection | None = None
     adjustment: AdjustmentSection | None = None
+    #: circles and lines that the compensated machine was read along
+    after_compensation: list[RunCurve] = []
     gap_before: GapBeforeSection | None = None
     forecast: ForecastSection | None = None
     drawing: Drawing | None = None

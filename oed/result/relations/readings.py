@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from oed.result.corrected import CorrectedSection, EffectTable
-from oed.result.fit import EstimateSection, ParameterEstimate, PosteriorSection
+from oed.result.fit import (
+    EstimateSection,
+    ParameterEstimate,
+    PosteriorSection,
+    RunCurve,
+)
 from oed.result.prediction import HeldOutSection
 from oed.result.relations import base
 from oed.result.relations.base import Breach
 from oed.result.study import StudyResult
+
+#: kinds of runs that have curves
+RUN_KINDS = ("circle", "line")
 
 
 def breaches(result: StudyResult) -> Iterator[Breach]:
@@ -22,6 +30,8 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _corrected(result.corrected)
     for k, section in enumerate(result.held_out, start=1):
         yield from _held_out(f"held_out[{k}]", section)
+    for k, curve in enumerate(result.after_compensation, start=1):
+        yield from run_curve(f"after_compensation[{k}]", curve)
     if result.goodness is not None:
         for name, record in result.goodness.noise.items():
             yield from base.unit(f"goodness.noise.{name}.unit", record.unit)
@@ -56,6 +66,21 @@ def _estimate(section: EstimateSection) -> Iterator[Breach]:
             f"{field}.terms", combination.terms, section.parameters, of_parameters
         )
     yield from base.same_keys("estimate.commands", section.commands)
+    for k, curve in enumerate(section.runs, start=1):
+        yield from run_curve(f"estimate.runs[{k}]", curve)
+
+
+def run_curve(field: str, curve: RunCurve) -> Iterator[Breach]:
+    """Contradictions of the readings along a run."""
+    yield from base.unit(f"{field}.unit", curve.unit)
+    yield from base.known(f"{field}.kind", [curve.kind], RUN_KINDS, "its values")
+    for name in ("measured", "predicted", "half_widths"):
+        values = getattr(curve, name)
+        yield from base.lengths(f"{field}.{name}", values, f"{field}.at", len(curve.at))
+    count = len(curve.at) if curve.compensated else 0
+    for name in ("compensated", "compensated_half_widths"):
+        values = getattr(curve, name)
+        yield from base.lengths(f"{field}.{name}", values, f"{field}.at", count)
 
 
 def _fitted(

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 from oed.result import (
     AcceptanceSection,
     PromiseRecord,
+    RunCurve,
     StudyResult,
     VerificationSection,
 )
+from pkm_reports.figures import run_curves
 from pkm_reports.page import text
 from pkm_reports.page.blocks import (
     Block,
     Chapter,
     Paragraph,
+    Picture,
     Table,
     TableColumn,
     headed_list,
@@ -25,9 +29,9 @@ from pkm_reports.page.blocks import (
 def blocks(result: StudyResult) -> list[Block]:
     """What is demanded, at which poses, and the verdict where there are readings."""
     acceptance, verification = result.acceptance, result.verification
+    chapter = _runs(result.after_compensation)
     if acceptance is None:
-        return []
-    chapter: list[Block] = []
+        return chapter
     if verification is not None:
         chapter += _verdict(verification)
     chapter.append(Paragraph(_about(acceptance)))
@@ -37,6 +41,17 @@ def blocks(result: StudyResult) -> list[Block]:
         chapter.append(_further_demands(acceptance))
     chapter.append(_poses(acceptance))
     return chapter
+
+
+def _runs(curves: Sequence[RunCurve]) -> list[Block]:
+    """Readings along circles and lines of the compensated machine."""
+    if not curves:
+        return []
+    caption = run_curves.caption(curves)
+    picture = Picture(
+        "runs_after", lambda: run_curves.draw(curves, after=True), caption
+    )
+    return [picture]
 
 
 def verdict(verification: VerificationSection) -> str:

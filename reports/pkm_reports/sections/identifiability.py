@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 from oed.result import (
     IdentifiabilityFinding,
     IdentifiabilitySection,
     StudyResult,
+    indices,
 )
 from pkm_reports.figures import singular_values
-from pkm_reports.page import text
+from pkm_reports.page import missing, text
 from pkm_reports.page.blocks import (
     Block,
     Chapter,
@@ -42,6 +43,8 @@ def blocks(result: StudyResult) -> list[Block]:
     chapter = [] if section is None else _plan(section)
     if variants:
         chapter.append(_variants(variants, section))
+    if section is not None and section.indices:
+        chapter.append(_indices(section, variants))
     return chapter
 
 
@@ -191,6 +194,29 @@ def _lost(section: IdentifiabilitySection) -> str:
     if not lost:
         return text.MISSING
     return "; ".join(text.linear_combination(terms) for terms in section.lost)
+
+
+def _indices(
+    section: IdentifiabilitySection, variants: Mapping[str, IdentifiabilitySection]
+) -> Table:
+    """The indices that the study asks for: of its readings, and of the variants."""
+    entries = {"this plan": section, **variants}
+    symbols = [indices.symbol(name) for name in section.indices]
+    rows = [
+        [plan, str(one.rank), *_values(one, section.indices)]
+        for plan, one in entries.items()
+    ]
+    columns = [TableColumn("Readings"), *number_columns("Rank", *symbols)]
+    sentences = " ".join(map(text.sentence, indices.sentences(section.indices)))
+    caption = (
+        "Indices of the identification matrix over the directions that each determines;"
+        f" compare plans of equal rank. Of this plan: {sentences}"
+    )
+    return Table(columns, rows, caption)
+
+
+def _values(section: IdentifiabilitySection, names: Iterable[str]) -> list[str]:
+    return [text.number(missing.entry(section.indices, name), 4) for name in names]
 
 
 CHAPTER: Final = Chapter("identifiability", "What the readings can determine", blocks)

@@ -16,7 +16,7 @@ from oed.result import (
     StudyResult,
     trust,
 )
-from pkm_reports.figures import parameters, residuals
+from pkm_reports.figures import parameters, residuals, run_curves
 from pkm_reports.page import missing, text
 from pkm_reports.page.blocks import (
     Block,
@@ -52,6 +52,7 @@ def blocks(result: StudyResult) -> list[Block]:
         Paragraph(_fit(estimate, result.goodness)),
         *[Notice(warning) for warning in text.sentences(estimate.warnings)],
         Picture("residuals", lambda: residuals.draw(estimate), caption),
+        *_runs(estimate),
         *noise.blocks(result.goodness),
         *noise.left_out(result.goodness),
     ]
@@ -109,6 +110,15 @@ def _residuals_caption(estimate: EstimateSection) -> str:
     unit = estimate.units[estimate.channels[worst]]
     largest = text.quantity(sizes[worst], unit)
     return f"{caption} The largest after the fit is {largest}, at reading {worst + 1}."
+
+
+def _runs(estimate: EstimateSection) -> list[Block]:
+    """Readings along circles and lines, before and after compensation."""
+    curves = estimate.runs
+    if not curves:
+        return []
+    caption = run_curves.caption(curves)
+    return [Picture("run_curves", lambda: run_curves.draw(curves), caption)]
 
 
 # -- parameters ------------------------------------------------------------------------

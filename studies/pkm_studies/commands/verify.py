@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base import console
+from pkm_studies.base import console, csv_table
 from pkm_studies.base.user_code import Consent, consent
 from pkm_studies.commands.options import AllowCode, MachineStudy
 
@@ -24,7 +24,8 @@ def verify(
     readings: Annotated[
         Path | None,
         typer.Option(
-            metavar="CSV", help="The filled-in file: judge it. Without: plan the test."
+            metavar="CSV",
+            help="The filled-in file, or readings along runs: judge them. Without: plan.",
         ),
     ] = None,
     promise: Annotated[
@@ -53,6 +54,8 @@ def verify(
     given = consent(allow_code=allow_code)
     try:
         if readings is not None:
+            if "setup" in csv_table.read(readings).header:
+                return _compare(folder, readings, study, given)
             return _judge(folder, readings)
         return _plan(folder, promise, uncertainty, power, poses, study, given)
     except BadFitError as error:
@@ -67,6 +70,16 @@ def _judge(folder: Path, readings: Path) -> int:
     for sentence in verification.verdict_sentences(verdict):
         print(sentence)
     return DONE if verdict.passed else FAILED
+
+
+def _compare(folder: Path, readings: Path, study: Path | None, given: Consent) -> int:
+    """Compare readings along runs with what the compensated machine should read."""
+    from pkm_studies.sessions import run_check
+
+    check = run_check.check_folder(folder, readings, study, given)
+    for sentence in run_check.sentences(check):
+        print(sentence)
+    return DONE if check.passed else FAILED
 
 
 def _plan(

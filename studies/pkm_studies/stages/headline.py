@@ -19,6 +19,7 @@ from oed.result import (
     PosteriorSection,
     PredictionSection,
     StudyResult,
+    indices,
 )
 from pkm_studies.stages.forecast import words as forecast_words
 from pkm_studies.stages.plan.phrases import plan_sentences
@@ -63,7 +64,8 @@ def sentences(
     alarms = [] if checked is None else checked.findings
     noise = [] if checked is None else checked.noise_words
     rounds = [] if machine is None else earlier_sentences(machine)
-    return [*alarms, *findings, *noise, *rounds, *ranked[:MAX_SENTENCES]]
+    asked = _indices(result.identifiability)
+    return [*alarms, *findings, *noise, *rounds, *ranked[:MAX_SENTENCES], *asked]
 
 
 def earlier_sentences(machine: MachineInfo) -> list[str]:
@@ -215,6 +217,11 @@ def _rank(section: IdentifiabilitySection | None) -> list[str]:
         f"{verdict}; {directions} undetermined, and the identifiability section names"
         " readings that would determine them."
     ]
+
+
+def _indices(section: IdentifiabilitySection | None) -> list[str]:
+    """The indices that the study asks for."""
+    return [] if section is None else indices.sentences(section.indices)
 
 
 def _gain(section: DesignSection | None) -> list[str]:

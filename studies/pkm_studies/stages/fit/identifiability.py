@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
+from oed.design import criteria
 from oed.identifiability import explain
 from oed.identifiability.assessment import Assessment, assess
 from oed.identifiability.information import Scaling
@@ -17,8 +20,9 @@ def identifiability_section(
     identifiability: Assessment,
     scaling: Scaling,
     others: Mapping[str, SeriesWithMeasurement],
+    indices: Sequence[str] = (),
 ) -> IdentifiabilitySection:
-    """Rank, singular values, null directions and sentences.
+    """Rank, singular values, null directions, sentences and the named indices.
 
     `others` are readings that the sentences may recommend as a remedy.
     """
@@ -33,7 +37,26 @@ def identifiability_section(
         combinations=verdict.coefficients_by_name(verdict.combinations),
         lost=verdict.coefficients_by_name(verdict.lost),
         words=explain.explain(identifiability, others),
+        indices={n: _index(identifiability, n) for n in indices if verdict.rank},
     )
+
+
+def _index(assessment: Assessment, name: str) -> float:
+    """An observability index over the directions that the readings determine."""
+    s = assessment.identifiability.identifiable_singular_values
+    function = criteria.CATALOGUE[name].function
+    if name == "O1":
+        return function(s, sum(len(one) for one in assessment.series))
+    if name == "noise_amplification":
+        return function(s, sum(_poses(assessment, one) for one in assessment.series))
+    return function(s)
+
+
+def _poses(assessment: Assessment, series: Series) -> int:
+    """Number of poses on the runs, references included, a teach pose not."""
+    taught = assessment.measurement.setups[series.setup].teach is not None
+    poses = series.index[:, 0] if taught else series.index
+    return len(np.unique(poses))
 
 
 def variants(
@@ -41,12 +64,13 @@ def variants(
     series: Sequence[Series],
     references: Mapping[str, SeriesWithMeasurement],
     scaling: Scaling,
+    indices: Sequence[str] = (),
 ) -> dict[str, IdentifiabilitySection]:
     """Sections for each reference plan, and for each set-up of the plan alone."""
     sections = {}
     for name, (reference_measurement, reference_series) in references.items():
         identifiability = assess(reference_measurement, reference_series, scaling)
-        sections[name] = identifiability_section(identifiability, scaling, {})
+        sections[name] = identifiability_section(identifiability, scaling, {}, indices)
     by_setup: dict[str, list[Series]] = {}
     for s in series:
         by_setup.setdefault(s.setup, []).append(s)
@@ -56,6 +80,6 @@ def variants(
         others = {n: (measurement, s) for n, s in by_setup.items() if n != name}
         identifiability = assess(measurement, alone, scaling)
         sections[f"{name} alone"] = identifiability_section(
-            identifiability, scaling, others
+            identifiability, scaling, others, indices
         )
     return sections

@@ -88,7 +88,7 @@ def _trace(
     rows = diagnosis.problem.rows.iloc[members]
     setup, names = str(rows.iloc[0]["setup"]), list(dict.fromkeys(rows["run"]))
     run = str(names[0]) if len(names) == 1 else f"{len(names)} runs"
-    kind, at, radius = _shape(tips[members], rows["phase"].to_numpy(dtype=float))
+    kind, at, radius = run_shape(tips[members], rows["phase"].to_numpy(dtype=float))
     if len(names) > 1:
         kind, at, radius = "points", np.arange(1.0, len(members) + 1.0), None
     order = np.argsort(at, kind="stable")
@@ -156,7 +156,7 @@ def _tool_points(diagnosis: Diagnosis) -> Array:
     return np.vstack(points)
 
 
-def _shape(tips: Array, phase: Array) -> tuple[str, Array, float | None]:
+def run_shape(tips: Array, phase: Array) -> tuple[str, Array, float | None]:
     """Kind of a run, positions along it (deg, mm or numbers), and a circle's radius."""
     numbers = np.arange(1.0, len(tips) + 1.0)
     offset = tips - tips.mean(axis=0)

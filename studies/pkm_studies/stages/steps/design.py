@@ -86,6 +86,7 @@ def analyse_identifiability(state: ScheduledT) -> tuple[ScheduledT, Assessment]:
     state.progress.stage("identifiability")
     resolved, series = state.resolved, state.readings.series
     scaling: Scaling = state.study.design.scaling if state.study.design else "length"
+    indices = state.study.design.indices if state.study.design else ()
     references = {
         plan.name: (resolved.measurement_with(plan.setups), plan.series)
         for plan in resolved.reference_plans
@@ -99,10 +100,10 @@ def analyse_identifiability(state: ScheduledT) -> tuple[ScheduledT, Assessment]:
     verdict = assess(state.measurement, series, scaling)
     analysed = state.replace(identifiability=verdict).with_sections(
         identifiability=identifiability.identifiability_section(
-            verdict, scaling, others
+            verdict, scaling, others, indices
         ),
         identifiability_of=identifiability.variants(
-            state.measurement, series, references, scaling
+            state.measurement, series, references, scaling, indices
         ),
         kappa_maps=[select.kappa_map(c, scaling) for c in resolved.kappa_circles],
     )

@@ -11,6 +11,7 @@ from oed.estimation import fit_warnings, identification, run_prediction
 from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
+from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.effects import (
     expected_effects,
     judged_with_effects,
@@ -47,6 +48,8 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         verdict = state.identifiability.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)
         section = msgspec.structs.replace(section, combinations=combinations)
+    curves = run_curves.fitted_curves(measurement, readings.series, estimate)
+    section = msgspec.structs.replace(section, runs=curves)
     runs = run_prediction.predict_runs(measurement, readings.series, estimate)
     goodness = with_left_out(_goodness(state, estimate), runs)
     if columns is not None:

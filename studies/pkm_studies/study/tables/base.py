@@ -20,6 +20,7 @@ Numbers = float | list[float | list[float]]
 CriterionName = Literal[
     "D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5"
 ]
+IndexName = Literal["kappa", "O1", "O2", "O3", "O4", "O5", "noise_amplification"]
 #: readings chosen where neither a number nor a budget is given
 READINGS = 30
 

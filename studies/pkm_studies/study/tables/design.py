@@ -10,6 +10,7 @@ from pkm_studies.study.tables.base import (
     READINGS,
     Count,
     CriterionName,
+    IndexName,
     NotNegative,
     Positive,
     Share,
@@ -144,6 +145,9 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
     accuracy       for I and G: wanted accuracy, `{ x_um = 30, theta_arcsec = 5 }`;
                    components not named do not count. By default all count, angles times
                    the machine's lever
+    indices        indices to report of these and of the reference plans' readings, over
+                   the directions that they determine: kappa, O1 to O5,
+                   noise_amplification
     compare        further criteria to design for; each plan is scored by all of them
     readings       number to choose (30, where there is no budget); with `whole_runs`,
                    the number of runs
@@ -186,6 +190,7 @@ class DesignTable(StudyTable, frozen=True, kw_only=True):
     interest: list[str] = []
     combination: dict[str, float] = {}
     accuracy: dict[str, Positive] = {}
+    indices: list[IndexName] = []
     compare: list[str] = []
     readings: Count | None = None
     budget_min: Positive | None = None
