@@ -14,8 +14,9 @@ from oed.gap.cause.advice import MOST_NAMES
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
-from oed.result.gap import ClosureRecord, GapSection, PlaceRecord, SizeRecord
+from oed.result.gap import ClosureRecord, GapSection, SizeRecord
 from pkm_studies.stages.gap import implausible
+from pkm_studies.stages.gap.places import named_places, place_sentences
 from pkm_studies.stages.gap.words import (
     capitalised,
     format_probability,
@@ -23,11 +24,6 @@ from pkm_studies.stages.gap.words import (
     plain_name,
 )
 
-#: a place is named below this probability that it holds no more than an even share
-SIGNIFICANT = 0.05
-MAX_PLACES = 3
-#: share of the best place's strength from which another place is named with it
-COMPARABLE = 0.5
 #: probability from which a second explanation is named
 CONSIDERABLE = 0.1
 #: probability from which a cause is stated as a fact
@@ -54,7 +50,7 @@ def with_sentences(gap: GapSection) -> GapSection:
         *_implausible(gap),
         *_resemblance(gap),
         *_second_explanation(gap),
-        *_places(gap),
+        *place_sentences(gap),
         *_closures(gap),
         *_untested(gap),
     ]
@@ -213,60 +209,6 @@ def _second_explanation(gap: GapSection) -> list[str]:
     return [f"The next most likely explanation is {causes} {chance}."]
 
 
-# -- place -----------------------------------------------------------------------------
-
-
-def _places(gap: GapSection) -> list[str]:
-    if not gap.effect_reported or not gap.where:
-        return []
-    places = _named_places(gap.where)
-    if not places:
-        return [
-            "No leg, set-up, run, time, direction or part of a run stands out: the gap"
-            " is spread over all readings."
-        ]
-    return [f"It shows most in {join_words([_place(p) for p in places])}."]
-
-
-def _named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
-    """Significant places in the diagnosis' order: the one that confines best first."""
-    places = [place for place in where if place.p_value < SIGNIFICANT]
-    if not places:
-        return []
-    best = places[0]
-    if best.strength is not None:
-        least = COMPARABLE * best.strength
-        places = [p for p in places if p.strength is None or p.strength >= least]
-    return places[:MAX_PLACES]
-
-
-def _place(place: PlaceRecord) -> str:
-    name = _place_name(place.block)
-    notes = []
-    if place.strength is not None:
-        notes.append(f"{format_probability(place.strength)} of it")
-    if place.same_as:
-        notes.append(f"in these readings the same as {_place_name(place.same_as)}")
-    return f"{name} ({'; '.join(notes)})" if notes else name
-
-
-def _place_name(block: str) -> str:
-    kind, _, extent = block.partition(" ")
-    low, _, high = extent.partition("-")
-    if kind == "time":
-        return f"the time from {_minutes(low)} to {_minutes(high)}"
-    if kind == "phase":
-        return f"the part from {low} to {high} deg of the runs"
-    return block
-
-
-def _minutes(seconds: str) -> str:
-    try:
-        return f"{float(seconds) / 60.0:.0f} min"
-    except ValueError:
-        return seconds
-
-
 # -- how far ---------------------------------------------------------------------------
 
 
@@ -363,7 +305,7 @@ def _effects_in_question(gap: GapSection) -> list[str]:
         return []
     classes = gap.answers[0].classes
     if gap.verdict == "class" and classes:
-        of_setup = any(p.block.startswith("set-up") for p in _named_places(gap.where))
+        of_setup = any(p.block.startswith("set-up") for p in named_places(gap.where))
         many = 1 if of_setup else 0
         listed = [c if len(c) <= MOST_NAMES else c[:many] for c in classes]
         members = [name for c in listed for name in c if name != UNKNOWN]
