@@ -88,6 +88,11 @@ ONLY = {
 #: instruments that read how a platform is turned, and machines that turn it
 OF_ORIENTATION = ("home_orientation", "level", "autocollimator")
 TURNING = ("a3_head", "hexaglide", "hexapod", "prs_spindle", "prs_spindle_struts")
+#: machines that turn with the tool point in a seat
+TURNING_IN_A_SEAT = ("hexaglide", "hexapod")
+#: instruments of passive joints, and machines that name none
+OF_PASSIVE_JOINTS = ("passive_joint", "locked_joint")
+UNNAMED = ("cable_robot", "hexaglide", "planar_2dof")
 
 
 def _pairs() -> list[Any]:
@@ -117,7 +122,9 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     spare = machine == "cable_robot" or not instrument.startswith("redundancy")
     in_plane = (machine, instrument) != ("planar_2dof", "planar_position")
     turns = machine in TURNING or instrument not in OF_ORIENTATION
-    if not (spare and in_plane and turns):
+    moves = machine in TURNING_IN_A_SEAT or instrument != "seat"
+    passive = machine not in UNNAMED or instrument not in OF_PASSIVE_JOINTS
+    if not (spare and in_plane and turns and moves and passive):
         with pytest.raises(InputError, match=f"it cannot read {machine}"):
             template.write("fresh", machine, instrument, Origin(tmp_path))
         assert not list(tmp_path.iterdir())

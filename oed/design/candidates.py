@@ -318,7 +318,7 @@ def _series_blocks(
     jacobian = measurement.jacobian([series], at) * column_scale(measurement, scaling)
     parameters = jacobian.shape[1]
     rows = np.hstack([jacobian, nuisances.columns]).reshape(count, k, -1)
-    weight = nuisances.weight(measurement.sigma([series])).reshape(count, k, 1)
+    weight = _weight(measurement, series, nuisances).reshape(count, k, 1)
     whiten = scaling == "tolerance"
     if scaling == "length":
         lengths = measurement.reading_length_factors([series])
@@ -340,6 +340,13 @@ def _series_blocks(
     white, white_shared = weight * (factor @ rows), weight * (factor @ shared)
     of_parameters, of_nuisances = white[:, :, :parameters], white[:, :, parameters:]
     return _SeriesBlocks(of_parameters, white_shared, single, of_nuisances)
+
+
+def _weight(measurement: Measurement, series: Series, nuisances: Nuisances) -> Array:
+    """Share (N,) of their weight that scatter by nuisances leaves the readings."""
+    if not nuisances.scatter.any():
+        return np.ones(len(nuisances.scatter))
+    return nuisances.weight(measurement.sigma([series]))
 
 
 def _shared_columns(measurement: Measurement, series: Series) -> Array:

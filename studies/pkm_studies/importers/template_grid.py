@@ -67,12 +67,12 @@ def axis(c: Coordinate, machine: Machine, share: float, free: int | None = None)
 def _count(machine: Machine, free: int | None = None) -> int:
     """Values of each coordinate: five, or fewer where six would make 15625 poses.
 
-    More where an instrument leaves at most two of three or more free.
+    More where an instrument leaves at most two free.
     """
     every = len(machine.command)
     free = every if free is None else free
     if free < every and free <= 2:
-        return MORE_VALUES
+        return MORE_VALUES if free == 2 else MORE_VALUES**2 // 2
     few = VALUES**free > POSES
     return FEWER_VALUES if few else VALUES
 

@@ -10,7 +10,6 @@ from oed.base import units
 from oed.base.orientation import Orientation
 from oed.base.units import UnitError
 from oed.dataset.columns import parse_column
-from oed.measurement.measurement import Measurement
 from oed.model.expressions import passive_joints
 from oed.model.instrument import Channel, Instrument
 from oed.model.machine import Component, Coordinate, Machine
