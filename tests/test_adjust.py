@@ -106,6 +106,7 @@ def test_the_files_say_the_same(folder: Path, oed: Run) -> None:
         assert float(row["total"]) == pytest.approx(record["total"], rel=1e-5)
         assert line["without"] > 1.05 * section["accuracy"][-1]["total"]
         assert f"{line['by']}: {line['amount']:+.6g} mm" in out
+        assert f"whole list without this line: total {line['without']:.4g}" in out
     assert (folder / "adjustment.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -155,6 +156,7 @@ def test_a_controller_gets_the_adjusted_machine(folder: Path, oed: Run) -> None:
     code, out, _ = oed(*call, "--adjusted")
     assert code == 0
     assert "after all adjustments of adjust.csv" in out
+    assert "the fitter's own error comes on top" in out
     path = folder / "compensation_parameters.csv"
     lines = path.read_text("utf-8").splitlines()
     rows = csv.DictReader(line for line in lines if not line.startswith("#"))

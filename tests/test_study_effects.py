@@ -207,3 +207,18 @@ def test_readings_that_are_held_out_lie_within_the_bands(
         return
     assert rms < 100.0  # the noise is 50
     assert np.mean([s["coverage"] for s in places]) > 0.85
+
+
+@pytest.mark.parametrize("table", ["design", "plan", "identify"])
+def test_a_check_names_a_misspelt_effect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], table: str
+) -> None:
+    text = 'schema = 1\nname = "slip"\n[machine]\nmodel = "planar_2dof"\n'
+    text += '[[setup]]\nname = "rm5"\ninstrument = "rm5"\n'
+    path = tmp_path / "slip.study.toml"
+    effects = f'[{table}]\neffects = ["{{}}"]\n'
+    path.write_text(text + effects.format("backlash"))
+    assert cli.main(["check", str(path)]) == 0
+    path.write_text(text + effects.format("backlsh"))
+    assert cli.main(["check", str(path)]) == 2
+    assert f'{table}.effects[1] = "backlsh"' in capsys.readouterr().err

@@ -233,8 +233,9 @@ def fit_error_field(
 def joint_size(rows: ErrorRows, errors: Array) -> float:
     """Size of joint errors that make errors (n, k), SI, by the largest component."""
     per_joint = np.sqrt((rows.local**2).sum(axis=2).mean(axis=0))
-    deviation = np.sqrt(np.nanmean(errors**2, axis=0))
-    return max(float(np.nanmax(deviation / per_joint)), 1e-12)
+    read = ~np.isnan(errors).all(axis=0)
+    deviation = np.sqrt(np.nanmean(errors[:, read] ** 2, axis=0))
+    return max(float(np.max(deviation / per_joint[read])), 1e-12)
 
 
 def _fit_kernel(

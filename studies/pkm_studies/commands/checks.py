@@ -17,6 +17,7 @@ from pkm_studies.base.errors import InputError, Place, SourceAbsentError
 from pkm_studies.base.user_code import Consent, Origin
 from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve.machine import has_own_numbers, unreachable
+from pkm_studies.resolve.planned_effects import check_effect_names
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
 from pkm_studies.stages.fit.goodness import check_dataset
 from pkm_studies.stages.run_state import Stream
@@ -85,6 +86,7 @@ def _check_study(
     try:
         # without readings first: others can be checked even where these are absent
         without_readings = resolve(study, readings=())
+        check_effect_names(study, without_readings.gap_or_default)
         resolved.append(without_readings)
         complete = with_readings(without_readings)
         content = _content(study, complete)

@@ -38,6 +38,11 @@ from pkm_studies.study.tables import ControllerTable
 
 #: the end of a file's name that is no part of the name itself
 ENDING = re.compile(r"\.[A-Za-z]\w*")
+#: for which machine a file holds after `oed adjust`; the prediction is of the estimate
+AFTER_ADJUSTMENT = (
+    "for the machine after all adjustments of adjust.csv, where the fitter's own error"
+    " comes on top of the predicted rms of the file"
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,7 +90,7 @@ def export_folder(
     notes: tuple[str, ...] = ()
     if adjusted:
         result = adjusted_result(result)
-        notes = ("for the machine after all adjustments of adjust.csv",)
+        notes = (AFTER_ADJUSTMENT,)
     return export(
         result,
         study,

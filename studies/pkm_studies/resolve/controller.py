@@ -19,7 +19,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Machine
 from pkm_studies.base import csv_table, files
-from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base.errors import InputError, Place, suggest
 from pkm_studies.resolve.earlier_result import SAME, controller_values, named_result
 from pkm_studies.resolve.quantities import column, display_unit
 from pkm_studies.study import Study
@@ -57,7 +57,7 @@ def with_held(study: Study, kinematics: Kinematics) -> Kinematics:
     elif path.suffix != ".csv":
         raise place.error("this is no table of parameters", REMEDY, name)
     else:
-        rows = _csv_rows(path)
+        rows = _csv_rows(path, place, name)
     if rows is None:
         return kinematics.with_controller(_tabled(kinematics, path, place))
     values = _parameters(rows, machine, place, name)
@@ -81,13 +81,22 @@ def _json_rows(path: Path, place: Place, name: str, machine: Machine) -> Rows:
     return rows
 
 
-def _csv_rows(path: Path) -> Rows | None:
+def _csv_rows(path: Path, place: Place, name: str) -> Rows | None:
     """The same of a table of parameters; None of a table of another kind."""
     text = files.read_text(path, limit=LIMIT, what="parameter table")
     reader = csv.DictReader(text.splitlines())
     if not {"name", "value", "unit"} <= set(reader.fieldnames or ()):
         return None
-    return {str(row["name"]): row for row in reader}
+    rows: dict[str, Mapping[str, Any]] = {}
+    for row in reader:
+        parameter = str(row["name"])
+        if parameter in rows:
+            problem = f"{path.name} has several rows of {parameter}"
+            raise place.error(problem, "leave one of them", name)
+        rows[parameter] = row
+    if not rows:
+        raise place.error(f"{path.name} has no row", REMEDY, name)
+    return rows
 
 
 def _parameters(rows: Rows, machine: Machine, place: Place, name: str) -> Array:
@@ -95,7 +104,8 @@ def _parameters(rows: Rows, machine: Machine, place: Place, name: str) -> Array:
     values, known = machine.nominal.copy(), [p.name for p in machine.parameters]
     for parameter, row in rows.items():
         if parameter not in known:
-            raise _other_machine(place, name, f"it has no parameter {parameter}")
+            problem = f"{machine.name} has no parameter {parameter}"
+            raise place.error(problem, suggest(parameter, known, "parameters"), name)
         k = known.index(parameter)
         si = machine.parameters[k].unit
         number, nominal = _number(row, "value"), _number(row, "nominal")

@@ -16,6 +16,7 @@ from oed.model.effect import Effect
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.prediction import PredictionRequest
+from pkm_studies.study import Study
 
 #: value of `effects` that allows none
 NONE = "none"
@@ -33,6 +34,18 @@ def named_effects(
             remedy = f"name some of {', '.join(known)}"
             raise place.item(k).error("no such effect is tried", remedy, name)
     return [known[name] for name in dict.fromkeys(names)]
+
+
+def check_effect_names(study: Study, request: GapRequest) -> None:
+    """Raise InputError for a name in `effects` of a table that is no effect."""
+    tables = {
+        "design": study.design,
+        "plan": study.plan,
+        "identify": study.identify,
+    }
+    for key, table in tables.items():
+        if table is not None:
+            named_effects(request, table.effects, study.place.key(key).key("effects"))
 
 
 def effects_of_planned(

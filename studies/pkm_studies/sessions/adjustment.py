@@ -294,8 +294,8 @@ def sentences(section: AdjustmentSection) -> Iterator[str]:
             f" ({line.parameter})"
         )
         yield (
-            f"   then total {record.total:.4g} ({_components(section, record)}); without"
-            f" this line {line.without:.4g}"
+            f"   then total {record.total:.4g} ({_components(section, record)}); the"
+            f" whole list without this line: total {line.without:.4g}"
         )
     for condition in section.conditions:
         yield f"The figures rest on: {condition}."

@@ -31,7 +31,7 @@ DOUBT = 4.5
 #: what a table of errors can do, whatever they come from
 REPEATS = (
     "the table removes errors that come back at the same command in the same state"
-    " (temperature, payload, direction), and adds nothing at home"
+    " (temperature, payload, direction)"
 )
 
 
@@ -81,7 +81,8 @@ def _of_plan(task: ForecastTask, design: NodeDesign) -> Iterator[str]:
             "errors are against home: zero the instrument there, or subtract the errors"
             " that it reads there"
         )
-    yield REPEATS
+    against_home = task.model.reference == "home"
+    yield f"{REPEATS}, and adds nothing at home" if against_home else REPEATS
     undriven = [
         c.name for c in task.kinematics.machine.components if not c.compensatable
     ]
@@ -173,7 +174,9 @@ def _rms_by(component: Index, values: Array, count: int) -> Array:
 
 
 def _rms(errors: Array) -> Array:
-    return np.asarray(np.sqrt(np.nanmean(errors**2, axis=0)))
+    read = ~np.isnan(errors)
+    component = np.nonzero(read)[1]
+    return _rms_by(component, errors[read], errors.shape[1])
 
 
 def _checked(
