@@ -166,6 +166,20 @@ def test_a_wrong_reading_is_named_and_stated_noise_counts(
     assert "measure it again" not in capsys.readouterr().out
 
 
+def test_errors_in_another_unit_are_doubted(
+    planned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Millimetres under a header in micrometres."""
+    nodes = filled(planned, "wrong_unit.csv", forecast_data.SIGMA)
+    header, *lines = nodes.read_text().splitlines()
+    cells = [line.split(",") for line in lines]
+    small = [[y, z, *(f"{1e-3 * float(e):.6f}" for e in rest)] for y, z, *rest in cells]
+    nodes.write_text("\n".join([header, *(",".join(row) for row in small)]))
+    out = planned / "out_small"
+    assert run("forecast", study(planned), "--out", out, "--readings", nodes) == 0
+    assert "check the unit of the file" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [

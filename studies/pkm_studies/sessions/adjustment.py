@@ -114,6 +114,18 @@ def adjustable_machine(
     )
 
 
+def _conditions(result: StudyResult) -> list[str]:
+    """What the figures rest on, and what they leave out."""
+    if result.corrected is not None:
+        return list(result.corrected.conditions)
+    if result.estimate is not None and result.estimate.effects:
+        return [
+            "the geometry alone; effects beside it add to the errors before and after each"
+            " line"
+        ]
+    return []
+
+
 def _identifiable(
     machine: Machine, section: EstimateSection | CorrectedSection
 ) -> Machine:
@@ -202,7 +214,7 @@ def _section(
             )
             for a in plan.accuracy
         ],
-        conditions=list(result.corrected.conditions) if result.corrected else [],
+        conditions=_conditions(result),
     )
 
 

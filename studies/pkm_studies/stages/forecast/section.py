@@ -132,14 +132,38 @@ def measured(
             " costs more than a fifth of what is left: raise `commands`"
         )
     names = list(section.nodes[0])
+    components = _with_figures(task, section, figures)
+    sentences += _doubtful_sizes(components)
     filled = replace(
         section,
-        components=_with_figures(task, section, figures),
+        components=components,
         readings=len(command),
         table=dict(zip(names, forecast.grid.counts, strict=True)),
         sentences=sentences,
     )
     return filled, files.table_csv(task.kinematics, forecast)
+
+
+#: factor between the errors of the nodes and those expected from which a unit is in doubt
+WRONG_UNIT = 30.0
+
+
+def _doubtful_sizes(components: dict[str, ForecastComponent]) -> Iterator[str]:
+    """Components whose errors are of another size than expected, or too small to map."""
+    for name, c in components.items():
+        if not c.measured or c.predicted is None:
+            continue
+        size, unit = f"{c.measured:.3g} {c.unit}", c.unit
+        if not 1.0 / WRONG_UNIT < c.measured / c.expected < WRONG_UNIT:
+            yield (
+                f"{name}: the nodes have errors of {size} rms, and {c.expected:.3g} {unit}"
+                " are expected: check the unit of the file, or `expected`"
+            )
+        elif c.predicted >= c.measured:
+            yield (
+                f"{name}: the table is predicted to leave as much as the nodes have"
+                f" ({size}): measure more nodes, or more finely, before you use it"
+            )
 
 
 #: figures (k,) of the components by name, SI
