@@ -64,7 +64,7 @@ def test_traces_are_circles_both_ways(tmp_path: Path) -> None:
     ],
 )
 def test_the_shape_of_a_run(points: list[list[float]], kind: str) -> None:
-    shape, at, radius = gap_traces._shape(np.array(points), np.zeros(len(points)))
+    shape, at, radius = gap_traces.run_shape(np.array(points), np.zeros(len(points)))
     assert shape == kind
     assert (radius is None) == (kind != "circle")
     if kind == "circle":

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base import console, csv_table
+from pkm_studies.base import console
 from pkm_studies.base.user_code import Consent, consent
 from pkm_studies.commands.options import AllowCode, MachineStudy
 
@@ -49,6 +49,7 @@ def verify(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan the acceptance test of a compensated machine, or judge its readings."""
+    from pkm_studies.base import csv_table
     from pkm_studies.compensation.export import BadFitError
 
     given = consent(allow_code=allow_code)
