@@ -82,6 +82,7 @@ def test_the_plan_is_stated_beside_that_without_effects() -> None:
     [
         ('criterion = "D"\nreadings = 3\n', 'need scaling = "tolerance"'),
         ('criterion = "E"\n' + KNOWN, "does not profile out effects"),
+        ('criterion = "D"\nhow_many = {}\n' + KNOWN, "accuracy by number of readings"),
     ],
 )
 def test_what_cannot_allow_for_effects_is_refused(lines: str, words: str) -> None:

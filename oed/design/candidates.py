@@ -128,9 +128,9 @@ class Candidates:
         if name == "A":
             return Variance(np.eye(n, n + shared), "A")
         if name in ("I", "c") and factor is not None:
-            return Variance(self._over_all_columns(factor), name)
+            return Variance(self.over_all_columns(factor), name)
         if name == "G" and factors is not None:
-            return LargestVariance(self._over_all_columns(factors))
+            return LargestVariance(self.over_all_columns(factors))
         raise ValueError(
             f"{name} does not profile out {self._shared_words}: choose D, A, c, I or G"
         )
@@ -143,7 +143,7 @@ class Candidates:
             "the error that a run's readings share (whole runs as candidates have none)"
         )
 
-    def _over_all_columns(self, factor: Array) -> Array:
+    def over_all_columns(self, factor: Array) -> Array:
         """A factor (..., n) or (..., n + u) over all columns (..., n + r)."""
         n = self.columns
         missing = n + self.shared_errors - factor.shape[-1]

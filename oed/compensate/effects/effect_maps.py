@@ -20,6 +20,8 @@ from oed.model.machine import Machine
 if TYPE_CHECKING:
     import pandas as pd
 
+    from oed.gap.data.problem import GapProblem
+
 
 @dataclasses.dataclass(frozen=True)
 class ActingForm:
@@ -43,6 +45,13 @@ class SessionStates:
     covariates: pd.DataFrame
     states: tuple[State, ...]
     gravity: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, problem: GapProblem) -> SessionStates:
+        """Those of a problem's readings."""
+        return cls(
+            problem.measurement, problem.covariates, problem.states, problem.gravity
+        )
 
 
 def workspace_state(

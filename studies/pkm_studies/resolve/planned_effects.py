@@ -73,11 +73,10 @@ def effects_of_planned(
     columns = expected_columns(problem, effects)
     if columns is None:
         return None
-    session = SessionStates(measurement, covariates, problem.states, request.gravity)
     return planned_effects(
         columns,
         problem.sigma,
-        session,
+        SessionStates.of(problem),
         measurement.nominal,
         prediction.command,
         prediction.table.reference,

@@ -65,6 +65,9 @@ def _check(
     reasons = {
         'need scaling = "tolerance"': table.scaling != "tolerance",
         "are not known of readings that are part of the plan": bool(request.retained),
+        "are not in accuracy by number of readings (how_many)": (
+            table.how_many is not None
+        ),
         "are not known of poses off the grid (polish)": (
             table.polish is not None and table.polish.enabled
         ),
@@ -144,6 +147,4 @@ def _slopes(problem: DesignProblem, raw: Array, effects: PlannedEffects) -> Arra
     by_parameter = np.zeros((poses, components, len(measurement.names)))
     by_parameter[:, :, :parameters] = raw
     scaled = (by_parameter * measurement.tolerance)[:, :, measurement.free]
-    of_runs = c.shared_errors - c.nuisance_columns
-    zeros = np.zeros((poses, components, of_runs))
-    return np.concatenate([scaled, zeros, effects.tool], axis=2)
+    return c.over_all_columns(np.concatenate([scaled, effects.tool], axis=2))

@@ -148,23 +148,10 @@ def _factors(
     names = [n for n in moving if n in scale] if scale else moving
     factors = []
     for name in names:
-        column = maps.names.index(name)
-        raw = maps.raw[:, column]
+        raw = maps.raw[:, maps.names.index(name)]
         slopes = np.zeros((poses, len(measurement.names)))
         slopes[:, :machine_parameters] = raw / (scale.get(name, 1.0) * np.sqrt(poses))
         rows = (slopes * measurement.tolerance)[:, measurement.free]
-        shared = np.zeros((poses, c.shared_errors))
-        if study_criteria.effects is not None:
-            unit = scale.get(name, 1.0) * np.sqrt(poses)
-            of_effects = study_criteria.effects.tool[:, column] / unit
-            shared[:, c.shared_errors - c.nuisance_columns :] = of_effects
-        whole = np.hstack([rows, shared])
-        factors.append(_triangle(whole))
+        triangle = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
+        factors.append(np.pad(triangle, ((0, 0), (0, c.shared_errors))))
     return tuple(names), np.array(factors)
-
-
-def _triangle(rows: Array) -> Array:
-    """Rows (r, n) with the same products, as many as columns."""
-    square = np.linalg.qr(rows, mode="r") if len(rows) > rows.shape[1] else rows
-    missing = rows.shape[1] - len(square)
-    return np.pad(square, ((0, missing), (0, 0)))

@@ -98,9 +98,7 @@ def session_states(state: Fitted) -> SessionStates:
     """States in which the readings were taken."""
     request = state.resolved.gap_or_default
     problem = readings_with_covariates(state, request).problem(state.estimate.theta)
-    return SessionStates(
-        state.measurement, problem.covariates, problem.states, request.gravity
-    )
+    return SessionStates.of(problem)
 
 
 def changes_by_effects(

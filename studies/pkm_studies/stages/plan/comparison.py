@@ -11,7 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import result
+from oed.base.arrays import Index
 from oed.design import criteria
+from oed.design.stages.option import Option
 from oed.design.stages.search import PlanSearchResult
 from oed.design.stages.sequence.stage_plan import StagePlan
 from oed.design.stages.stage import travel
@@ -63,15 +65,23 @@ def compare_sequence(
 
 def predict_sequence(task: PlanTask, names: Sequence[str]) -> StagePlan:
     """All candidates of each measurement, one measurement after the other."""
+    options = [task.request.option(name) for name in names]
+    return predict_readings(
+        task, [(option, np.arange(len(option.candidates))) for option in options]
+    )
+
+
+def predict_readings(
+    task: PlanTask, readings: Sequence[tuple[Option, Index]]
+) -> StagePlan:
+    """Some candidates of each measurement, one measurement after the other."""
     prior: Prior = task.start
     stages: list[PlanStage] = []
-    for k, name in enumerate(names):
-        option = task.request.option(name)
+    for k, (option, chosen) in enumerate(readings):
         capture = plan_streams(task.seed).capture()
         probability = travel.capture_probability(option, prior, capture)
-        everything = np.arange(len(option.candidates))
         rng = task.stage_generator(k)
-        stages.append(predict_stage(option, everything, prior, probability, rng))
+        stages.append(predict_stage(option, chosen, prior, probability, rng))
         prior = stages[-1].posterior
     covariances = [task.start, *(stage.covariance for stage in stages)]
     return StagePlan(

@@ -264,9 +264,6 @@ def expected_unmodelled(
         measurement, planned.series, planned.covariates, gravity=request.gravity
     )
     model = budget_model(measurement, problem.series, measurement.nominal)
-    session = SessionStates(
-        measurement, planned.covariates, problem.states, request.gravity
-    )
     return expected_effects(
-        problem, session, model, maps, request.effects, reference, rng
+        problem, SessionStates.of(problem), model, maps, request.effects, reference, rng
     )
