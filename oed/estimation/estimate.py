@@ -9,6 +9,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.estimation.coordinates import IdentifiableCoordinates
 from oed.estimation.discrepancy import SampledEffects
+from oed.estimation.law_check import LawCheck
 from oed.noise.covariance import Noise
 from oed.noise.marginal import NoisePosterior
 
@@ -55,6 +56,9 @@ class Estimate:
     noise_posterior   of the noise law; None where the noise is as stated
     robust_readings   (N,) readings, SI, with those far off replaced; None likewise
     effects           draws of effects that the model lacks; None where none were allowed
+    law_check         whether the estimated law explains the readings as noise; None where
+                      the noise is as stated, or effects are allowed. Where it does not,
+                      `noise` is the stated one, wider, without a noise posterior
 
     >>> import numpy as np
     >>> from oed import Measurement, mount
@@ -90,11 +94,19 @@ class Estimate:
     noise_posterior: NoisePosterior | None = None
     robust_readings: Array | None = None
     effects: SampledEffects | None = None
+    law_check: LawCheck | None = None
 
     @property
     def sd(self) -> Array:
         """Posterior standard deviations (n,), SI."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def scatter(self) -> float:
+        """Scatter of readings over the stated noise, where the noise law is rejected."""
+        if self.law_check is None or not self.law_check.is_contradicted:
+            return 1.0
+        return float(np.sqrt(max(self.chi2 / max(self.dof, 1.0), 1.0)))
 
     @property
     def shrinkage(self) -> Array:

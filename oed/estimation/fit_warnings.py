@@ -40,7 +40,21 @@ def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
             "these lie near a bound of theirs, which estimate and sd ignore; draws of the"
             f" posterior and predictions keep to it: {', '.join(near)}"
         )
-    return [*sentences, *large_residuals(estimate)]
+    return [*sentences, *contradicted_law(estimate), *large_residuals(estimate)]
+
+
+def contradicted_law(estimate: Estimate) -> list[str]:
+    """A sentence on an error that readings share and that is no noise."""
+    check = estimate.law_check
+    if check is None or not check.is_contradicted:
+        return []
+    return [
+        "what single channels and neighbouring readings have in common moves the"
+        f" parameters {np.sqrt(check.ratio):.1f} times as far as noise would (probability"
+        f" {check.probability:.2g}): the model may lack an effect. The readings have their"
+        " stated weights, as in least squares, and all standard deviations are those of a"
+        f" noise {check.widening:.1f} times the stated one"
+    ]
 
 
 def large_residuals(estimate: Estimate) -> list[str]:
@@ -58,7 +72,7 @@ def large_residuals(estimate: Estimate) -> list[str]:
         "repeat readings on the spot: what scatters there is noise, and [noise] estimate ="
         " true allows for it"
     )
-    if estimate.noise_posterior is not None:
+    if estimate.noise_posterior is not None or estimate.law_check is not None:
         remedy = "the intervals are as wide as the residuals ask for"
     return [
         f"{opening}: noise is understated, or an effect is not in the model; {remedy}"

@@ -207,6 +207,15 @@ def _differences(before: Index, decay: Array) -> sparse.csr_array:
     return sparse.csr_array(matrix + sparse.eye_array(size))
 
 
+def sums_along_chains(before: Index, decay: Array, values: Array) -> Array:
+    """D^-T Y (N, m), for Y (N, m): what each fresh error adds to sums of the errors."""
+    differences = _differences(before, decay).T.tocsr()
+    solved = sparse_linalg.spsolve_triangular(
+        differences, values, lower=False, unit_diagonal=True
+    )
+    return np.asarray(solved)
+
+
 def _band_of_chains(
     before: Index, decay: Array, variance: Array, fresh: Array
 ) -> Array:

@@ -22,7 +22,7 @@ from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from oed.base.arrays import Array, Index
-from oed.noise.banded import BandedFactor
+from oed.noise.banded import BandedFactor, sums_along_chains
 from oed.noise.shared import SharedFactor, SharedProducts
 
 
@@ -64,6 +64,19 @@ class Errors:
         """Root of what single readings have and of what is carried along."""
         fresh = self.carried * (1.0 - self.decay**2)
         return BandedFactor(self.before, self.decay, self.single, fresh)
+
+    def covariance_of(self, values: Array) -> Array:
+        """Y^T C Y (m, m), for Y (N, m): of sums of the errors. P is 1."""
+        ordered = values[self.order] * self.scale[:, None]
+        covariance = ordered.T @ (ordered * np.asarray(self.single)[:, None])
+        carried = sums_along_chains(self.before, self.decay, ordered)
+        fresh = self.carried * (1.0 - self.decay**2)
+        covariance += carried.T @ (carried * fresh[:, None])
+        ends = [*self.starts[1:], len(ordered)]
+        for start, end in zip(self.starts, ends, strict=True):
+            segment = ordered[start:end].T @ self.shared[start:end]
+            covariance += segment @ segment.T
+        return np.asarray(covariance)
 
     @functools.cached_property
     def is_in_order(self) -> bool:

@@ -73,11 +73,13 @@ class Laws:
         return Laws(*(getattr(self, field.name)[rows] for field in fields))
 
 
-def stated_laws(structure: ReadingStructure, count: int = 1) -> Laws:
-    """The stated noise, `count` times."""
+def stated_laws(
+    structure: ReadingStructure, count: int = 1, scale: float = 1.0
+) -> Laws:
+    """The stated noise, `count` times, single readings with a scale."""
     zero, statement = np.zeros(count), structure.statement
     return Laws(
-        scale=np.ones((count, len(structure.names))),
+        scale=np.full((count, len(structure.names)), scale),
         carried=zero + statement.carried_share,
         reach=zero + statement.reach_median,
         level=zero,

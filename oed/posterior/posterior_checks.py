@@ -39,7 +39,7 @@ def predictive_checks(
     chosen = rng.choice(len(theta), min(DRAWS, len(theta)), replace=False)
     predicted = measurement.readings_near(series, estimate.theta)(theta[chosen])
     residuals = structure.standardise((y - predicted).T).T
-    laws = stated_laws(structure, len(chosen))
+    laws = stated_laws(structure, len(chosen), estimate.scatter)
     estimated = estimate.noise_posterior is not None
     if estimate.noise_posterior is not None:
         flat = posterior.noise_law.reshape(-1, posterior.noise_law.shape[2])

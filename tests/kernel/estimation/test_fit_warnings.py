@@ -11,7 +11,9 @@ from oed.estimation.fit_warnings import large_residuals
 
 
 def estimate(ratio: float, posterior: object = None) -> Any:
-    return SimpleNamespace(chi2=40.0 * ratio**2, dof=40.0, noise_posterior=posterior)
+    return SimpleNamespace(
+        chi2=40.0 * ratio**2, dof=40.0, noise_posterior=posterior, law_check=None
+    )
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def _noise_draws(
 ) -> Array:
     """Errors (m, N), SI, of new readings: one for each draw (m, d) of the noise law."""
     structure = reading_structure(measurement, [series], estimate.theta)
-    laws = stated_laws(structure, len(coordinates))
+    laws = stated_laws(structure, len(coordinates), estimate.scatter)
     fitted = estimate.noise_posterior
     if fitted is not None:
         law = fitted.prior.laws(coordinates)

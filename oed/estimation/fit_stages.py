@@ -1,0 +1,170 @@
+"""Stages of a fit with known noise: least squares in identifiable coordinates."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
+from oed.estimation.estimate import Estimate, FitStage
+from oed.estimation.fitter import minimise
+from oed.estimation.readings_problem import ReadingsProblem
+from oed.identifiability import information
+from oed.measurement.measurement import Measurement, Series
+from oed.noise.covariance import Noise
+
+
+class IdentificationError(RuntimeError):
+    """The readings cannot be fitted: too few, not finite, or without convergence."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Readings y (N,) of a measurement, and how they are fitted."""
+
+    measurement: Measurement
+    series: Sequence[Series]
+    y: Array
+    max_iterations: int
+
+    def check_readings(self) -> None:
+        """Raise IdentificationError for a wrong number of readings, or NaN."""
+        expected = len(self.measurement.setup_of_readings(self.series))
+        if self.y.shape != (expected,):
+            raise IdentificationError(
+                f"{expected} readings were planned, {self.y.shape} are given"
+            )
+        bad = np.flatnonzero(~np.isfinite(self.y))
+        if bad.size:
+            raise IdentificationError(
+                f"readings number {bad[:5].tolist()} are not finite"
+            )
+
+    def tolerances(self, patterns: Sequence[str]) -> Array:
+        """Prior standard deviations (n,), 0 where no pattern frees a parameter."""
+        names = self.measurement.names
+        freed = self.measurement.freed(patterns)
+        if not freed.any():
+            raise IdentificationError(
+                f"the patterns {list(patterns)} free no parameter of {list(names)}"
+            )
+        return np.where(freed, self.measurement.tolerance, 0.0)
+
+    def coordinates(
+        self, theta: Array, noise: Noise, tolerance: Array
+    ) -> IdentifiableCoordinates:
+        """Identifiable coordinates with H taken at theta (n,)."""
+        return identifiable_coordinates(
+            self.measurement, self.series, theta, noise, tolerance
+        )
+
+    def residuals(self, theta: Array) -> Array:
+        """y - f(theta) (N,), SI."""
+        return self.y - self.measurement.readings(self.series, theta)
+
+    def solve(
+        self, noise: Noise, coordinates: IdentifiableCoordinates, theta: Array
+    ) -> tuple[Array, int]:
+        """Minimise over z, from theta (n,).
+
+        Returns z (r,) and the number of evaluations of the readings.
+        """
+        problem = ReadingsProblem(
+            self.measurement,
+            self.series,
+            noise,
+            self.y[None],
+            coordinates.origin[None],
+            coordinates.basis,
+        )
+        start = coordinates.from_theta(theta)[None]
+        minima = minimise(problem, start, steps=self.max_iterations)
+        if not minima.converged[0]:
+            rms = _rms(minima.residual[0])
+            raise IdentificationError(
+                f"the fit did not converge in {self.max_iterations} iterations (the"
+                f" residuals are {rms:.3g} times the noise); check units and signs of the"
+                " readings, or free fewer parameters in a stage before"
+            )
+        return minima.z[0], int(minima.evaluations[0])
+
+    def covariance(
+        self, theta: Array, noise: Noise, tolerance: Array
+    ) -> tuple[Array, Array]:
+        """Posterior covariance (n, n), SI, and leverage (N,) of each reading.
+
+        The leverage is the share of a reading that the fit uses up.
+        """
+        freed = tolerance > 0.0
+        white = noise.whiten(self.measurement.jacobian(self.series, theta))
+        h = self.measurement.in_prior_units(white, freed)
+        scaled = information.posterior_covariance(h)
+        leverage = np.einsum("ij,jk,ik->i", h, scaled, h)
+        return self.measurement.from_prior_units(scaled, freed), leverage
+
+
+def preliminary_stage(
+    fit: Fit,
+    noise: Noise,
+    theta: Array,
+    residuals: Array,
+    patterns: Sequence[str],
+) -> tuple[Array, Array, FitStage]:
+    """A stage that only finds a start: theta (n,), residuals (N,) there, a summary."""
+    coordinates = fit.coordinates(theta, noise, fit.tolerances(patterns))
+    z, iterations = fit.solve(noise, coordinates, theta)
+    solution = coordinates.to_theta(z)
+    after = fit.residuals(solution)
+    stage = FitStage(
+        patterns=tuple(patterns),
+        iterations=iterations,
+        rms_before=_rms(noise.whiten(residuals)),
+        rms_after=_rms(noise.whiten(after)),
+    )
+    return solution, after, stage
+
+
+def last_stage(
+    fit: Fit,
+    noise: Noise,
+    theta: Array,
+    start_residuals: Array,
+    patterns: Sequence[str],
+) -> Estimate:
+    """The last stage from theta (n,), with known noise."""
+    tolerance = fit.tolerances(patterns)
+    # Twice: the coordinates of the result are those of H at the result.
+    for _ in range(2):
+        coordinates = fit.coordinates(theta, noise, tolerance)
+        z, iterations = fit.solve(noise, coordinates, theta)
+        theta = coordinates.to_theta(z)
+    residuals = fit.residuals(theta)
+    covariance, leverage = fit.covariance(theta, noise, tolerance)
+    white = noise.whiten(residuals)
+    stage = FitStage(
+        patterns=tuple(patterns),
+        iterations=iterations,
+        rms_before=_rms(noise.whiten(start_residuals)),
+        rms_after=_rms(white),
+    )
+    return Estimate(
+        theta=theta,
+        covariance=covariance,
+        prior_sd=tolerance,
+        coordinates=coordinates,
+        z=z,
+        residuals=residuals,
+        residuals_before=start_residuals,
+        noise=noise,
+        dof=len(fit.y) - float(leverage.sum()),
+        chi2=float(white @ white),
+        stages=(stage,),
+        warnings=(),
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
