@@ -56,7 +56,7 @@ class Nominal:
     @property
     def home(self) -> np.ndarray:
         return np.linalg.norm(
-            self.platform + [0.0, 0.0, self.height] - self.base, axis=1
+            self.platform + np.array([0.0, 0.0, self.height]) - self.base, axis=1
         )
 
 

@@ -17,11 +17,18 @@ from oed.design.next_reading import Belief
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
+from oed.noise.covariance import Noise
 from oed.result import trust
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.progress import Silent
 from pkm_studies.resolve import quantities, roles
 from pkm_studies.resolve.component_values import component_values
+from pkm_studies.sessions.next_effects import (
+    Outlook,
+    effects_at,
+    noise_with_effects,
+    outlook_with_effects,
+)
 from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, sentences
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.fit.estimate import estimate_section
@@ -80,10 +87,9 @@ class Adviser:
             return self.advise_after(self.base.measurement, (), np.zeros(0))
         taken = state.readings
         try:
-            estimate = _fit(self.base, state.measurement, taken.series, taken.y)
+            advice, estimate = self._advise(state.measurement, taken.series, taken.y)
         except identification.IdentificationError as error:
             raise with_finding(state, error) from error
-        advice = self._advise(state.measurement, taken.series, estimate)
         checked = () if state.checked is None else state.checked.findings
         return dataclasses.replace(
             advice,
@@ -95,24 +101,42 @@ class Adviser:
         self, measurement: Measurement, series: Sequence[Series], y: Array
     ) -> Advice:
         """The advice after readings y (N,), SI, unchecked. Raises IdentificationError."""
-        estimate = _fit(self.base, measurement, series, y) if len(y) else None
-        return self._advise(measurement, series, estimate)
+        return self._advise(measurement, series, y)[0]
 
     def _advise(
-        self,
-        measurement: Measurement,
-        series: Sequence[Series],
-        estimate: Estimate | None,
-    ) -> Advice:
-        resolved = self.base.resolved
+        self, measurement: Measurement, series: Sequence[Series], y: Array
+    ) -> tuple[Advice, Estimate | None]:
+        """The advice, and the estimate that it rests on; None without readings."""
+        effects = effects_at(self.base, measurement, series)
+        estimate = None
+        if len(y):
+            noise = None
+            if effects is not None:
+                noise = noise_with_effects(measurement, series, effects)
+            estimate = _fit(self.base, measurement, series, y, noise)
         theta = measurement.nominal if estimate is None else estimate.theta
-        pool = candidates.build(measurement, resolved.candidates, theta, "tolerance")
-        belief = self._belief(measurement, pool, estimate)
+        if effects is None:
+            outlook = self._outlook(measurement, theta, estimate)
+        else:
+            outlook = outlook_with_effects(
+                self.base, measurement, series, theta, self.maps.raw, effects
+            )
         if self.plan:
-            planned = self.accuracy(measurement, pool, self.plan)
-            self.limits = planned * (1.0 + ROUNDING)
+            blocks = outlook.blocks
+            planned = next_reading.after_all(outlook.before, blocks, self.plan)
+            self.limits = outlook.accuracy(planned) * (1.0 + ROUNDING)
         count = sum(map(len, series))
-        return self._advice(measurement, pool, belief, theta, count)
+        return self._advice(measurement, outlook, theta, count), estimate
+
+    def _outlook(
+        self, measurement: Measurement, theta: Array, estimate: Estimate | None
+    ) -> Outlook:
+        """The outlook of a machine without effects."""
+        resolved = self.base.resolved
+        pool = candidates.build(measurement, resolved.candidates, theta, "tolerance")
+        before = self.prior(measurement, pool)
+        now = self._belief(measurement, pool, estimate)
+        return Outlook(pool, 0, before, now, np.zeros(len(self.maps.names)))
 
     def accuracy(
         self, measurement: Measurement, pool: Candidates, indices: Sequence[int]
@@ -171,22 +195,22 @@ class Adviser:
     def _advice(
         self,
         measurement: Measurement,
-        pool: Candidates,
-        belief: Belief,
+        outlook: Outlook,
         theta: Array,
         count: int,
     ) -> Advice:
         table = self.base.study.design
         planned = None if table is None else table.size
         remaining = 1 if planned is None else max(planned - count, 1)
-        plan, more = self._plan(belief, pool.blocks, remaining)
-        after = belief.after(pool.blocks[plan[0]])
-        series, row = _reading(pool, plan[0])
+        limits = outlook.limits(self.limits)
+        plan, more = _plan(outlook.now, outlook.blocks, remaining, limits)
+        after = outlook.now.after(outlook.blocks[plan[0]])
+        series, row = _reading(outlook.pool, outlook.taken + plan[0])
         return Advice(
             names=self.maps.names,
             readings=count,
-            known=np.sqrt(belief.variances),
-            after=np.sqrt(after.variances),
+            known=outlook.accuracy(outlook.now),
+            after=outlook.accuracy(after),
             limits=self.limits,
             candidate=plan[0],
             series=series,
@@ -196,39 +220,39 @@ class Adviser:
             planned=planned,
         )
 
-    def _plan(
-        self, belief: Belief, blocks: Array, remaining: int
-    ) -> tuple[list[int], int | None]:
-        """Readings to come, the next one first, and how many reach what is wanted.
 
-        Where fewer than the remaining ones can, the plan is one for the fewest.
-        """
-        if np.isfinite(self.limits).any():
-            fewest = next_reading.fewest_remaining(
-                belief, blocks, remaining, self.limits
-            )
-            if fewest is not None and fewest[0]:
-                return fewest
-        plan = next_reading.best_remaining(belief, blocks, remaining, self.limits)
-        return plan, self._more(belief, blocks, plan)
+def _plan(
+    belief: Belief, blocks: Array, remaining: int, limits: Array
+) -> tuple[list[int], int | None]:
+    """Readings to come, the next one first, and how many reach what is wanted.
 
-    def _more(self, belief: Belief, blocks: Array, plan: list[int]) -> int | None:
-        """Readings until every wanted accuracy is reached; None where too many are.
+    Where fewer than the remaining ones can, the plan is one for the fewest.
+    """
+    if np.isfinite(limits).any():
+        fewest = next_reading.fewest_remaining(belief, blocks, remaining, limits)
+        if fewest is not None and fewest[0]:
+            return fewest
+    plan = next_reading.best_remaining(belief, blocks, remaining, limits)
+    return plan, _more(belief, blocks, plan, limits)
 
-        Those of the plan count first, the best of them first, then single best ones.
-        """
-        if not np.isfinite(self.limits).any():
-            return None
-        rest = list(plan)
-        for number in range(MOST_AHEAD + 1):
-            if not next_reading.open_components(belief, self.limits):
-                return number
-            pool = blocks[rest] if rest else blocks
-            best = next_reading.best_candidate(belief, pool, self.limits)
-            belief = belief.after(pool[best])
-            if rest:
-                rest.pop(best)
+
+def _more(belief: Belief, blocks: Array, plan: list[int], limits: Array) -> int | None:
+    """Readings until every wanted accuracy is reached; None where too many are.
+
+    Those of the plan count first, the best of them first, then single best ones.
+    """
+    if not np.isfinite(limits).any():
         return None
+    rest = list(plan)
+    for number in range(MOST_AHEAD + 1):
+        if not next_reading.open_components(belief, limits):
+            return number
+        pool = blocks[rest] if rest else blocks
+        best = next_reading.best_candidate(belief, pool, limits)
+        belief = belief.after(pool[best])
+        if rest:
+            rest.pop(best)
+    return None
 
 
 def _planned_candidates(state: RunState) -> list[int]:
@@ -265,19 +289,25 @@ def _limits(
 
 
 def _fit(
-    state: RunState, measurement: Measurement, series: Sequence[Series], y: Array
+    state: RunState,
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    noise: Noise | None,
 ) -> Estimate:
     """The fit; all parameters at once where few readings fail to find a start."""
     most = state.study.identify.max_iterations
     stages = state.resolved.identification_stages
     try:
         return identification.identify(
-            measurement, series, y, stages=stages, max_iterations=most
+            measurement, series, y, stages=stages, max_iterations=most, noise=noise
         )
     except identification.IdentificationError:
         if len(stages) == 1:
             raise
-        return identification.identify(measurement, series, y, max_iterations=most)
+        return identification.identify(
+            measurement, series, y, max_iterations=most, noise=noise
+        )
 
 
 def _objections(

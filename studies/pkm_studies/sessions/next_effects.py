@@ -1,0 +1,138 @@
+"""Effects beside the geometry in the advice at the machine, at their expected sizes.
+
+The readings taken and all candidates share the unknowns of the effects, so that a reading
+is worth what it tells of both. Effects of direction and of time are left out, as they are
+of a plan: the order of the readings to come is not known.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.design import candidates
+from oed.design.blocks import information
+from oed.design.candidates import Candidates
+from oed.design.next_reading import Belief, weights_of
+from oed.identifiability.information import prior_information
+from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_structure import reading_structure
+from oed.noise.covariance import Noise
+from oed.noise.law_noise import noise_under
+from oed.noise.process import stated_laws
+from pkm_studies.resolve.planned_effects import (
+    NONE,
+    effects_of_planned,
+    named_effects,
+)
+from pkm_studies.stages.run_state import RunState
+
+#: combinations of effects that are unknowns, at most
+UNKNOWNS = 60
+#: share of a wanted accuracy that no reading reaches
+OUT_OF_REACH = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Outlook:
+    """What is known, and the candidates for the next reading.
+
+    pool     of the candidates, after the `taken` readings
+    before   what was known before any reading;  now  what is known
+    others   (K,) mean square over the workspace that no reading can reduce, SI
+    """
+
+    pool: Candidates
+    taken: int
+    before: Belief
+    now: Belief
+    others: Array
+
+    @property
+    def blocks(self) -> Array:
+        """Blocks (C, k, n) of the candidates."""
+        return self.pool.blocks[self.taken :]
+
+    def accuracy(self, belief: Belief) -> Array:
+        """Rms (K,) of a belief."""
+        return np.asarray(np.sqrt(belief.variances + self.others))
+
+    def limits(self, wanted: Array) -> Array:
+        """Wanted rms (K,) of what readings can reduce; NaN where none is wanted.
+
+        Where more than wanted is left by what they cannot, nothing reaches the limit.
+        """
+        least = (OUT_OF_REACH * wanted) ** 2
+        return np.asarray(np.sqrt(np.maximum(wanted**2 - self.others, least)))
+
+
+def effects_at(
+    state: RunState, measurement: Measurement, taken: Sequence[Series]
+) -> PlannedEffects | None:
+    """What the effects of [identify] do to readings taken and candidates; None without."""
+    names, resolved = state.study.identify.effects, state.resolved
+    if names == NONE or resolved.prediction is None:
+        return None
+    request = resolved.gap_or_default
+    place = state.study.place.key("identify").key("effects")
+    return effects_of_planned(
+        measurement,
+        [*taken, *resolved.candidates],
+        named_effects(request, names, place),
+        request,
+        resolved.prediction,
+        np.random.default_rng(state.study.seed),
+        UNKNOWNS,
+    )
+
+
+def noise_with_effects(
+    measurement: Measurement, taken: Sequence[Series], effects: PlannedEffects
+) -> Noise:
+    """Stated noise of the readings taken, with the effects' covariance beside it."""
+    structure = reading_structure(measurement, taken, measurement.nominal)
+    columns = effects.readings.take(slice(0, len(structure))).columns
+    wider = dataclasses.replace(structure, effects=structure.standardise(columns))
+    return noise_under(wider, stated_laws(wider))
+
+
+def outlook_with_effects(
+    state: RunState,
+    measurement: Measurement,
+    taken: Sequence[Series],
+    theta: Array,
+    raw: Array,
+    effects: PlannedEffects,
+) -> Outlook:
+    """The outlook after the readings taken, linear about theta (n,).
+
+    raw  (n, K, p) pose errors over the workspace per unit of each parameter, SI
+    """
+    pool = candidates.build(
+        measurement,
+        [*taken, *state.resolved.candidates],
+        theta,
+        "tolerance",
+        nuisances=effects.readings,
+    )
+    total = pool.prior_information.copy()
+    total[: pool.columns, : pool.columns] += prior_information(measurement)
+    count = sum(map(len, taken))
+    known = total + information(pool.blocks[:count])
+    poses, components, parameters = raw.shape
+    slopes = np.zeros((poses, components, len(measurement.names)))
+    slopes[:, :, :parameters] = raw
+    scaled = (slopes * measurement.tolerance)[:, :, measurement.free]
+    factors = pool.over_all_columns(np.concatenate([scaled, effects.tool], axis=2))
+    weights = weights_of(factors.swapaxes(0, 1) / np.sqrt(poses))
+    return Outlook(
+        pool,
+        count,
+        Belief(np.linalg.inv(total), weights),
+        Belief(np.linalg.inv(known), weights),
+        effects.others,
+    )
