@@ -95,19 +95,19 @@ def test_what_no_reading_reduces_is_never_reached(tmp_path: Path) -> None:
 
 def test_residuals_of_expected_effects_are_no_bad_fit(tmp_path: Path) -> None:
     """A scale of one drive: the fit without effects is bad, with them it is not."""
-    files = {}
+    files, expected = {}, {}
     for effects in ('"none"', '["encoder_scale"]'):
         one = adviser(tmp_path, effects)
         measurement = one.base.measurement
         taken = [one.base.resolved.candidates[0]]
-        found = effects_at(one.base, measurement, taken)
+        found = expected[effects] = effects_at(one.base, measurement, taken)
         if found is not None:
             change = 2.0 * found.readings.columns[: 3 * len(taken[0]), 0]
         files[effects] = (one, measurement, taken)
     chi2 = {}
     for effects, (one, measurement, taken) in files.items():
         y = measurement.readings(taken, measurement.nominal) + change
-        _, estimate = one._advise(measurement, taken, y)
+        estimate = advice._fit(one.base, measurement, taken, y, expected[effects])
         chi2[effects] = estimate.chi2 / estimate.dof
     assert chi2['["encoder_scale"]'] < 1.0
     assert chi2['"none"'] > 4.0 * chi2['["encoder_scale"]']

@@ -22,7 +22,7 @@ class IdentificationError(RuntimeError):
 
 
 @dataclasses.dataclass(frozen=True)
-class Fit:
+class ReadingsFit:
     """Readings y (N,) of a measurement, and how they are fitted."""
 
     measurement: Measurement
@@ -107,7 +107,7 @@ class Fit:
 
 
 def preliminary_stage(
-    fit: Fit,
+    fit: ReadingsFit,
     noise: Noise,
     theta: Array,
     residuals: Array,
@@ -128,7 +128,7 @@ def preliminary_stage(
 
 
 def last_stage(
-    fit: Fit,
+    fit: ReadingsFit,
     noise: Noise,
     theta: Array,
     start_residuals: Array,

@@ -19,8 +19,8 @@ from oed.estimation.discrepancy import Discrepancy
 from oed.estimation.effects_stage import EffectsStart, ReadingsAbout, fit_effects
 from oed.estimation.estimate import Estimate
 from oed.estimation.fit_stages import (
-    Fit,
     IdentificationError,
+    ReadingsFit,
     last_stage,
     preliminary_stage,
 )
@@ -84,7 +84,7 @@ def identify(
     >>> bool(np.abs(deviations[measurement.free]).max() < 4.0)
     True
     """
-    fit = Fit(measurement, series, y, max_iterations)
+    fit = ReadingsFit(measurement, series, y, max_iterations)
     fit.check_readings()
     stated = measurement.noise(series) if noise is None else as_noise(noise)
     theta = measurement.start if start is None else start
@@ -113,7 +113,7 @@ def identify(
 
 
 def _stage_with_effects(
-    fit: Fit,
+    fit: ReadingsFit,
     stated: Noise,
     theta: Array,
     start_residuals: Array,

@@ -92,13 +92,13 @@ def _uncorrelated(law: Laws) -> Laws:
 
 
 def _widening(slopes: Array, stated: LinearFactor, errors: Errors) -> float:
-    """w, over the directions that slopes (N, r) tell."""
+    """w, over the directions that slopes (N, r) determine."""
     weighted = stated.precision(slopes)
     values, vectors = np.linalg.eigh(slopes.T @ weighted)
-    told = values > ROUNDING * values.max(initial=0.0)
-    if not told.any():
+    determined = values > ROUNDING * values.max(initial=0.0)
+    if not determined.any():
         return 1.0
-    root = vectors[:, told] / np.sqrt(values[told])
+    root = vectors[:, determined] / np.sqrt(values[determined])
     variances = np.diag(errors.covariance_of(weighted @ root))
     return float(np.sqrt(np.mean(variances)))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.estimation.estimate import Estimate
-from oed.estimation.fit_stages import Fit, last_stage
+from oed.estimation.fit_stages import ReadingsFit, last_stage
 from oed.estimation.law_check import LawCheck, check_law
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise
@@ -35,7 +35,7 @@ class LawFit:
 
 
 def integrated_stage(
-    fit: Fit,
+    fit: ReadingsFit,
     stated: Noise,
     theta: Array,
     start_residuals: Array,
@@ -58,7 +58,7 @@ def integrated_stage(
 
 
 def _by_stated_weights(
-    fit: Fit, stated: Noise, first: Estimate, by_law: Estimate, check: LawCheck
+    fit: ReadingsFit, stated: Noise, first: Estimate, by_law: Estimate, check: LawCheck
 ) -> Estimate:
     """The fit with stated weights, of a noise that the readings' law makes wider.
 
@@ -82,7 +82,7 @@ def _by_stated_weights(
 
 
 def structure_and_prior(
-    fit: Fit, first: Estimate
+    fit: ReadingsFit, first: Estimate
 ) -> tuple[ReadingStructure, NoisePrior]:
     """Structure of the readings at an estimate, and prior of their noise law."""
     structure = reading_structure(fit.measurement, fit.series, first.theta)
@@ -91,7 +91,7 @@ def structure_and_prior(
 
 
 def integrate_law(
-    fit: Fit,
+    fit: ReadingsFit,
     stated: Noise,
     first: Estimate,
     structure: ReadingStructure,

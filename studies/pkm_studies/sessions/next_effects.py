@@ -129,10 +129,6 @@ def outlook_with_effects(
     scaled = (slopes * measurement.tolerance)[:, :, measurement.free]
     factors = pool.over_all_columns(np.concatenate([scaled, effects.tool], axis=2))
     weights = weights_of(factors.swapaxes(0, 1) / np.sqrt(poses))
-    return Outlook(
-        pool,
-        count,
-        Belief(np.linalg.inv(total), weights),
-        Belief(np.linalg.inv(known), weights),
-        effects.others,
-    )
+    before, now = (np.asarray(np.linalg.inv(i), dtype=float) for i in (total, known))
+    beliefs = Belief(before, weights), Belief(now, weights)
+    return Outlook(pool, count, *beliefs, effects.others)

@@ -11,13 +11,13 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.base.arrays import Array
+from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design import candidates, next_reading
 from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
-from oed.noise.covariance import Noise
 from oed.result import trust
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.progress import Silent
@@ -87,9 +87,13 @@ class Adviser:
             return self.advise_after(self.base.measurement, (), np.zeros(0))
         taken = state.readings
         try:
-            advice, estimate = self._advise(state.measurement, taken.series, taken.y)
+            effects = effects_at(self.base, state.measurement, taken.series)
+            estimate = _fit(
+                self.base, state.measurement, taken.series, taken.y, effects
+            )
         except identification.IdentificationError as error:
             raise with_finding(state, error) from error
+        advice = self._advise(state.measurement, taken.series, estimate, effects)
         checked = () if state.checked is None else state.checked.findings
         return dataclasses.replace(
             advice,
@@ -101,19 +105,19 @@ class Adviser:
         self, measurement: Measurement, series: Sequence[Series], y: Array
     ) -> Advice:
         """The advice after readings y (N,), SI, unchecked. Raises IdentificationError."""
-        return self._advise(measurement, series, y)[0]
-
-    def _advise(
-        self, measurement: Measurement, series: Sequence[Series], y: Array
-    ) -> tuple[Advice, Estimate | None]:
-        """The advice, and the estimate that it rests on; None without readings."""
         effects = effects_at(self.base, measurement, series)
         estimate = None
         if len(y):
-            noise = None
-            if effects is not None:
-                noise = noise_with_effects(measurement, series, effects)
-            estimate = _fit(self.base, measurement, series, y, noise)
+            estimate = _fit(self.base, measurement, series, y, effects)
+        return self._advise(measurement, series, estimate, effects)
+
+    def _advise(
+        self,
+        measurement: Measurement,
+        series: Sequence[Series],
+        estimate: Estimate | None,
+        effects: PlannedEffects | None,
+    ) -> Advice:
         theta = measurement.nominal if estimate is None else estimate.theta
         if effects is None:
             outlook = self._outlook(measurement, theta, estimate)
@@ -126,7 +130,7 @@ class Adviser:
             planned = next_reading.after_all(outlook.before, blocks, self.plan)
             self.limits = outlook.accuracy(planned) * (1.0 + ROUNDING)
         count = sum(map(len, series))
-        return self._advice(measurement, outlook, theta, count), estimate
+        return self._advice(measurement, outlook, theta, count)
 
     def _outlook(
         self, measurement: Measurement, theta: Array, estimate: Estimate | None
@@ -293,9 +297,12 @@ def _fit(
     measurement: Measurement,
     series: Sequence[Series],
     y: Array,
-    noise: Noise | None,
+    effects: PlannedEffects | None,
 ) -> Estimate:
     """The fit; all parameters at once where few readings fail to find a start."""
+    noise = None
+    if effects is not None:
+        noise = noise_with_effects(measurement, series, effects)
     most = state.study.identify.max_iterations
     stages = state.resolved.identification_stages
     try:
