@@ -114,5 +114,5 @@ def _information(
     names = list(section.parameters)
     at = [names.index(parameter) for parameter in free]
     block = np.array(section.covariance)[np.ix_(at, at)] * np.outer(scale, scale)
-    own = readings_information(value, block, start, prior)
-    return rescaled(own, tolerance / prior, shift)
+    information = readings_information(value, block, start, prior)
+    return rescaled(information, tolerance / prior, shift)

@@ -260,15 +260,15 @@ def with_earlier(study: Study, machine: Machine) -> Machine:
     held |= set(machine.frame)
     free = [p.name for p in machine.parameters if p.name not in held]
     if prior.earlier is None:
-        return _with_knowledge(
+        return with_mean_and_covariance(
             machine, free, *fleet_knowledge(study, machine, free, at)
         )
     result, folder = named_result(study, prior.earlier, at, machine)
     mean, covariance, _ = known_parameters(result, machine.name, free, folder)
-    return _with_knowledge(machine, free, mean, covariance)
+    return with_mean_and_covariance(machine, free, mean, covariance)
 
 
-def _with_knowledge(
+def with_mean_and_covariance(
     machine: Machine, free: list[str], mean: Array, covariance: Array
 ) -> Machine:
     """The machine with this mean (n,) and covariance (n, n) of free parameters."""
