@@ -297,6 +297,15 @@ def test_what_is_not_stated_is_asked_for(folder: Path, oed: Run) -> None:
     assert (code, "tolerance.beta_um" in error) == (2, True), error
 
 
+def test_warnings_of_the_fit_are_stated(folder: Path) -> None:
+    result = stored(folder)
+    section = msgspec.structs.replace(result.estimate, warnings=["Something is odd."])
+    result = msgspec.structs.replace(result, estimate=section)
+    (folder / "result.json").write_bytes(msgspec.json.encode(result))
+    assert certified(folder, "").conditions[-1] == "Something is odd."
+    assert "Something is odd." in (folder / "certificate.xml").read_text("utf-8")
+
+
 def test_a_virtual_machine_gets_none(folder: Path, oed: Run) -> None:
     result = stored(folder)
     section = result.estimate

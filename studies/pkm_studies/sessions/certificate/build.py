@@ -140,7 +140,8 @@ def _conditions(result: StudyResult) -> list[str]:
             "the fit allowed effects beside the geometry: the predicted errors hold them,"
             " the covariance of the parameters alone does not"
         )
-    return sentences
+    final = result.final_estimate
+    return sentences if final is None else [*sentences, *final.warnings]
 
 
 # -- accuracy --------------------------------------------------------------------------
