@@ -78,6 +78,7 @@ class MachineInfo(Record, frozen=True):
                 controller holds other values, `expected` where the prior mean is another
     controller  what the study names as held by the controller; "" for nominal numbers
     earlier     session whose posterior is the prior; "" for tolerances
+    fleet       results of other machines whose mean and spread are the prior
     """
 
     name: str
@@ -87,6 +88,7 @@ class MachineInfo(Record, frozen=True):
     frame: list[str]
     controller: str = ""
     earlier: str = ""
+    fleet: list[str] = []
 
 
 class SetupInfo(Record, frozen=True):

@@ -17,6 +17,7 @@ from pkm_studies.base import console
 from pkm_studies.base.errors import InputError, shorten
 from pkm_studies.commands.adjust import adjust
 from pkm_studies.commands.campaign import campaign
+from pkm_studies.commands.certificate import certificate
 from pkm_studies.commands.check import check
 from pkm_studies.commands.compare import compare
 from pkm_studies.commands.compensate import compensate
@@ -64,6 +65,7 @@ app.command()(compensate)
 app.command()(forecast)
 app.command()(verify)
 app.command()(adjust)
+app.command()(certificate)
 app.command()(history)
 app.command()(campaign)
 app.command(name="next")(next_reading)

@@ -35,13 +35,7 @@ def named_result(
     A relative name starts at the study's file. Raises InputError where there is no
     result with an identification, or one of another machine.
     """
-    folder = study.folder / name
-    if not (folder / "result.json").is_file():
-        problem = f"there is no result.json in {folder}"
-        if not folder.is_dir():
-            problem = f"there is no folder {folder}"
-        remedy = "name the folder of an `oed identify`, relative to the study's file"
-        raise place.error(problem, remedy, name)
+    folder = result_folder(study, name, place)
     result = load_result(folder)
     difference = machine_difference(result.machine, machine)
     if difference is not None:
@@ -51,6 +45,18 @@ def named_result(
         remedy = "make it with `oed identify STUDY --readings CSV --out DIR`"
         raise place.error("nothing was identified there", remedy, name)
     return result, folder
+
+
+def result_folder(study: Study, name: str, place: Place) -> Path:
+    """The folder that a study names at a place. Raises InputError without a result."""
+    folder = study.folder / name
+    if not (folder / "result.json").is_file():
+        problem = f"there is no result.json in {folder}"
+        if not folder.is_dir():
+            problem = f"there is no folder {folder}"
+        remedy = "name the folder of an `oed identify`, relative to the study's file"
+        raise place.error(problem, remedy, name)
+    return folder
 
 
 def machine_difference(stored: MachineInfo, machine: Machine) -> str | None:

@@ -9,12 +9,14 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import special
 
+from oed.base.arrays import Array
 from oed.model.instrument import Setup
 from oed.model.machine import CommonTolerance, Machine, Parameter
 from oed.model.parameter_vector import ParameterVector
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve import lookup, quantities
 from pkm_studies.resolve.earlier_result import known_parameters, named_result
+from pkm_studies.resolve.fleet import fleet_knowledge
 from pkm_studies.resolve.noise import LARGEST, with_noise
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
@@ -227,29 +229,49 @@ def with_correlation(study: Study, machine: Machine) -> Machine:
     return dataclasses.replace(machine, correlated=tuple(groups))
 
 
-# -- knowledge of an earlier session ---------------------------------------------------
+# -- knowledge of other sessions ---------------------------------------------------
 
 
 def with_earlier(study: Study, machine: Machine) -> Machine:
-    """The machine with the posterior of [prior] earlier in place of its tolerances.
+    """The machine with what [prior] earlier or from knows in place of its tolerances.
 
-    Raises InputError where the result does not fit.
+    earlier  the posterior of a session of this machine
+    from     a further machine of those of the results
+
+    Raises InputError where a result does not fit.
     """
-    name = study.prior.earlier
-    if name is None:
+    prior, place = study.prior, study.place.key("prior")
+    if prior.earlier is None and not prior.from_:
         return machine
-    place = study.place.key("prior").key("earlier")
+    if prior.earlier is not None and prior.from_:
+        problem = "a session of this machine, and other machines, beside each other"
+        raise place.key("from").error(
+            problem, "keep one: `earlier` knows more", prior.from_
+        )
+    at = place.key("earlier" if prior.earlier is not None else "from")
+    value = prior.earlier if prior.earlier is not None else prior.from_
     if study.plan is not None:
         remedy = "remove [plan]; `oed plan STUDY --after DIR` plans after a session"
-        raise place.error("the planner of [plan] does not know it", remedy, name)
+        raise at.error("the planner of [plan] does not know it", remedy, value)
     if machine.correlated:
-        remedy = "remove [[prior.correlated]]: the earlier session had it"
-        raise place.error("it has correlations of its own", remedy, name)
-    result, folder = named_result(study, name, place, machine)
+        remedy = "remove [[prior.correlated]]: the results have correlations"
+        raise at.error("it has correlations of its own", remedy, value)
     held = {p.name for p in machine.parameters if p.tolerance == 0.0}
     held |= set(machine.frame)
     free = [p.name for p in machine.parameters if p.name not in held]
+    if prior.earlier is None:
+        return with_mean_and_covariance(
+            machine, free, *fleet_knowledge(study, machine, free, at)
+        )
+    result, folder = named_result(study, prior.earlier, at, machine)
     mean, covariance, _ = known_parameters(result, machine.name, free, folder)
+    return with_mean_and_covariance(machine, free, mean, covariance)
+
+
+def with_mean_and_covariance(
+    machine: Machine, free: list[str], mean: Array, covariance: Array
+) -> Machine:
+    """The machine with this mean (n,) and covariance (n, n) of free parameters."""
     sd = np.sqrt(np.diag(covariance))
     known = dict(zip(free, zip(mean, sd, strict=True), strict=True))
     parameters = [

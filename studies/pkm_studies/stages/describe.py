@@ -79,6 +79,7 @@ def with_earlier_sessions(
         parameters=rows,
         controller=study.machine.controller or "",
         earlier=study.prior.earlier or "",
+        fleet=study.prior.from_,
     )
 
 

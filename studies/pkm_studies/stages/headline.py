@@ -80,6 +80,12 @@ def earlier_sentences(machine: MachineInfo) -> list[str]:
         words.append(
             f"The prior is the posterior of {machine.earlier}, not the tolerances."
         )
+    if machine.fleet:
+        count = len(machine.fleet)
+        words.append(
+            f"The prior is the mean and spread of {count} other"
+            f" machine{'s' * (count > 1)}, not the tolerances."
+        )
     return words
 
 

@@ -207,9 +207,12 @@ class PriorTable(StudyTable, frozen=True, kw_only=True):
     earlier     folder of the result of an earlier session, relative to the study: its
                 posterior of the machine's parameters takes the place of nominal numbers
                 and tolerances
+    from        folders of results of other machines of this model: their mean and spread
+                take the place of nominal numbers and tolerances
     """
 
     tolerance: list[ToleranceTable] = []
     correlated: list[CorrelatedTable] = []
     bounds: list[BoundsTable] = []
     earlier: str | None = None
+    from_: list[str] = msgspec.field(name="from", default_factory=list)

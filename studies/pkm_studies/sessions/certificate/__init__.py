@@ -1,0 +1,1 @@
+"""Calibration certificates: what they state, their head as the user fills it in, XML."""

@@ -1,0 +1,293 @@
+"""What the certificate of a result states: parameters, accuracy, conformity; in SI units."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from oed.accuracy import conformity
+from oed.accuracy.acceptance import Promise
+from oed.base import units
+from oed.base.arrays import Array
+from oed.base.linear_algebra import covariance_root
+from oed.model.machine import Machine
+from oed.result import CorrectedSection, EstimateSection, StudyResult
+from oed.result.certificate import (
+    Certificate,
+    CertificateHead,
+    CertifiedAccuracy,
+    CertifiedParameter,
+    Conformity,
+)
+from pkm_studies.base.errors import InputError, Place
+from pkm_studies.resolve import quantities
+from pkm_studies.sessions.acceptance.promise import (
+    PromisedAccuracy,
+    covariances,
+    promised_accuracy,
+)
+from pkm_studies.study import Study
+
+#: of a parameter's value, by how the readings see it
+SOURCES = {
+    "seen": "from the readings",
+    "weak": "weakly seen by the readings",
+    "prior": "from its tolerance: the readings do not see it",
+}
+NORMAL = "parameters are stated as normal; expanded uncertainties have a coverage factor of 2"
+ACCURACY = (
+    "predicted errors are those of the machine compensated with these parameters, over"
+    " the workspace of the study"
+)
+CHECKED = (
+    "errors at the acceptance poses are taken as independent, each with the standard"
+    " uncertainty of the plan, and nothing else is known of them"
+)
+
+
+def certificate(
+    result: StudyResult,
+    study: Study,
+    head: CertificateHead,
+    tolerance: Mapping[str, float],
+    file: str,
+    place: Place,
+) -> Certificate:
+    """All that the certificate of a result states.
+
+    tolerance  by name and unit, as the user gives it at `place`
+    file       result.json
+
+    Raises InputError for a result that certifies no machine, and for unknown names.
+    """
+    section = _estimate(result, file)
+    promised = promised_accuracy(result, study, file, {}, {})
+    machine = promised.machine
+    names = [name for name, p in section.parameters.items() if _counts(name, p.sd)]
+    at = [machine.index(name) for name in names]
+    covariance = covariances(machine, section)[0][np.ix_(at, at)]
+    estimate = result.estimate
+    return Certificate(
+        head=head,
+        study=result.study,
+        version=result.version,
+        machine=result.machine.name,
+        about=result.machine.about,
+        setups=[f"{s.name}: {s.instrument}" for s in result.setups],
+        parameters=[_parameter(machine, section, name) for name in names],
+        covariance=covariance.tolist(),
+        readings=0 if estimate is None else estimate.readings,
+        poses=len(promised.command),
+        reference=promised.reference,
+        predicted=list(_predicted(result, promised)),
+        verified_poses=_measured_poses(result),
+        verified=list(_verified(result)),
+        conformity=list(_conformities(result, section, promised, tolerance, place)),
+        conditions=_conditions(result),
+    )
+
+
+def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSection:
+    """The estimate, of a machine that exists."""
+    section = result.final_estimate
+    if section is None or not section.covariance:
+        raise InputError(
+            "this result has no estimate with its covariance",
+            "make it with `oed identify STUDY --readings CSV --out DIR`",
+            file=file,
+        )
+    if any(p.truth is not None for p in section.parameters.values()):
+        raise InputError(
+            "its readings are simulated, and a certificate is about a machine",
+            "identify from readings: `oed identify STUDY --readings CSV --out DIR`",
+            file=file,
+        )
+    return section
+
+
+def _counts(name: str, sd: float) -> bool:
+    """Whether an estimate is of the machine, not of a set-up, and not fixed."""
+    return "." not in name and sd > 0.0
+
+
+def _parameter(
+    machine: Machine, section: EstimateSection | CorrectedSection, name: str
+) -> CertifiedParameter:
+    p, parameter = section.parameters[name], machine.parameters[machine.index(name)]
+    scale = units.factor(p.unit)
+    source = SOURCES[p.identified]
+    return CertifiedParameter(
+        name, parameter.about, p.value * scale, p.sd * scale, parameter.unit, source
+    )
+
+
+def _conditions(result: StudyResult) -> list[str]:
+    sentences = [NORMAL, ACCURACY]
+    if result.verification is not None:
+        sentences.append(CHECKED)
+    if result.corrected is not None:
+        sentences += result.corrected.conditions
+        for name, e in result.corrected.effects.items():
+            sentences.append(
+                f"{name} of the effect {e.effect} was estimated with the parameters:"
+                f" {e.value:.4g}, standard uncertainty {e.sd:.2g} {e.unit}"
+            )
+    elif result.estimate is not None and result.estimate.effects:
+        sentences.append(
+            "the fit allowed effects beside the geometry: the predicted errors hold them,"
+            " the covariance of the parameters alone does not"
+        )
+    final = result.final_estimate
+    return sentences if final is None else [*sentences, *final.warnings]
+
+
+# -- accuracy --------------------------------------------------------------------------
+
+
+def _predicted(
+    result: StudyResult, promised: PromisedAccuracy
+) -> Iterator[CertifiedAccuracy]:
+    """Predicted errors of the driven components; from the covariance without a table."""
+    prediction = result.final_prediction
+    if prediction is None or prediction.mode != "identified":
+        root = covariance_root(promised.promise.covariances[0])
+        for k, component in enumerate(promised.components):
+            sd = np.linalg.norm(promised.promise.maps[:, k] @ root, axis=1)
+            rms, largest = promised.promise.rms[k], sd.max()
+            yield CertifiedAccuracy(
+                component.name, float(rms), float(largest), component.unit
+            )
+        return
+    for name, accuracy in prediction.components.items():
+        s = accuracy.after
+        scale = units.factor(s.unit)
+        ends = s.rms_interval
+        yield CertifiedAccuracy(
+            name,
+            s.rms * scale,
+            s.max * scale,
+            units.si_unit(s.unit),
+            p95=s.p95 * scale,
+            interval=None if ends is None else (ends[0] * scale, ends[1] * scale),
+        )
+
+
+def _measured_poses(result: StudyResult) -> int:
+    return 0 if result.acceptance is None else len(result.acceptance.poses)
+
+
+def _verified(result: StudyResult) -> Iterator[CertifiedAccuracy]:
+    """Measured errors of the acceptance test."""
+    if result.verification is None:
+        return
+    for name, c in result.verification.components.items():
+        scale = units.factor(c.unit)
+        yield CertifiedAccuracy(
+            name,
+            c.rms * scale,
+            c.max * scale,
+            units.si_unit(c.unit),
+            limit=c.limit * scale,
+            passed=c.passed,
+        )
+
+
+# -- conformity ------------------------------------------------------------------------
+
+
+def _conformities(
+    result: StudyResult,
+    section: EstimateSection | CorrectedSection,
+    promised: PromisedAccuracy,
+    tolerance: Mapping[str, float],
+    place: Place,
+) -> Iterator[Conformity]:
+    """Conformity with each tolerance, or with what an acceptance test promised."""
+    known = {p.name: p.unit for p in promised.machine.parameters}
+    known |= {c.name: c.unit for c in promised.machine.components}
+    stated = quantities.read_values(tolerance, known, place)
+    if not stated and result.acceptance is not None:
+        demands = result.acceptance.components
+        stated = {n: d.promised * units.factor(d.unit) for n, d in demands.items()}
+    parts = {c.name: (promised.promise, k) for k, c in enumerate(promised.components)}
+    further = promised.further
+    for name, largest in stated.items():
+        if name in parts:
+            promise, k = parts[name]
+            basis = "predicted from the calibration, over the workspace"
+            none = np.zeros(len(promise.maps))
+            p = _predicted_within(promise, k, none, largest, _rng(result, name))
+            yield _rms_conformity(name, basis, largest, known[name], p)
+            yield from _measured_conformity(result, name, largest, known[name])
+        elif name in section.parameters and _counts(name, section.parameters[name].sd):
+            yield _of_parameter(section, name, largest, known[name])
+        elif further is not None and name in [c.name for c in further.components]:
+            k = [c.name for c in further.components].index(name)
+            basis = "predicted, no drive corrects it, over the workspace"
+            known_error = further.known[:, k]
+            p = _predicted_within(
+                further.promise, k, known_error, largest, _rng(result, name)
+            )
+            yield _rms_conformity(name, basis, largest, known[name], p)
+        else:
+            raise place.error(
+                f"nothing is known of {name} that a tolerance could be compared with",
+                f"remove it, or name one of {', '.join([*parts, *section.parameters])}",
+            )
+
+
+def _rng(result: StudyResult, name: str) -> np.random.Generator:
+    return np.random.default_rng([result.seed, zlib.crc32(name.encode())])
+
+
+def _rms_conformity(
+    name: str, basis: str, largest: float, unit: str, probability: float
+) -> Conformity:
+    return Conformity(f"rms error of {name}", basis, largest, unit, probability)
+
+
+def _predicted_within(
+    promise: Promise, k: int, known: Array, largest: float, rng: np.random.Generator
+) -> float:
+    """Probability of the rms error; fields have the predicted size, as for acceptance."""
+    root = covariance_root(promise.covariances[0])
+    slopes = promise.maps[:, k]
+    size = np.linalg.norm(slopes @ root) / np.sqrt(len(slopes))
+    scaled = root * (promise.rms[k] / size)
+    return conformity.rms_within(known, slopes, scaled, largest, rng)
+
+
+def _measured_conformity(
+    result: StudyResult, name: str, largest: float, unit: str
+) -> Iterator[Conformity]:
+    verified, plan = result.verification, result.acceptance
+    if verified is None or plan is None or name not in verified.components:
+        return
+    verdict, scale = verified.components[name], units.factor(plan.components[name].unit)
+    p = conformity.measured_rms_within(
+        verdict.rms * scale,
+        plan.components[name].uncertainty * scale,
+        len(plan.poses),
+        largest,
+    )
+    yield _rms_conformity(name, "measured at the acceptance poses", largest, unit, p)
+
+
+def _of_parameter(
+    section: EstimateSection | CorrectedSection, name: str, largest: float, unit: str
+) -> Conformity:
+    p = section.parameters[name]
+    scale = units.factor(p.unit)
+    probability = conformity.parameter_within(
+        (p.value - p.nominal) * scale, p.sd * scale, -largest, largest
+    )
+    quantity = f"{name}, departure from nominal"
+    return Conformity(quantity, "identified", largest, unit, probability)
+
+
+def tolerance_place(path: Path) -> Place:
+    """Where tolerances stand."""
+    return Place(str(path), "tolerance")

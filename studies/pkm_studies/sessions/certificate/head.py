@@ -1,0 +1,219 @@
+"""Reads `certificate.toml`: what no calibration knows of laboratory, machine and customer."""
+
+from __future__ import annotations
+
+import datetime
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from oed.result.certificate import (
+    CertificateHead,
+    CertifiedItem,
+    Institution,
+    Person,
+    UsedInstrument,
+)
+from pkm_studies.base import files
+from pkm_studies.base.errors import Place
+from pkm_studies.study import decode
+from pkm_studies.study.tables.base import Positive, StudyTable
+
+FILE = "certificate.toml"
+LIMIT = 1_000_000
+Country = Annotated[str, msgspec.Meta(pattern="^([A-Z][A-Z])?$")]
+Temperature = Annotated[float, msgspec.Meta(gt=-273.15)]
+#: probability from which a conformity is stated
+Rule = Annotated[float, msgspec.Meta(gt=0.5, lt=1)]
+
+TEMPLATE = """\
+# What the calibration cannot know. Fill in each empty text, and call `oed certificate`
+# again. Lines that begin with # are optional: remove the # to state them.
+
+identifier = ""          # of this certificate, unique
+country = ""             # of issue, two letters of ISO 3166-1
+begin = ""               # first day of the readings, as in 2026-03-01
+end = ""                 # last day of the readings
+place = "laboratory"     # laboratory, customer, laboratoryBranch, customerBranch, other
+# temperature_C = 20.0   # during the readings
+# issued = "2026-03-02"
+# decision = 0.95        # state conformity where its probability is at least this
+
+[item]
+serial = ""              # number of the machine
+# manufacturer = ""
+# model = ""
+
+[laboratory]
+name = ""
+city = ""
+country = ""
+# street = ""
+# post_code = ""
+# email = ""
+# accreditation = ""     # registration of the accreditation, where there is one
+
+[customer]
+name = ""
+city = ""
+country = ""
+
+[[person]]
+name = ""
+# role = ""
+# signs = true
+
+# [[instrument]]
+# name = ""
+# serial = ""
+# certificate = ""       # number of its own certificate
+
+# Largest allowed rms error of a pose component after compensation, or largest departure
+# of a parameter from nominal: the unit is in the name.
+[tolerance]
+"""
+
+
+class ContactTable(StudyTable, frozen=True, kw_only=True):
+    """[customer]: who ordered the calibration."""
+
+    name: str
+    city: str
+    country: Country
+    street: str = ""
+    post_code: str = ""
+    email: str = ""
+
+
+class LaboratoryTable(ContactTable, frozen=True, kw_only=True):
+    """[laboratory]: who calibrated."""
+
+    accreditation: str = ""
+
+
+class ItemTable(StudyTable, frozen=True, kw_only=True):
+    """[item]: the machine."""
+
+    serial: str
+    manufacturer: str = ""
+    model: str = ""
+
+
+class PersonTable(StudyTable, frozen=True, kw_only=True):
+    """[[person]]: who answers for it."""
+
+    name: str
+    role: str = ""
+    signs: bool = False
+
+
+class InstrumentTable(StudyTable, frozen=True, kw_only=True):
+    """[[instrument]]: what was measured with."""
+
+    name: str
+    serial: str = ""
+    certificate: str = ""
+
+
+class HeadFile(StudyTable, frozen=True, kw_only=True):
+    """The file."""
+
+    identifier: str
+    country: Country
+    begin: str
+    end: str
+    place: Literal[
+        "laboratory", "customer", "laboratoryBranch", "customerBranch", "other"
+    ]
+    issued: str = ""
+    temperature: Temperature | None = msgspec.field(default=None, name="temperature_C")
+    decision: Rule | None = None
+    item: ItemTable
+    laboratory: LaboratoryTable
+    customer: ContactTable
+    person: list[PersonTable]
+    instrument: list[InstrumentTable] = msgspec.field(default_factory=list)
+    tolerance: dict[str, Positive] = msgspec.field(default_factory=dict)
+
+
+def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
+    """The head, and tolerances as they stand there. Raises InputError.
+
+    Where the file is absent, it is written with empty texts to fill in.
+    """
+    place = Place(str(path))
+    if not path.exists():
+        files.write_whole(path, TEMPLATE)
+        raise place.error(
+            "a certificate states what no calibration knows: laboratory, customer,"
+            " dates, serial number. This file is written with empty texts",
+            "fill them in, and call the command again",
+        )
+    text = files.read_text(path, limit=LIMIT, what="certificate file")
+    try:
+        table = tomllib.loads(text)
+    except ValueError as error:
+        raise place.error(f"this is no TOML: {error}", "mend it there") from None
+    decode.check_finite(table, place)
+    file = decode.decode(HeadFile, table, place)
+    _check(file, place)
+    return _head(file), file.tolerance
+
+
+def _head(file: HeadFile) -> CertificateHead:
+    names = ("identifier", "country", "begin", "end", "place", "issued")
+    laboratory = msgspec.structs.asdict(file.laboratory)
+    accreditation = laboratory.pop("accreditation")
+    return CertificateHead(
+        **{name: getattr(file, name) for name in names},
+        temperature=file.temperature,
+        decision=file.decision,
+        item=CertifiedItem(**msgspec.structs.asdict(file.item)),
+        laboratory=Institution(**laboratory),
+        accreditation=accreditation,
+        customer=Institution(**msgspec.structs.asdict(file.customer)),
+        persons=[Person(**msgspec.structs.asdict(p)) for p in file.person],
+        instruments=[
+            UsedInstrument(**msgspec.structs.asdict(i)) for i in file.instrument
+        ],
+    )
+
+
+def _check(file: HeadFile, place: Place) -> None:
+    """Raises InputError for a needed text that is empty, and for dates that are none."""
+    if not file.person:
+        raise place.key("person").error("missing", "add a [[person]] with a name")
+    for at, table in _tables(file, place):
+        for field in msgspec.structs.fields(table):
+            value = getattr(table, field.name)
+            if field.required and isinstance(value, str) and not value.strip():
+                raise at.key(field.encode_name).error(
+                    "empty", "a certificate has to state it: fill it in"
+                )
+    dates = [_date(getattr(file, key), place.key(key)) for key in ("begin", "end")]
+    if file.issued:
+        dates.append(_date(file.issued, place.key("issued")))
+    if dates != sorted(dates):
+        raise place.key("end").error(
+            "begin, end and issued are not in this order", "correct the dates", file.end
+        )
+
+
+def _tables(file: HeadFile, place: Place) -> Iterator[tuple[Place, msgspec.Struct]]:
+    """All tables with their places."""
+    yield place, file
+    for key in ("item", "laboratory", "customer"):
+        yield place.key(key), getattr(file, key)
+    for key in ("person", "instrument"):
+        for i, table in enumerate(getattr(file, key)):
+            yield place.key(key).item(i), table
+
+
+def _date(text: str, place: Place) -> datetime.date:
+    try:
+        return datetime.date.fromisoformat(text)
+    except ValueError:
+        raise place.error("no date", "write it as in 2026-03-01", text) from None

@@ -1,0 +1,61 @@
+"""108 static poses of a six-legged platform (Jugglebot, MIT), read by motion capture.
+
+`poses_108.csv` has the motors' revolutions and the platform's pose with a quaternion.
+Leg lengths are those at 0 revolutions, of the design at its lowest height, and the
+published revolutions per metre. Every second pose becomes the set-up `fit`, the others
+`blind`. Angles are of R = Rx(alpha) Ry(beta) Rz(gamma).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+from pkm_studies.base.errors import Place, shorten
+from pkm_studies.study.data_sources.tables import AS_PUBLISHED, Row, read_csv
+
+REVOLUTIONS = tuple(f"leg_length_{k}" for k in range(1, 7))
+POSITION = tuple(f"position_{axis}" for axis in "xyz")
+QUATERNION = tuple(f"orientation_{axis}" for axis in "xyzw")
+#: mm, between the joints of a leg, at 0 revolutions: the platform 565 mm above the base
+LENGTH = 640.1966443
+#: revolutions per metre of each leg, from a bench
+PER_METRE = (13.21144, 14.0456, 13.8233, 14.124109, 14.16007, 14.03256)
+
+
+def rows(folder: Path) -> Iterator[Row]:
+    """Rows of a readings file. Raises InputError."""
+    path = folder / "poses_108.csv"
+    poses = read_csv(path, (*REVOLUTIONS, *POSITION, *QUATERNION))
+    for i, pose in enumerate(poses):
+        label = {"setup": "blind" if i % 2 else "fit", "run": "1"}
+        try:
+            yield label | {"order": str(i // 2 + 1)} | _legs(pose) | _read(pose)
+        except ValueError as error:
+            place = Place(str(path), f"row {i + 1}")
+            raise place.error(shorten(str(error), 80), AS_PUBLISHED) from None
+
+
+def _legs(pose: Row) -> Row:
+    turns = zip(REVOLUTIONS, PER_METRE, strict=True)
+    lengths = [LENGTH + 1e3 * float(pose[name]) / scale for name, scale in turns]
+    return {f"q{k + 1}_mm": repr(length) for k, length in enumerate(lengths)}
+
+
+def _read(pose: Row) -> Row:
+    position = {f"read_{name[-1]}_mm": pose[name] for name in POSITION}
+    angles = _angles(*(float(pose[name]) for name in QUATERNION))
+    names = ("alpha", "beta", "gamma")
+    degrees = zip(names, map(math.degrees, angles), strict=True)
+    return position | {f"read_{name}_deg": repr(angle) for name, angle in degrees}
+
+
+def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    """alpha, beta, gamma of a quaternion, rad."""
+    size = math.sqrt(x * x + y * y + z * z + w * w)
+    x, y, z, w = x / size, y / size, z / size, w / size
+    alpha = math.atan2(2.0 * (w * x - y * z), 1.0 - 2.0 * (x * x + y * y))
+    beta = math.asin(2.0 * (x * z + w * y))
+    gamma = math.atan2(2.0 * (w * z - x * y), 1.0 - 2.0 * (y * y + z * z))
+    return alpha, beta, gamma

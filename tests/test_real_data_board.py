@@ -1,0 +1,60 @@
+"""The board of real machines: one entry runs, and its baselines are those published."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from benchmarks.real_data import page
+from benchmarks.real_data.entries import ENTRIES, STUDIES
+from benchmarks.real_data.run import run
+from pkm_studies.study.data_sources import SOURCES
+
+
+def test_an_entry_runs(shared_data: Path, tmp_path: Path) -> None:
+    """The data's SOURCE.txt: 0.056 and 0.075 mm by least squares, 0.39 and 0.25 nominal."""
+    if not (shared_data / "delta_v400").is_dir():
+        pytest.skip("the folder delta_v400 with real measurements is not there")
+    outcome = run(ENTRIES[0], shared_data, tmp_path)
+    heights, lengths = outcome.rows
+    assert heights.least_squares == pytest.approx(56.0, rel=0.1)
+    assert lengths.least_squares == pytest.approx(75.0, rel=0.1)
+    assert heights.nominal == pytest.approx(390.0, rel=0.05)
+    assert 245.0 < lengths.nominal < 305.0
+    assert heights.blind.rms < 60.0
+    assert 0 < heights.needed <= heights.fitted == 19
+    text = page.markdown([outcome])
+    assert f"{heights.blind.rms:.3g} um" in text
+    assert "CC0" in text
+    without = dataclasses.replace(outcome, rows=[])
+    assert "| nothing |" in page.markdown([without])
+
+
+def test_entries_name_what_is_there() -> None:
+    for entry in ENTRIES:
+        assert bool(entry.study) != bool(entry.file)
+        if entry.study:
+            assert (STUDIES / f"{entry.study}.study.toml").is_file()
+            assert entry.folder in SOURCES
+    assert len({entry.name for entry in ENTRIES}) == len(ENTRIES)
+
+
+def test_quaternions_become_the_angles_of_the_tracker(shared_data: Path) -> None:
+    from scipy.spatial.transform import Rotation
+
+    folder = shared_data / "jugglebot"
+    if not folder.is_dir():
+        pytest.skip("the folder jugglebot with real measurements is not there")
+    rows = list(SOURCES["jugglebot"](folder))
+    assert [row["setup"] for row in rows[:2]] == ["fit", "blind"]
+    text = (folder / "poses_108.csv").read_text("utf-8").splitlines()
+    for row, line in zip(rows, text[1:], strict=True):
+        rotation = Rotation.from_quat([float(v) for v in line.split(",")[-4:]])
+        angles = rotation.as_euler("XYZ", degrees=True)
+        names = ("alpha", "beta", "gamma")
+        read = [float(row[f"read_{name}_deg"]) for name in names]
+        assert read == pytest.approx(angles, abs=1e-9)
+    # 1.6767652 revolutions at 13.21144 a metre, from the design's lowest height
+    assert float(rows[0]["q1_mm"]) == pytest.approx(640.1966 + 126.9176, abs=1e-3)
