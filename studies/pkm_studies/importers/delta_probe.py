@@ -73,13 +73,22 @@ def delta_session(
     ]
     return ImportedSession(
         study=study.text(),
-        rows=[_row(k, point, bed_slope_ppm) for k, point in enumerate(points, start=1)],
+        rows=[
+            contact_row(k, point, bed_slope_ppm)
+            for k, point in enumerate(points, start=1)
+        ],
         statements=[*statements, *notes, *accounts],
     )
 
 
-def _row(order: int, point: ProbedPoint, slope_ppm: tuple[float, float]) -> Row:
-    label = {"setup": "probe", "run": "1", "order": str(order)}
+def contact_row(
+    order: int,
+    point: ProbedPoint,
+    slope_ppm: tuple[float, float],
+    setup: str = "probe",
+) -> Row:
+    """A row of the readings file: the command at contact; its reading is 0."""
+    label = {"setup": setup, "run": "1", "order": str(order)}
     raised = point.z + PPM * (slope_ppm[0] * point.x + slope_ppm[1] * point.y)
     pose = {"x_mm": repr(point.x), "y_mm": repr(point.y), "z_mm": repr(raised)}
     return label | pose
