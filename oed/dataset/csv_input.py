@@ -178,7 +178,7 @@ def _sigma(rows: pd.DataFrame, instrument: Instrument) -> Array | None:
     stems = list(sigma_units(instrument.channels))
     if not any(stem in rows and rows[stem].notna().any() for stem in stems):
         return None
-    return rows.reindex(columns=stems).to_numpy(dtype=float)
+    return np.asarray(rows.reindex(columns=stems), dtype=float)
 
 
 def _recorded(frame: pd.DataFrame, joints: Sequence[str]) -> Mask:

@@ -103,11 +103,11 @@ def setup_info(
 ) -> SetupInfo:
     """A set-up's numbers, noise and unknowns as used; with those of its readings."""
     instrument = setup.instrument
-    own = [s for s in series if s.setup == setup.name and s.sigma is not None]
+    measured = [s for s in series if s.setup == setup.name and s.sigma is not None]
     amounts: Sequence[float] = setup.sigma
     about = instrument.about + _passes(setup)
-    if own:
-        single = np.concatenate([reading_sigma(setup, s) for s in own])
+    if measured:
+        single = np.concatenate([reading_sigma(setup, s) for s in measured])
         amounts = [float(v) for v in np.sqrt(np.mean(single**2, axis=0))]
         about += "; each reading has its own noise, of which the rms is stated"
     channel_noise = zip(instrument.channels, amounts, strict=True)
