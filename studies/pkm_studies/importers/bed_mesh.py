@@ -17,7 +17,8 @@ import numpy as np
 
 from oed.base.arrays import Array, Mask
 from pkm_studies.importers.base import MeshUse, Row
-from pkm_studies.importers.delta_probe import ProbedPoint, contact_row
+from pkm_studies.importers.delta_study import slope_lines
+from pkm_studies.importers.probed_point import ProbedPoint, contact_row
 
 #: mm; places of a mesh are rounded by as much
 ROUNDING = 0.1
@@ -70,14 +71,22 @@ class BedMesh:
         raised = dataclasses.replace(self, points=tuple(places))
         return [{**row, "height_mm": repr(height)} for row in raised.rows()]
 
-    def setup_table(self) -> str:
-        """The table [[setup]] of a study."""
+    def setup_table(
+        self,
+        slope_ppm: tuple[float, float] = (0.0, 0.0),
+        *,
+        is_reference: bool = False,
+    ) -> str:
+        """The table [[setup]] of a study; a reference states where the bed is."""
+        level, why = LEVEL, "the level of a mesh is its own"
+        if is_reference:
+            level, why = 0.0, "the firmware takes the trigger height as exact"
         return f"""
 [[setup]]
 name = "{self.setup}"
 instrument = "contact_probe"
-tolerance = {{ offset_mm = {LEVEL} }}  # the level of a mesh is its own
-"""
+tolerance = {{ offset_mm = {level} }}  # {why}
+{slope_lines(slope_ppm)}"""
 
     def sentence(self, use: MeshUse) -> str:
         """What was read, in words."""

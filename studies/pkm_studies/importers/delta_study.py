@@ -173,6 +173,7 @@ class DeltaStudy:
     mesh_setups    tables [[setup]] of bed meshes
     mesh_radius    mm, of their places
     predict        set-ups that are predicted, not fitted
+    has_probe      whether there are readings of the set-up `probe`
     """
 
     name: str
@@ -190,6 +191,7 @@ class DeltaStudy:
     mesh_setups: str = ""
     mesh_radius: float = 0.0
     predict: Sequence[str] = ()
+    has_probe: bool = True
 
     def text(self) -> str:
         """The text of the study."""
@@ -256,6 +258,8 @@ z_mm = {round(0.05 * stop, 1)}
 
     def _setups(self) -> str:
         """The probe, and the calliper where distances were read."""
+        if not self.has_probe:
+            return self.mesh_setups
         lines = [
             "[[setup]]",
             'name = "probe"',
@@ -263,12 +267,7 @@ z_mm = {round(0.05 * stop, 1)}
             "tolerance = { offset_mm = 0.0 }  # the firmware takes the trigger height as"
             " exact",
         ]
-        for axis, slope in zip("xy", self.bed_slope_ppm, strict=True):
-            if slope:
-                lines.append(
-                    f"bed_slope_{axis}_ppm = {slope!r}  # the firmware raises z by it"
-                )
-        text = "\n".join([*lines, ""])
+        text = "\n".join([*lines, slope_lines(self.bed_slope_ppm)])
         calliper = CALLIPER if self.calliper else ""
         return text + calliper + self.mesh_setups
 
@@ -278,6 +277,16 @@ z_mm = {round(0.05 * stop, 1)}
             return ""
         listed = ", ".join(json.dumps(name) for name in self.predict)
         return f"predict = [{listed}]  # held out of the fit, to see whether it holds\n"
+
+
+def slope_lines(slope_ppm: tuple[float, float]) -> str:
+    """The lines of a set-up on how the bed rises; none for a level one."""
+    lines = [
+        f"bed_slope_{axis}_ppm = {slope!r}  # the firmware raises z by it\n"
+        for axis, slope in zip("xy", slope_ppm, strict=True)
+        if slope
+    ]
+    return "".join(lines)
 
 
 def noise_table(comment: str, height: float, distance: float | None = None) -> str:

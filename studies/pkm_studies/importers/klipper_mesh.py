@@ -17,8 +17,8 @@ import numpy as np
 from oed.base.arrays import Array, Mask
 from pkm_studies.importers import klipper_config
 from pkm_studies.importers.bed_mesh import BedMesh, copied_margin
-from pkm_studies.importers.delta_probe import ProbedPoint
 from pkm_studies.importers.klipper_config import KlipperConfig
+from pkm_studies.importers.probed_point import ProbedPoint
 
 PREFIX: Final = "bed_mesh "
 PROBES: Final = ("probe", "bltouch", "smart_effector")

@@ -13,7 +13,7 @@ from typing import Final
 
 from pkm_studies.importers import facts, gcode, marlin_home
 from pkm_studies.importers.base import ImportedSession, ImportRequest
-from pkm_studies.importers.delta_probe import ProbedPoint, delta_session
+from pkm_studies.importers.delta_probe import delta_session
 from pkm_studies.importers.delta_study import DeltaGeometry, Firmware
 from pkm_studies.importers.gcode import Command, TextLine
 from pkm_studies.importers.marlin_home import Home
@@ -30,6 +30,7 @@ from pkm_studies.importers.marlin_version import (
     possible_rules,
     printed_version,
 )
+from pkm_studies.importers.probed_point import ProbedPoint
 from pkm_studies.importers.words import (
     HARMLESS,
     READ,
