@@ -51,7 +51,9 @@ class RrfImporter:
     """Reads config.g, bed.g and a log, in any order."""
 
     name = "rrf"
-    about = "RepRapFirmware delta: config.g (M665, M666), bed.g, log of G32, heightmap.csv"
+    about = (
+        "RepRapFirmware delta: config.g (M665, M666), bed.g, log of G32, heightmap.csv"
+    )
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry and probed points. Raises InputError."""
