@@ -16,7 +16,7 @@ def import_files(
         str,
         typer.Argument(
             metavar="KIND",
-            help="klipper, rrf, marlin, maslow, tracker, ballbar, columns, or an entry point's.",
+            help="klipper, rrf, marlin, maslow, hangprinter, tracker, ballbar, columns, or other.",
             show_default=False,
         ),
     ],
