@@ -37,6 +37,7 @@ UNITS: Final[dict[str, tuple[str, float]]] = {
     "mm": ("m", MM),
     "um": ("m", UM),
     "nm": ("m", NM),
+    "in": ("m", INCH),
     "rad": ("rad", 1.0),
     "mrad": ("rad", MRAD),
     "urad": ("rad", URAD),

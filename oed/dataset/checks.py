@@ -14,9 +14,11 @@ from oed.base.text import suggest
 from oed.dataset.columns import (
     COVARIATES,
     REQUIRED,
+    SIGMA,
     column_name,
     column_names,
     is_temperature,
+    sigma_units,
     tension_columns,
 )
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
@@ -36,7 +38,8 @@ def expected_columns(measurement: Measurement) -> dict[str, str]:
     machine = measurement.machine
     expected = {c.name: c.unit for c in (*machine.command, *machine.joints)}
     for setup in measurement.setups.values():
-        expected |= {c.name: c.unit for c in setup.instrument.channels}
+        channels = setup.instrument.channels
+        expected |= {c.name: c.unit for c in channels} | sigma_units(channels)
     tensions = dict.fromkeys(tension_columns(machine), "N")
     return {**expected, **COVARIATES, **tensions}
 
@@ -95,7 +98,9 @@ def _check_channels(
             problem = f"{setup.name} reads {channel.name}, which has no column"
             remedy = f"add {column}, or give the set-up the channels that were read"
             raise table.error(problem, remedy, int(rows[0]), column)
-    for other in (channels - set(stems)) & set(table.columns):
+    others = channels - set(stems)
+    others |= {f"{SIGMA}{name}" for name in others}
+    for other in sorted(others & set(table.columns)):
         values = table.frame[other].to_numpy()[rows]
         for at in rows[np.isfinite(values)][:1]:
             reads = f"{setup.name} ({setup.instrument.name}) reads {', '.join(stems)}"

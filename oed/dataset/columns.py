@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 from oed.base import units
+from oed.model.instrument import Channel
 from oed.model.machine import Machine
 
 #: columns of text
@@ -27,6 +28,8 @@ COVARIATES: Final[Mapping[str, str]] = {
 TEMPERATURE: Final = "temp_"
 #: tension of a cable, `tension_<k>_N`, k from 1 as its joint
 TENSION: Final = "tension_"
+#: standard deviation of one reading, `sigma_<channel>_<unit>`
+SIGMA: Final = "sigma_"
 #: unit of a feed: the only one with an underscore of its own
 FEED_UNIT: Final = "mm_min"
 #: unit in which a quantity is written, where it is not its SI unit
@@ -93,6 +96,11 @@ def tension_columns(machine: Machine) -> list[str]:
     if machine.cable_stiffness is None:
         return []
     return [f"{TENSION}{k + 1}" for k in range(len(machine.joints))]
+
+
+def sigma_units(channels: Iterable[Channel]) -> dict[str, str]:
+    """SI unit of the standard deviations of readings, by stem."""
+    return {f"{SIGMA}{channel.name}": channel.unit for channel in channels}
 
 
 def covariate_unit(stem: str) -> str:

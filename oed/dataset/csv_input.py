@@ -24,6 +24,7 @@ from oed.dataset.columns import (
     ReadingsColumn,
     column_name,
     is_covariate,
+    sigma_units,
     tension_columns,
 )
 from oed.dataset.data import Dataset, column_layouts
@@ -139,6 +140,8 @@ def _setup_readings(
     if taken.any():
         used = _with_references(list(frame["run"]), taken, reference)
         series = _series(merged, measurement, name, rows[used])
+        sigma = _sigma(frame[taken], instrument)
+        series = dataclasses.replace(series, sigma=sigma)
     return _SetupReadings(
         series=series,
         y=values[taken].ravel(),
@@ -168,6 +171,14 @@ def _channel_values(
             values[:] = instrument.implied
         columns.append(values)
     return np.column_stack(columns)
+
+
+def _sigma(rows: pd.DataFrame, instrument: Instrument) -> Array | None:
+    """Standard deviations (n, channels) of readings, NaN where a row has none."""
+    stems = list(sigma_units(instrument.channels))
+    if not any(stem in rows and rows[stem].notna().any() for stem in stems):
+        return None
+    return np.asarray(rows.reindex(columns=stems), dtype=float)
 
 
 def _recorded(frame: pd.DataFrame, joints: Sequence[str]) -> Mask:

@@ -13,6 +13,7 @@ from oed.base.arrays import Array
 from oed.base.whole_file import whole_file
 from oed.dataset.columns import (
     REQUIRED,
+    SIGMA,
     cell,
     column_name,
     covariate_unit,
@@ -76,8 +77,13 @@ def _rows(
             row = _joint_cells(layout) | row
             yield row
             continue
-        for channel, value in zip(layout.channels, values[i], strict=True):
-            row[column_name(channel.name, channel.unit)] = cell(value, channel.unit)
+        for k, channel in enumerate(layout.channels):
+            row[column_name(channel.name, channel.unit)] = cell(
+                values[i, k], channel.unit
+            )
+            if series.sigma is not None and np.isfinite(series.sigma[:, k]).any():
+                name = column_name(f"{SIGMA}{channel.name}", channel.unit)
+                row[name] = cell(series.sigma[i, k], channel.unit)
         yield row
 
 
@@ -106,7 +112,9 @@ def _rank(name: str, dataset: Dataset) -> tuple[int, int]:
     pose, channels = [], []
     for layout in dataset.layouts.values():
         pose += [column_name(c.name, c.unit) for c in (*layout.command, *layout.joints)]
-        channels += [column_name(c.name, c.unit) for c in layout.channels]
+        for c in layout.channels:
+            names = c.name, f"{SIGMA}{c.name}"
+            channels += [column_name(name, c.unit) for name in names]
     stems = [stem for stem in dataset.covariates.columns if is_covariate(stem)]
     covariates = [column_name(stem, covariate_unit(stem)) for stem in stems]
     groups = [list(REQUIRED), pose, covariates, channels]

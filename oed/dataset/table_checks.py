@@ -9,6 +9,7 @@ import numpy as np
 from oed.base.arrays import Mask
 from oed.dataset.columns import (
     LABELS,
+    SIGMA,
     TENSION,
 )
 from oed.dataset.readings_file import ReadingsFile
@@ -16,6 +17,8 @@ from oed.dataset.readings_file import ReadingsFile
 ORDER_REMEDY: Final = "count the readings of a run in time: 1, 2, 3"
 #: least value of a covariate
 LEAST_VALUES: Final = {"time": 0, "feed": 0, "repeat": 1}
+#: least and largest standard deviation of a reading, SI
+SIGMA_RANGE: Final = (1e-12, 1e3)
 #: orders stay below this
 MOST_ORDER: Final = 1e15
 
@@ -26,6 +29,7 @@ def check_rows(table: ReadingsFile) -> None:
     _check_order(table)
     _check_direction(table)
     _check_not_negative(table)
+    _check_sigma(table)
 
 
 def _check_labels(table: ReadingsFile) -> None:
@@ -62,6 +66,21 @@ def _check_not_negative(table: ReadingsFile) -> None:
             remedy = "correct it, or leave the cell empty where it is unknown"
             problem = f"{stem} is at least {least}"
             _refuse_first(table, below, problem, remedy, stem)
+
+
+def _check_sigma(table: ReadingsFile) -> None:
+    """Standard deviations of readings are above 0, and of a size that readings have."""
+    least, most = SIGMA_RANGE
+    for stem in table.columns:
+        if stem.startswith(SIGMA):
+            values = table.frame[stem].to_numpy(dtype=float)
+            bad = np.isfinite(values) & ~((values >= least) & (values <= most))
+            problem = "no reading has such a standard deviation"
+            remedy = (
+                "give a number above 0 in the column's unit, or leave the cell empty: then"
+                " that of [noise] holds"
+            )
+            _refuse_first(table, bad, problem, remedy, stem)
 
 
 def _refuse_first(

@@ -59,7 +59,7 @@ def _numbers(
     for g, name in enumerate(posterior.structure.names):
         setup_name, _, channel = name.rpartition(".")
         setup = setups[setup_name]
-        stated = _stated(setup, channel)
+        stated = _stated(setup, channel, posterior.structure.sigma_of_group(g))
         sigma, unit = stated.sigma, stated.unit
         scale = laws.scale[:, g]
         far = (scale > SCATTER) if weights @ scale > 1.0 else (scale < 1.0 / SCATTER)
@@ -88,7 +88,7 @@ def _numbers(
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _StatedChannel:
-    """What is stated of a channel: sd, SI, error of a run over it, SI unit.
+    """What is stated of a channel: sd (rms over readings), SI, error of a run over it.
 
     is_level  whether that error is all that the level of a run moves by
     """
@@ -99,12 +99,12 @@ class _StatedChannel:
     is_level: bool
 
 
-def _stated(setup: Setup, channel: str) -> _StatedChannel:
+def _stated(setup: Setup, channel: str, sigma: float) -> _StatedChannel:
     names = [c.name for c in setup.instrument.channels]
     k = names.index(channel)
     stated = setup.instrument.channels[k]
     is_level = channel in setup.statement.levels
-    return _StatedChannel(setup.sigma[k], stated.shared, stated.unit, is_level)
+    return _StatedChannel(sigma, stated.shared, stated.unit, is_level)
 
 
 def _run_errors(

@@ -16,6 +16,14 @@ from oed.noise.factor import Errors, LinearFactor
 DENSE_MOST = 500
 
 
+def reading_sigma(setup: Setup, series: Series) -> Array:
+    """Standard deviation (n, channels), SI, of each single reading: its own, or all's."""
+    common = np.tile(setup.sigma, (len(series), 1))
+    if series.sigma is None:
+        return common
+    return np.where(np.isfinite(series.sigma), series.sigma, common)
+
+
 def stated_noise(readings: SetupReadings, series: Series) -> Noise:
     """Noise of a series' readings at their nominal poses, SI.
 
@@ -27,7 +35,7 @@ def stated_noise(readings: SetupReadings, series: Series) -> Noise:
     channels, statement = len(setup.sigma), setup.statement
     alone = not shared.size and statement.carried_share == 0.0
     if setup.instrument.sources is None and alone:
-        return Noise(np.tile(setup.sigma, len(series)))
+        return Noise(reading_sigma(setup, series).ravel())
     separate = reading_covariances(readings, series)
     longest = np.unique(series.run, return_counts=True)[1].max()
     if longest * channels > DENSE_MOST:
@@ -93,11 +101,11 @@ def _single(setup: Setup, separate: Array) -> Array:
 def reading_covariances(readings: SetupReadings, series: Series) -> Array:
     """Covariance (n, channels, channels), SI, of each reading without its run's error."""
     setup, instrument = readings.setup, readings.setup.instrument
+    sigma = reading_sigma(setup, series)
     if instrument.sources is None:
-        return np.tile(np.diag(np.square(setup.sigma)), (len(series), 1, 1))
+        return np.square(sigma)[:, :, None] * np.eye(sigma.shape[1])
     default = np.array([c.sigma for c in instrument.channels])
-    factor = np.array(setup.sigma) / default
-    root = source_slopes(readings, series) * factor[:, None]
+    root = source_slopes(readings, series) * (sigma / default)[:, :, None]
     return np.asarray(root @ np.swapaxes(root, 1, 2))
 
 

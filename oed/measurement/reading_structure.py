@@ -10,7 +10,11 @@ from scipy import sparse
 
 from oed.base.arrays import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_noise import reading_covariances, run_errors
+from oed.measurement.reading_noise import (
+    reading_covariances,
+    reading_sigma,
+    run_errors,
+)
 from oed.noise.covariance import block_noise
 from oed.noise.stated import StatedErrors
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -29,7 +33,7 @@ def reading_structure(
 ) -> ReadingStructure:
     """Structure of readings, with the slopes of renewed unknowns taken at theta (n,)."""
     names: dict[str, int] = {}
-    parts = _Parts([], [], [], [], [], [])
+    parts = _Parts([], [], [], [], [], [], [])
     blocks: list[sparse.csr_array] = []
     runs = 0
     for s in series:
@@ -47,6 +51,7 @@ def reading_structure(
         parts.position.append(np.repeat(place, count))
         common = [c.shared * sd for c, sd in zip(channels, setup.sigma, strict=True)]
         parts.shared.append(np.tile(common, len(s)))
+        parts.sigma.append(reading_sigma(setup, s).ravel())
         stated = [c.name in setup.statement.levels for c in channels]
         parts.stated.append(np.tile(stated, len(s)))
         blocks.append(_decoupling(reading_covariances(measurement.of(s), s)))
@@ -81,6 +86,7 @@ def reading_structure(
         columns=columns,
         kinds=kinds,
         statement=common_statement(measurement, series),
+        sigma=np.concatenate(parts.sigma),
     )
 
 
@@ -94,6 +100,7 @@ class _Parts:
     position: list[Array]
     shared: list[Array]
     stated: list[Array]
+    sigma: list[Array]
 
 
 def common_statement(

@@ -22,6 +22,8 @@ class Series:
     command  (m, n_dof) commands; NaN where joints were recorded instead
     index    (n, arity) poses that each reading sees: its own, then its reference
     run      (n,) label of the run (circle, line) of each reading
+    sigma    (n, channels) standard deviation of each reading, NaN where it is that of the
+             set-up; None where it is for all
 
     >>> import numpy as np
     >>> from oed import Measurement, mount
@@ -41,6 +43,7 @@ class Series:
     command: Array
     index: Index
     run: NDArray[np.str_]
+    sigma: Array | None = None
 
     def __len__(self) -> int:
         return int(self.index.shape[0])
@@ -49,7 +52,10 @@ class Series:
         """The readings `rows`, in that order, with only the poses they see."""
         poses, index = np.unique(self.index[rows], return_inverse=True)
         index = index.reshape(self.index[rows].shape).astype(np.intp)
-        return dataclasses.replace(self._at(poses), index=index, run=self.run[rows])
+        sigma = None if self.sigma is None else self.sigma[rows]
+        return dataclasses.replace(
+            self._at(poses), index=index, run=self.run[rows], sigma=sigma
+        )
 
     def of_machines(self, machines: Index | int) -> Series:
         """The readings of some machines, or of one, where each has its own joints."""

@@ -32,6 +32,7 @@ class ReadingStructure:
     run        (C,) run of each chain
     position   (N,) place along the chain, in readings
     unit       (N,) standard deviation of the stated noise that is not shared, SI
+    sigma      (N,) the same as stated for each channel, where these have common sources
     decouple   (N, N) sparse: readings whose channels have common sources, made
                independent and of unit noise; None where division by `unit` does it
     columns    (N, K) errors that a run shares, in units of the stated noise
@@ -52,6 +53,7 @@ class ReadingStructure:
     kinds: Index
     statement: NoiseStatement = NOTHING_STATED
     effects: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    sigma: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
     def has_effects(self) -> bool:
@@ -112,6 +114,12 @@ class ReadingStructure:
         of_chain = np.zeros(len(self.run), dtype=np.intp)
         of_chain[self.chain] = self.group
         return of_chain
+
+    def sigma_of_group(self, group: int) -> float:
+        """Root mean square of the stated noise of a group's single readings, SI."""
+        members = (self.sigma if self.sigma.size else self.unit)[self.group == group]
+        least, most = float(members.min()), float(members.max())
+        return most if least == most else float(np.sqrt(np.mean(members**2)))
 
     def standardise(self, values: Array) -> Array:
         """Values (N,) or (N, m), SI, in units of the stated noise, channels decoupled."""

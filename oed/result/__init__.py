@@ -85,6 +85,7 @@ from oed.result.plan import (
 from oed.result.prediction import (
     ComponentAccuracy,
     HeldOutSection,
+    HeldOutVerdict,
     MapPoint,
     PredictionSection,
     SpreadRecord,
@@ -139,6 +140,7 @@ __all__ = [
     "GapSection",
     "GoodnessSection",
     "HeldOutSection",
+    "HeldOutVerdict",
     "HowManySummary",
     "IdentifiabilityFinding",
     "IdentifiabilitySection",

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from oed.result.budget import BudgetSection
 from oed.result.record import Record
 
 #: lower and upper end
 Interval = tuple[float, float]
+#: what held-out readings say of a fit
+HeldOutVerdict = Literal["agrees", "confirms", "contradicts"]
 
 
 class SpreadRecord(Record, frozen=True):
@@ -97,6 +101,12 @@ class PredictionSection(Record, frozen=True):
 class HeldOutSection(Record, frozen=True):
     """Prediction of readings kept out of the fit; the new set-up's own unknowns are
     adjusted, but not in `rms_raw`.
+
+    predicted   rms that is predicted for the readings
+    rms_before  of the same readings with the nominal numbers in place of the fitted ones
+    verdict     confirms: the fit predicts them better than the nominal numbers do.
+                contradicts: worse, or fewer are inside than belong there. agrees: neither
+    words       the verdict in a sentence
     """
 
     name: str
@@ -108,3 +118,7 @@ class HeldOutSection(Record, frozen=True):
     coverage: float  # share of readings inside their 95 % predictive interval
     residuals: list[float]
     half_widths: list[float]  # of the 95 % predictive interval
+    predicted: float | None = None
+    rms_before: float | None = None
+    verdict: HeldOutVerdict | None = None
+    words: str = ""

@@ -297,11 +297,12 @@ def assemble_result(state: RunState) -> StudyResult:
         describe.machine_info(machine), state.study, state.resolved.measurement
     )
     recorded = state.resolved.dataset is not None
+    series = state.readings.series if isinstance(state, Scheduled) else ()
     return msgspec.structs.replace(
         state.result,
         seed=state.seed,
         machine=info,
-        setups=[describe.setup_info(machine, setup) for setup in setups],
+        setups=[describe.setup_info(machine, setup, series) for setup in setups],
         versions=describe.package_versions(),
         headline=headline.sentences(state.result, recorded, info),
         warnings=list(dict.fromkeys(state.warnings)),

@@ -88,6 +88,7 @@ def _in_units(
 def _unit_factors(si: str) -> Mapping[str, float]:
     """Factors to SI of the units of a kind, by name."""
     known = {name: factor for name, (unit, factor) in units.UNITS.items() if unit == si}
+    known.pop("in", None)  # a sentence says inch
     return {**known, **OTHERS.get(si, {})}
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -16,7 +16,7 @@ def import_files(
         str,
         typer.Argument(
             metavar="KIND",
-            help="klipper, rrf, marlin, tracker, ballbar, columns, or an entry point's.",
+            help="klipper, rrf, marlin, maslow, hangprinter, tracker, ballbar, columns, or other.",
             show_default=False,
         ),
     ],
@@ -48,6 +48,10 @@ def import_files(
             help="Which column is what; kept for next time.",
         ),
     ] = None,
+    mesh: Annotated[
+        Literal["hold-out", "readings"],
+        typer.Option(help="Heights of bed meshes are predicted, or fitted as well."),
+    ] = "hold-out",
     allow_code: AllowCode = False,
 ) -> int:
     """Make a study with readings from files of another program."""
@@ -60,6 +64,7 @@ def import_files(
         name=name,
         machine=machine,
         column_map=column_map,
+        mesh=mesh,
         consent=consent(allow_code=allow_code),
     )
     for statement in imported.statements:

@@ -76,7 +76,10 @@ class BallbarImporter:
             for number, (circle, trace) in enumerate(_pairs(circles), start=1)
         ]
         complete = msgspec.structs.replace(
-            given, machine=model.described, instrument=INSTRUMENT, columns=columns
+            given,
+            machine=model.described,
+            instrument=INSTRUMENT,
+            columns=dict(columns),
         )
         return ImportedSession(
             study=_study(request, complete, circles, model, runs),

@@ -49,8 +49,13 @@ class BarTrace(NamedTuple):
 
 def trace_columns(given: ColumnMap, table: CsvTable, place: Place) -> dict[str, str]:
     """Column of the CSV by quantity with unit. Raises InputError."""
-    columns = dict(given.columns)
-    for name, source in columns.items():
+    columns = {}
+    for name, source in given.columns.items():
+        if not isinstance(source, str):
+            at = place.key("columns").key(name)
+            problem = "a column of a ball bar takes no factor or offset"
+            raise at.error(problem, "state its unit in the name, as in deviation_um")
+        columns[name] = source
         read_values({name: 0.0}, QUANTITIES, place.key("columns"))
         if source not in table.header:
             at, remedy = place.key("columns").key(name), ", ".join(table.header)
@@ -94,10 +99,12 @@ def _check_single(
 def _unit_in(header: str, quantity: str) -> str | None:
     """The unit that a header names, as in `Deviation (um)`."""
     text = header.replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b0", "deg")
-    for word in "".join(c if c.isalnum() else " " for c in text).split()[1:]:
-        if units.UNITS.get(word, ("", 0.0))[0] == QUANTITIES[quantity]:
-            return word
-    return None
+    words = "".join(c if c.isalnum() else " " for c in text).split()[1:]
+    wanted = QUANTITIES[quantity]
+    known = [w for w in words if units.UNITS.get(w, ("", 0.0))[0] == wanted]
+    # "in" is a word as well: another unit goes before it
+    known.sort(key=lambda word: word == "in")
+    return known[0] if known else None
 
 
 def traces(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 from oed.base import csv_text
 from oed.dataset.dialect import commented
@@ -13,6 +13,8 @@ from pkm_studies.base.user_code import Consent
 
 #: cells of a row of the readings file, by column
 Row = Mapping[str, str]
+#: what the heights of bed meshes are for
+MeshUse = Literal["hold-out", "readings"]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -26,6 +28,7 @@ class ImportRequest:
     folder   where the study goes: paths in the study are relative to it
     consent  to run Python files that the user, or his map, names
     copies   Python files that the study names, to copy into the folder, by name there
+    mesh     whether the heights of bed meshes are held out of the fit, or readings of it
     """
 
     files: tuple[Path, ...]
@@ -35,6 +38,7 @@ class ImportRequest:
     folder: Path = Path()
     consent: Consent = Consent.RECORDED
     copies: dict[str, Path] = dataclasses.field(default_factory=dict)
+    mesh: MeshUse = "hold-out"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ from pkm_studies.base import files, user_code
 from pkm_studies.base.errors import Place, shorten
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
-from pkm_studies.importers import template
+from pkm_studies.importers import column_sources, template
 from pkm_studies.importers.base import ImportRequest, readings_name
 from pkm_studies.resolve.machine import described_machine, study_machine
 from pkm_studies.study import decode, loader
@@ -60,7 +60,7 @@ def load(request: ImportRequest) -> tuple[ColumnMap, Place]:
         problem = f"this is no TOML: {shorten(str(error), 100)}"
         raise place.error(problem, "mend it there") from None
     decode.check_finite(table, place)
-    return decode.decode(ColumnMap, table, place), place
+    return column_sources.expanded(decode.decode(ColumnMap, table, place), place), place
 
 
 def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
@@ -116,6 +116,13 @@ def text(column_map: ColumnMap) -> str:
     plain: dict[str, Any] = msgspec.to_builtins(column_map)
     defaults = msgspec.to_builtins(ColumnMap())
     table = {key: value for key, value in plain.items() if value != defaults[key]}
+    if column_map.columns:
+        table["columns"] = {
+            name: entry
+            if isinstance(entry, str)
+            else _given(msgspec.to_builtins(entry))
+            for name, entry in column_map.columns.items()
+        }
     if isinstance(column_map.machine, MachineTable):
         table["machine"] = _stated(column_map.machine)
     for name in ("circle", "orientation"):

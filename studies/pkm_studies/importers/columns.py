@@ -14,6 +14,7 @@ from oed.dataset.columns import (
     column_name,
     is_temperature,
     parse_column,
+    sigma_units,
     tension_columns,
 )
 from oed.model.instrument import Instrument
@@ -21,7 +22,7 @@ from oed.model.machine import Machine
 from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place, suggest
-from pkm_studies.importers import column_map, orientations
+from pkm_studies.importers import column_map, column_sources, orientations
 from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
@@ -29,8 +30,11 @@ from pkm_studies.importers.base import (
 )
 from pkm_studies.resolve.quantities import column as usual_column
 from pkm_studies.resolve.quantities import read_values
-from pkm_studies.study.tables.column_map import ColumnMap
+from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
 from pkm_studies.study.tables.fit import PredictionReference
+
+#: readings that a sentence lists
+MOST_LISTED = 10
 
 
 class ColumnsImporter:
@@ -49,14 +53,19 @@ class ColumnsImporter:
         complete = msgspec.structs.replace(
             given, machine=model.described, instrument=reference, columns=columns
         )
+        read = rows(table, columns, given, tool, place)
+        placed, left_out = without_partial_joints(read, model.machine)
         return session(
             request,
             complete,
             model,
             tool,
             setup=setup_table(complete, reference, tool),
-            rows=rows(table, columns, given, tool, place),
-            statements=statements(table, columns, given, tool, model.machine),
+            rows=placed,
+            statements=[
+                *statements(table, columns, given, tool, model.machine),
+                *left_out,
+            ],
             # a closure read by its joints alone says nothing of the base frame
             errors="best_fit" if _reads_closure(tool, model.machine) else "home",
         )
@@ -115,24 +124,26 @@ def joined(tables: Sequence[CsvTable]) -> CsvTable:
 
 def mapped_columns(
     given: ColumnMap, table: CsvTable, machine: Machine, tool: Instrument, place: Place
-) -> dict[str, str]:
-    """Column of the CSV by column of the readings. Raises InputError.
+) -> dict[str, str | ColumnSource]:
+    """Source in the CSV by column of the readings. Raises InputError.
 
     What the map does not say is taken where the CSV's name is a readings column.
     """
     known = {c.name: c.unit for c in (*machine.command, *machine.joints)}
     known |= {c.name: c.unit for c in tool.channels} | dict(COVARIATES)
+    known |= sigma_units(tool.channels)
     known |= dict.fromkeys(tension_columns(machine), "N")
     columns = dict(given.columns)
     at = place.key("columns")
-    for name, source in columns.items():
+    for name, source in column_sources.names(columns).items():
         if not _is_known(name, known):
             possible = [column_name(stem, unit) for stem, unit in known.items()]
             raise at.key(name).error("no column of readings", suggest(name, possible))
         if source not in table.header:
             remedy = suggest(source, table.header, "the file has")
             raise at.key(name).error("the file has no such column", remedy, source)
-    taken = {*columns.values(), *orientations.source_columns(given.orientation)}
+    taken = {*column_sources.names(columns).values()}
+    taken |= {*orientations.source_columns(given.orientation)}
     stems = {_stem(name) for name in columns}
     for name in table.header:
         is_free = name not in taken and _stem(name) not in stems
@@ -153,14 +164,16 @@ def mapped_columns(
     return columns
 
 
-def read_channels(tool: Instrument, columns: Mapping[str, str]) -> list[str]:
+def read_channels(
+    tool: Instrument, columns: Mapping[str, str | ColumnSource]
+) -> list[str]:
     """Channels that the file has, in the instrument's order."""
     stems = {_stem(name) for name in columns}
     return [channel.name for channel in tool.channels if channel.name in stems]
 
 
 def _channels(
-    tool: Instrument, columns: Mapping[str, str], given: ColumnMap
+    tool: Instrument, columns: Mapping[str, str | ColumnSource], given: ColumnMap
 ) -> list[str]:
     """Channels that are read, those of an orientation in another form included."""
     names = set(read_channels(tool, columns))
@@ -173,7 +186,7 @@ def _channels(
 
 def rows(
     table: CsvTable,
-    columns: Mapping[str, str],
+    columns: Mapping[str, str | ColumnSource],
     given: ColumnMap,
     tool: Instrument,
     place: Place,
@@ -182,9 +195,9 @@ def rows(
     cells: dict[str, list[str]] = {}
     for name, source in columns.items():
         if name in LABELS:
-            cells[name] = table.cells(source)
+            cells[name] = table.cells(column_sources.source_of(source).column)
             continue
-        values = table.numbers(source, gaps=True)
+        values = column_sources.values(source, table)
         cells[name] = ["" if value != value else repr(float(value)) for value in values]
     if given.orientation is not None:
         at = place.key("orientation")
@@ -207,6 +220,35 @@ def rows(
     return [{name: cells[name][k] for name in names} for k in range(len(table))]
 
 
+def without_partial_joints(
+    rows: Sequence[Row], machine: Machine
+) -> tuple[list[Row], list[str]]:
+    """Rows but those in which some joints are empty; a sentence on these.
+
+    A row with some of its joints alone has no pose.
+    """
+    stems = {joint.name for joint in machine.joints}
+    columns = [name for name in rows[0] if _stem(name) in stems]
+    filled = [sum(bool(row[name]) for name in columns) for row in rows]
+    partial = [k for k, count in enumerate(filled) if 0 < count < len(columns)]
+    complete = [row for k, row in enumerate(rows) if k not in set(partial)]
+    if not partial:
+        return complete, []
+    if not complete:
+        raise InputError(
+            "no row has all joints",
+            "give the joints that the file lacks, or poses in their place",
+            file="--map",
+            field=columns[0],
+        )
+    listed = ", ".join(str(k + 1) for k in partial[:MOST_LISTED])
+    more = ", ..." if len(partial) > MOST_LISTED else ""
+    return complete, [
+        f"Left out: {len(partial)} rows in which some joints are empty"
+        f" (readings {listed}{more} of the file)."
+    ]
+
+
 def setup_table(
     given: ColumnMap, reference: str, tool: Instrument
 ) -> dict[str, object]:
@@ -222,19 +264,20 @@ def setup_table(
 
 def statements(
     table: CsvTable,
-    columns: Mapping[str, str],
+    columns: Mapping[str, str | ColumnSource],
     given: ColumnMap,
     tool: Instrument,
     machine: Machine,
 ) -> list[str]:
     """What was taken for what, and what was not taken."""
-    taken = ", ".join(f"{source} as {name}" for name, source in columns.items())
+    taken = ", ".join(map(column_sources.sentence, columns, columns.values()))
     sentences = [f"Readings: {len(table)} lines of {table.file}; {taken}."]
     for name, number in given.fixed.items():
         sentences.append(f"All readings: {name} = {number:g}.")
     if given.orientation is not None and tool.orientation is not None:
         sentences.append(orientations.statement(given.orientation, tool.orientation))
-    used = {*columns.values(), *orientations.source_columns(given.orientation)}
+    used = {*column_sources.names(columns).values()}
+    used |= {*orientations.source_columns(given.orientation)}
     unused = [name for name in table.header if name not in used]
     if unused:
         sentences.append(f"Not used: {', '.join(unused)}.")

@@ -11,28 +11,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
-from pkm_studies.importers.base import ImportedSession, Row
+from pkm_studies.importers.base import ImportedSession, MeshUse
+from pkm_studies.importers.bed_mesh import BedMesh, distinct, explanations
 from pkm_studies.importers.delta_study import (
     DeltaGeometry,
     DeltaStudy,
     Firmware,
     noise_table,
 )
+from pkm_studies.importers.probed_point import ProbedPoint, contact_row
 
 #: standard deviation of a probed height, the bed's flatness included, um
 HEIGHT_UM = 100.0
 NOISE = "standard deviation of one reading, the bed's flatness included"
-PPM = 1e-6
-
-
-class ProbedPoint(NamedTuple):
-    """Where the nozzle was at contact, and the height that the firmware believed in; mm."""
-
-    x: float
-    y: float
-    z: float
 
 
 def delta_session(
@@ -45,13 +37,22 @@ def delta_session(
     accounts: Sequence[str],
     notes: Sequence[str],
     bed_slope_ppm: tuple[float, float] = (0.0, 0.0),
+    meshes: Sequence[BedMesh] = (),
+    mesh: MeshUse = "hold-out",
 ) -> ImportedSession:
     """Study, readings and statements of probed points.
 
     accounts       sentences on what became of the words of the files
     notes          further sentences, on places and heights
     bed_slope_ppm  what the firmware adds to z along x and y
+    meshes         further heights of the same bed, for which use; without points, the
+                   first one states where the bed is
     """
+    meshes, mesh_notes = distinct(meshes)
+    mesh_notes += [one.sentence(mesh) for one in meshes]
+    mesh_notes += explanations(meshes, "M665 and M666")
+    notes = [*mesh_notes, *notes]
+    radius = max((one.radius for one in meshes), default=0.0)
     study = DeltaStudy(
         name=name,
         firmware=firmware,
@@ -61,25 +62,31 @@ def delta_session(
         fixed_because="heights alone do not give the arms",
         noise=noise_table(NOISE, HEIGHT_UM),
         calliper=False,
-        probed_radius=max(math.hypot(p.x, p.y) for p in points),
+        probed_radius=max((math.hypot(p.x, p.y) for p in points), default=radius),
         heights=(0.0, 50.0),
         bed_slope_ppm=bed_slope_ppm,
         accounts=[*notes, *accounts],
+        mesh_setups="".join(
+            one.setup_table(bed_slope_ppm, is_reference=not points and k == 0)
+            for k, one in enumerate(meshes)
+        ),
+        mesh_radius=radius,
+        has_probe=bool(points),
+        predict=[one.setup for one in meshes] if mesh == "hold-out" else [],
     )
+    rows = [
+        contact_row(k, point, bed_slope_ppm) for k, point in enumerate(points, start=1)
+    ]
+    for one in meshes:
+        rows += one.rows(bed_slope_ppm)
+    probed = f"Readings: {len(points)} points of contact with the bed as set-up probe."
     statements = [
         geometry.sentence(),
-        f"Readings: {len(points)} points of contact with the bed as set-up probe.",
+        *([probed] if points else []),
         "The geometry must be the one that the printer had while it probed.",
     ]
     return ImportedSession(
         study=study.text(),
-        rows=[_row(k, point, bed_slope_ppm) for k, point in enumerate(points, start=1)],
+        rows=rows,
         statements=[*statements, *notes, *accounts],
     )
-
-
-def _row(order: int, point: ProbedPoint, slope_ppm: tuple[float, float]) -> Row:
-    label = {"setup": "probe", "run": "1", "order": str(order)}
-    raised = point.z + PPM * (slope_ppm[0] * point.x + slope_ppm[1] * point.y)
-    pose = {"x_mm": repr(point.x), "y_mm": repr(point.y), "z_mm": repr(raised)}
-    return label | pose

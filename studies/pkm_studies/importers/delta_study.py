@@ -170,6 +170,10 @@ class DeltaStudy:
     heights        mm, at which the accuracy is predicted
     bed_slope_ppm  rise (2,) of the bed along x and y
     accounts       sentences on what became of the words of the files
+    mesh_setups    tables [[setup]] of bed meshes
+    mesh_radius    mm, of their places
+    predict        set-ups that are predicted, not fitted
+    has_probe      whether there are readings of the set-up `probe`
     """
 
     name: str
@@ -184,6 +188,10 @@ class DeltaStudy:
     heights: tuple[float, ...]
     bed_slope_ppm: tuple[float, float] = (0.0, 0.0)
     accounts: Sequence[str] = ()
+    mesh_setups: str = ""
+    mesh_radius: float = 0.0
+    predict: Sequence[str] = ()
+    has_probe: bool = True
 
     def text(self) -> str:
         """The text of the study."""
@@ -216,7 +224,7 @@ fixed = [{listed}]  # {self.fixed_because}
 {tolerances}
 [readings]
 files = ["{readings_name(self.name)}"]
-
+{self._predict()}
 [prediction]
 reference = "home"
 x_mm = [{-reach}, 0.0, {reach}]
@@ -228,7 +236,8 @@ z_mm = {[float(h) for h in self.heights]}
     def _workspace(self) -> str:
         """The tables of workspace, home and travel, after the printer's size; mm."""
         geometry = self.geometry
-        width = max(1.05 * self.probed_radius, WIDTH_SHARE * geometry.radius)
+        probed = max(self.probed_radius, self.mesh_radius)
+        width = max(1.05 * probed, WIDTH_SHARE * geometry.radius)
         width = round(width, 1)
         stop = min(geometry.endstops)
         low, high = round(-0.1 * stop, 1), round(0.9 * stop, 1)
@@ -249,6 +258,8 @@ z_mm = {round(0.05 * stop, 1)}
 
     def _setups(self) -> str:
         """The probe, and the calliper where distances were read."""
+        if not self.has_probe:
+            return self.mesh_setups
         lines = [
             "[[setup]]",
             'name = "probe"',
@@ -256,13 +267,26 @@ z_mm = {round(0.05 * stop, 1)}
             "tolerance = { offset_mm = 0.0 }  # the firmware takes the trigger height as"
             " exact",
         ]
-        for axis, slope in zip("xy", self.bed_slope_ppm, strict=True):
-            if slope:
-                lines.append(
-                    f"bed_slope_{axis}_ppm = {slope!r}  # the firmware raises z by it"
-                )
-        text = "\n".join([*lines, ""])
-        return text + CALLIPER if self.calliper else text
+        text = "\n".join([*lines, slope_lines(self.bed_slope_ppm)])
+        calliper = CALLIPER if self.calliper else ""
+        return text + calliper + self.mesh_setups
+
+    def _predict(self) -> str:
+        """Which set-ups are held out of the fit."""
+        if not self.predict:
+            return ""
+        listed = ", ".join(json.dumps(name) for name in self.predict)
+        return f"predict = [{listed}]  # held out of the fit, to see whether it holds\n"
+
+
+def slope_lines(slope_ppm: tuple[float, float]) -> str:
+    """The lines of a set-up on how the bed rises; none for a level one."""
+    lines = [
+        f"bed_slope_{axis}_ppm = {slope!r}  # the firmware raises z by it\n"
+        for axis, slope in zip("xy", slope_ppm, strict=True)
+        if slope
+    ]
+    return "".join(lines)
 
 
 def noise_table(comment: str, height: float, distance: float | None = None) -> str:

@@ -17,6 +17,9 @@ COUNTS = {
     "probe_radius_mm": 1,
     "home_height_mm": 1,
     "probe_offset_mm": 2,
+    "mesh_x_mm": 2,
+    "mesh_y_mm": 2,
+    "mesh_radius_mm": 1,
     "radius_trim_mm": 3,
     "rod_trim_mm": 3,
 }

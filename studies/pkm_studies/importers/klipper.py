@@ -16,8 +16,9 @@ from scipy.optimize import brentq
 
 from oed.base.arrays import Array
 from pkm_studies.base.errors import InputError
-from pkm_studies.importers import klipper_config
+from pkm_studies.importers import klipper_config, klipper_mesh
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
+from pkm_studies.importers.bed_mesh import distinct, explanations
 from pkm_studies.importers.delta_contact import tool_heights
 from pkm_studies.importers.delta_study import (
     DeltaGeometry,
@@ -48,6 +49,7 @@ FULL_STEPS = 200.0
 POSITION = re.compile(r"((?:manual_)?height\d+|distance\d+)_pos[12]?")
 #: heights (mm) at which the accuracy is predicted, above the probed ones
 RISES = (0.0, 50.0)
+GEOMETRY_WORDS = "delta_radius, arm_length, angle and position_endstop"
 
 
 class KlipperImporter:
@@ -70,7 +72,10 @@ class KlipperImporter:
         account = config_account(config, request.files)
         geometry = _geometry(config)
         check_positions(_positions(config, steps), geometry)
-        count = len(distances) // 2
+        count, height = len(distances) // 2, float(heights[0]["height_mm"])
+        meshes, mesh_notes = distinct(klipper_mesh.meshes(config))
+        mesh_notes += [mesh.sentence(request.mesh) for mesh in meshes]
+        mesh_notes += explanations(meshes, GEOMETRY_WORDS)
         study = DeltaStudy(
             name=request.name,
             firmware=Firmware(name="klipper", title="Klipper"),
@@ -81,14 +86,22 @@ class KlipperImporter:
             noise=_noise(len(heights), count),
             calliper=bool(distances),
             probed_radius=config.positive(SAVED, "radius", geometry.radius / 2.0),
-            heights=tuple(float(heights[0]["height_mm"]) + rise for rise in RISES),
-            accounts=account,
+            heights=tuple(height + rise for rise in RISES),
+            accounts=[*mesh_notes, *account],
+            mesh_setups="".join(mesh.setup_table() for mesh in meshes),
+            mesh_radius=max((mesh.radius for mesh in meshes), default=0.0),
+            predict=[m.setup for m in meshes] if request.mesh == "hold-out" else [],
         )
         return ImportedSession(
             study=study.text(),
-            rows=[*heights, *distances],
+            rows=[
+                *heights,
+                *distances,
+                *(row for mesh in meshes for row in mesh.rows_at(height)),
+            ],
             statements=[
                 *_statements(config, geometry, steps, len(heights), count),
+                *mesh_notes,
                 *account,
             ],
         )

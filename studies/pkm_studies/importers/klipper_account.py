@@ -12,8 +12,10 @@ from typing import Final
 
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers.klipper_config import Entry, KlipperConfig
+from pkm_studies.importers.klipper_mesh import PREFIX
 from pkm_studies.importers.words import (
     HARMLESS,
+    OTHERS,
     READ,
     Word,
     WordTable,
@@ -28,8 +30,8 @@ IN_HEIGHTS: Final = costs(
     "the saved heights have it already; an error of it moves all of z"
 )
 BESIDE: Final = costs(
-    "the saved positions are those of the carriages at contact; a probe beside the"
-    " nozzle also reads how the platform tilts"
+    "the saved positions are those of the carriages at contact, so that only the places of"
+    " meshes take it; a probe beside the nozzle also reads how the platform tilts"
 )
 NOT_THE_CALIBRATION: Final = (
     "it moves the tool after calibration, and is not in the saved positions: clear it,"
@@ -150,7 +152,48 @@ CALIBRATE: Final[dict[str, Word]] = {
         ),
     ),
 }
+#: all saved profiles of meshes
+PROFILES: Final = "[bed_mesh <profile>]"
+LEVEL_OF_MESH: Final = costs(
+    "it sets the level of a mesh, which counts for nothing here"
+)
+PROFILE: Final[dict[str, Word]] = {
+    **same(READ, ("points", "x_count", "y_count", "min_x", "max_x", "min_y", "max_y")),
+    **same(HARMLESS, ("version", "mesh_x_pps", "mesh_y_pps", "algo", "tension")),
+}
+BED_MESH: Final[dict[str, Word]] = {
+    **same(READ, ("faulty_region_<n>_min", "faulty_region_<n>_max")),
+    **same(LEVEL_OF_MESH, ("zero_reference_position", "relative_reference_index")),
+    **same(
+        HARMLESS,
+        (
+            "speed",
+            "horizontal_move_z",
+            "mesh_radius",
+            "mesh_origin",
+            "mesh_min",
+            "mesh_max",
+            "probe_count",
+            "round_probe_count",
+            "mesh_pps",
+            "algorithm",
+            "bicubic_tension",
+            "fade_start",
+            "fade_end",
+            "fade_target",
+            "split_delta_z",
+            "move_check_distance",
+            "adaptive_margin",
+            "scan_overshoot",
+        ),
+    ),
+    OTHERS: costs(
+        "this importer does not know it; a mesh may mean other heights by it"
+    ),
+}
 WORDS: Final[WordTable] = {
+    "[bed_mesh]": BED_MESH,
+    PROFILES: PROFILE,
     "[printer]": PRINTER,
     **{f"[stepper_{tower}]": STEPPER for tower in "abc"},
     "[delta_calibrate]": CALIBRATE,
@@ -158,10 +201,21 @@ WORDS: Final[WordTable] = {
 }
 #: sections that move the tool in other ways than by the delta's geometry
 COSTLY_SECTIONS: Final[dict[str, str]] = {
-    "bed_mesh": NOT_THE_CALIBRATION,
+    "bed_mesh": (
+        "the mesh in use moves the tool after calibration: probe it again once the printer"
+        " has new numbers"
+    ),
     "bed_tilt": NOT_THE_CALIBRATION,
     "skew_correction": NOT_THE_CALIBRATION,
-    "axis_twist_compensation": NOT_THE_CALIBRATION,
+    "axis_twist_compensation": (
+        "heights probed since it was calibrated have it in them, earlier ones do not; an"
+        " error of it bends all heights along its axis"
+    ),
+    **dict.fromkeys(
+        ("z_tilt", "z_tilt_ng"),
+        "it moves single towers until the printer homes again: heights that were probed in"
+        " between have that in them",
+    ),
     "z_thermal_adjust": NOT_THE_CALIBRATION,
 }
 INCLUDE = "include "
@@ -188,8 +242,13 @@ def _is_plain(name: str) -> bool:
 
 def _group(name: str) -> str:
     """A section in brackets; all of one kind alike where none of them is read."""
-    group = f"[{name.lower()}]"
+    group = _section_group(name.lower())
     return group if group in WORDS else f"[{_kind(name)}]"
+
+
+def _section_group(section: str) -> str:
+    """The group of a section's words: all profiles of meshes alike."""
+    return PROFILES if section.startswith(PREFIX) else f"[{section}]"
 
 
 def _kind(name: str) -> str:
@@ -200,9 +259,9 @@ def _kind(name: str) -> str:
 def _written(config: KlipperConfig) -> Iterator[WrittenWord]:
     """The options of the sections that bear on the delta and its probe."""
     for (section, key), entry in config.entries.items():
-        group = f"[{section}]"
+        group = _section_group(section)
         if group in WORDS:
-            error = functools.partial(_error, entry, f"{group} {key}")
+            error = functools.partial(_error, entry, f"[{section}] {key}")
             yield WrittenWord(group, key, entry.text, entry.line, error)
 
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from pkm_studies.importers import facts, gcode, marlin_home
+from pkm_studies.importers import facts, gcode, marlin_grid, marlin_home
 from pkm_studies.importers.base import ImportedSession, ImportRequest
-from pkm_studies.importers.delta_probe import ProbedPoint, delta_session
+from pkm_studies.importers.delta_probe import delta_session
 from pkm_studies.importers.delta_study import DeltaGeometry, Firmware
 from pkm_studies.importers.gcode import Command, TextLine
 from pkm_studies.importers.marlin_home import Home
@@ -30,6 +30,7 @@ from pkm_studies.importers.marlin_version import (
     possible_rules,
     printed_version,
 )
+from pkm_studies.importers.probed_point import ProbedPoint
 from pkm_studies.importers.words import (
     HARMLESS,
     READ,
@@ -111,6 +112,7 @@ class MarlinImporter:
         home = marlin_home.home(settings, given, rules)
         geometry = _geometry(settings, given, b, home)
         points, about_means = points_of_contacts(probed.contacts, geometry)
+        meshes, about_grid = marlin_grid.grids(lines, given, probed.offset, points)
         return delta_session(
             name=request.name,
             firmware=Firmware(
@@ -128,7 +130,15 @@ class MarlinImporter:
             geometry=geometry,
             points=_over_bed(points, settings, rules),
             accounts=account.sentences(),
-            notes=[*_about_b(b, delta), *probed.notes, *about_means, *home.notes],
+            notes=[
+                *_about_b(b, delta),
+                *probed.notes,
+                *about_means,
+                *about_grid,
+                *home.notes,
+            ],
+            meshes=meshes,
+            mesh=request.mesh,
         )
 
 
@@ -246,7 +256,8 @@ def word_table(b: MeaningOfB | None, *, has_height: bool) -> WordTable:
         ),
         "G29": same(
             costs(
-                "its mesh is not read, only lines Bed X: Y: Z: of each place (G29 V4)"
+                "its grid is read where it says, or lines mesh_x_mm and mesh_y_mm say,"
+                " where its nodes are; so are lines Bed X: Y: Z: of each place (G29 V4)"
             ),
             "ABCDEFHIJKLNOPQRSTUVWXYZ",
         ),

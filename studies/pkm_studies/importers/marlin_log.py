@@ -78,11 +78,15 @@ class Settings:
 
 @dataclasses.dataclass(frozen=True)
 class Probing:
-    """Contacts with the settings in force, and sentences on what was taken."""
+    """Contacts with the settings in force, and sentences on what was taken.
+
+    offset  of the probe from the nozzle (2,), mm
+    """
 
     contacts: list[Contact]
     settings: Settings
     notes: list[str]
+    offset: tuple[float, float]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,7 +137,8 @@ def probing(
         used, settings = taken, scan.settings(lines[-1], len(lines))
     contacts = [one.contact for one in used]
     offset = _offset(settings, given, contacts, notes)
-    return Probing([c.of_nozzle(offset) for c in contacts], settings, notes)
+    of_nozzle = [contact.of_nozzle(offset) for contact in contacts]
+    return Probing(of_nozzle, settings, notes, offset)
 
 
 class _Scan:

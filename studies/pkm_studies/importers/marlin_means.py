@@ -18,9 +18,9 @@ from scipy import optimize
 
 from oed.base.arrays import Array
 from pkm_studies.importers import delta_contact
-from pkm_studies.importers.delta_probe import ProbedPoint
 from pkm_studies.importers.delta_study import DeltaGeometry
 from pkm_studies.importers.gcode import TextLine
+from pkm_studies.importers.probed_point import ProbedPoint
 
 #: the six directions of G33's ring, in its order: degrees from x
 DIRECTIONS = {"x": 210.0, "xy": 270.0, "y": 330.0, "yz": 30.0, "z": 90.0, "zx": 150.0}

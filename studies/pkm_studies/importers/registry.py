@@ -12,7 +12,16 @@ from pkm_studies.importers.base import Importer
 #: group of entry points that add importers
 GROUP = "pkm_oed.importers"
 #: importers of this package: the module's name in this folder
-SHIPPED = ("klipper", "rrf", "marlin", "tracker", "ballbar", "columns")
+SHIPPED = (
+    "klipper",
+    "rrf",
+    "marlin",
+    "maslow",
+    "hangprinter",
+    "tracker",
+    "ballbar",
+    "columns",
+)
 
 
 def importers() -> dict[str, Importer]:

@@ -17,7 +17,13 @@ from pkm_studies.importers.base import ImportedSession, ImportRequest
 from pkm_studies.importers.delta_probe import delta_session
 from pkm_studies.importers.delta_study import DeltaGeometry, Firmware
 from pkm_studies.importers.gcode import NUMBER, Command, TextLine
-from pkm_studies.importers.rrf_points import probed_points
+from pkm_studies.importers.probed_point import ProbedPoint
+from pkm_studies.importers.rrf_height_map import height_map, is_height_map
+from pkm_studies.importers.rrf_points import (
+    has_heights,
+    mesh_offset,
+    probed_points,
+)
 from pkm_studies.importers.rrf_sequence import ExecutionOrder, execution_order
 from pkm_studies.importers.rrf_words import WORDS
 
@@ -45,18 +51,25 @@ class RrfImporter:
     """Reads config.g, bed.g and a log, in any order."""
 
     name = "rrf"
-    about = "RepRapFirmware delta: config.g (M665, M666), bed.g, log of G32"
+    about = (
+        "RepRapFirmware delta: config.g (M665, M666), bed.g, log of G32, heightmap.csv"
+    )
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry and probed points. Raises InputError."""
-        order = execution_order(as_commands(gcode.read(request.files)))
+        maps = [path for path in request.files if is_height_map(path)]
+        others = [path for path in request.files if path not in maps]
+        order = execution_order(as_commands(gcode.read(others)))
         lines = order.lines
         _check_kinematics(lines)
         given = facts.numbers(lines)
         delta = gcode.merged(lines, "M665", "give config.g as well, with M665")
         stops = _adjustments(lines)
         account = gcode.account_of(lines, WORDS)
-        points, notes = probed_points(order, given)
+        points: list[ProbedPoint] = []
+        notes: list[str] = []
+        if has_heights(order) or not maps or request.mesh != "readings":
+            points, notes = probed_points(order, given)
         slope = (
             PERCENT_PPM * stops.number("A", 0.0),
             PERCENT_PPM * stops.number("B", 0.0),
@@ -76,6 +89,8 @@ class RrfImporter:
             accounts=account.sentences(),
             notes=[*notes, *order.notes],
             bed_slope_ppm=slope,
+            meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
+            mesh=request.mesh,
         )
 
 

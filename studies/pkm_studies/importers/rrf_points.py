@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers import gcode
-from pkm_studies.importers.delta_probe import ProbedPoint
 from pkm_studies.importers.gcode import Command, TextLine
+from pkm_studies.importers.probed_point import ProbedPoint
 from pkm_studies.importers.rrf_sequence import ExecutionOrder
 
 HEIGHTS = re.compile(r"bed probe heights:\s*([^,]*)", re.IGNORECASE)
@@ -17,7 +17,7 @@ CALIBRATED = re.compile(r"Calibrated \d+ factors", re.IGNORECASE)
 NO_POINT = "give bed.g as well: it has one G30 P<n> X<x> Y<y> a point"
 NO_HEIGHTS = (
     "give the console's log too, with the answer of a last G30 P<n> S-1: G32 bed probe"
-    " heights: ..."
+    " heights: ...; or fit the heights of heightmap.csv: --mesh readings"
 )
 #: heights from which on Z of G30 is the height itself, and nothing is probed
 TYPED = -9999.0
@@ -50,6 +50,11 @@ class ProbePoint:
         )
 
 
+def has_heights(order: ExecutionOrder) -> bool:
+    """Whether a log has the answer of G32."""
+    return any(HEIGHTS.search(line.text) for line in order.lines)
+
+
 def probed_points(
     order: ExecutionOrder, given: Mapping[str, tuple[float, ...]]
 ) -> tuple[list[ProbedPoint], list[str]]:
@@ -78,6 +83,19 @@ def probed_points(
     heights = [gcode.finite(cell, line) for cell in cells]
     pairs = zip(points.values(), heights, strict=True)
     return [point.contact(height) for point, height in pairs], notes
+
+
+def mesh_offset(
+    order: ExecutionOrder, given: Mapping[str, tuple[float, ...]]
+) -> tuple[float, float]:
+    """Place of the probe from the nozzle (2,), mm, at the nodes of a mesh."""
+    probes = _Probes()
+    for command in gcode.commands(order.settings, "M558", "G31"):
+        probes.take(command)
+    stated = given.get("probe_offset_mm")
+    if stated is not None:
+        return stated[0], stated[1]
+    return probes.offset(Command("G29", {}, order.lines[0])) or (0.0, 0.0)
 
 
 def _points(

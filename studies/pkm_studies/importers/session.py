@@ -10,7 +10,7 @@ from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent
 from pkm_studies.importers import base, registry
-from pkm_studies.importers.base import ImportedSession, ImportRequest
+from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
 from pkm_studies.resolve import conventions
 from pkm_studies.study import SUFFIX
 from pkm_studies.study.loader import parse
@@ -24,6 +24,7 @@ def import_files(
     name: str | None = None,
     machine: str | None = None,
     column_map: Path | None = None,
+    mesh: MeshUse = "hold-out",
     consent: Consent = Consent.RECORDED,
 ) -> tuple[Path, ImportedSession]:
     """Write study and readings into the folder `out`; the study's path and the session.
@@ -40,6 +41,7 @@ def import_files(
         map=column_map,
         folder=out,
         consent=consent,
+        mesh=mesh,
     )
     targets = [out / f"{title}{SUFFIX}", out / base.readings_name(title)]
     for path in targets:

@@ -17,19 +17,20 @@ from scipy.spatial.transform import Rotation
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.mechanism.kinematics import Kinematics
+from oed.dataset.columns import SIGMA
+from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument
 from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
-from pkm_studies.importers import column_map, columns, orientations
+from pkm_studies.importers import column_map, column_sources, columns, orientations
 from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
     Row,
 )
 from pkm_studies.resolve.tool_points import ToolPoints
-from pkm_studies.study.tables.column_map import ColumnMap
+from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
 
 INSTRUMENT = "pose_tracker_position"
 CHANNELS = ("read_x", "read_y", "read_z")
@@ -80,6 +81,7 @@ class TrackerImporter:
             given, machine=model.described, instrument=reference, columns=mapped
         )
         rows = columns.rows(table, mapped, given, tool, place)
+        rows, left_out = columns.without_partial_joints(rows, model.machine)
         kinematics = Kinematics(model.machine)
         rows, sentence = _registered(rows, given, kinematics, tool, table, place)
         return columns.session(
@@ -91,6 +93,7 @@ class TrackerImporter:
             rows=rows,
             statements=[
                 *columns.statements(table, mapped, given, tool, model.machine),
+                *left_out,
                 *sentence,
             ],
             errors="home" if given.registration == "known" else "best_fit",
@@ -109,14 +112,14 @@ def best_fit(measured: Array, wanted: Array) -> BestFit:
     return BestFit(rotation, shift, math.sqrt(float(np.mean(residual**2))))
 
 
-def _with_measured(given: ColumnMap, table: CsvTable) -> dict[str, str]:
+def _with_measured(given: ColumnMap, table: CsvTable) -> dict[str, str | ColumnSource]:
     """The map's columns, with X, Y, Z of the file as the points where it names none."""
-    mapped = dict(given.columns)
+    mapped: dict[str, str | ColumnSource] = dict(given.columns)
     if any(name.startswith(CHANNELS) for name in [*mapped, *table.header]):
         return mapped
     for header in table.header:
         match = MEASURED.fullmatch(header)
-        if match and header not in mapped.values():
+        if match and header not in column_sources.names(mapped).values():
             mapped[f"read_{match[1].lower()}_mm"] = header
     return mapped
 
@@ -138,12 +141,8 @@ def _registered(
     angles = _orientation_columns(rows, tool, place)
     names = [_channel_column(rows, channel) for channel in CHANNELS]
     measured = _numbers(rows, names)
-    machine = kinematics.machine
-    commanded = [_channel_column(rows, c.name) for c in machine.command]
     tool_point = units.to_si(given.tool_mm, "mm")
-    wanted = ToolPoints(kinematics, tool_point.tolist()).points(
-        _numbers(rows, commanded)
-    )
+    wanted = _nominal_points(rows, kinematics, tool_point)
     used = np.isfinite(measured).all(axis=1) & np.isfinite(wanted).all(axis=1)
     if used.sum() < 4:
         raise InputError(
@@ -161,12 +160,51 @@ def _registered(
             for name, value in zip(names, moved[k], strict=True)
             if np.isfinite(value)
         }
-        changed.append({**row, **cells})
+        changed.append({**row, **cells, **_turned_sigma(row, fit.rotation)})
     if angles and tool.orientation is not None:
         changed = orientations.rotate_rows(
             changed, angles, tool.orientation, fit.rotation
         )
     return changed, _frame_sentences(fit, given)
+
+
+def _nominal_points(rows: list[Row], kinematics: Kinematics, tool: Array) -> Array:
+    """Tool points (n, 3) of the nominal machine, m; NaN out of reach.
+
+    At the recorded joints where there are any, else at the commands. Raises InputError.
+    """
+    machine = kinematics.machine
+    stems = {name.rpartition("_")[0]: name for name in rows[0]}
+    joints = [stems.get(joint.name, "") for joint in machine.joints]
+    if not all(joints):
+        commanded = [_channel_column(rows, c.name) for c in machine.command]
+        return ToolPoints(kinematics, tool.tolist()).points(_numbers(rows, commanded))
+    try:
+        poses = kinematics.start_poses(_numbers(rows, joints))
+    except AssemblyError as error:
+        row = int(np.min(error.indices)) + 1 if len(error.indices) else 1
+        raise InputError(
+            f"the nominal machine does not assemble at the joints of reading {row}",
+            "check factors and offsets of the joints, and the machine's geometry",
+            file="--map",
+            field="columns",
+        ) from error
+    return kinematics.frames(poses, tool)[1]
+
+
+def _turned_sigma(row: Row, by: Rotation) -> dict[str, str]:
+    """Cells of a reading's standard deviations in the turned frame.
+
+    Those of the turned coordinates; where they differ, correlations are left out.
+    """
+    stems = {name.rpartition("_")[0]: name for name in row}
+    columns = [stems.get(f"{SIGMA}{channel}", "") for channel in CHANNELS]
+    if not all(column and row[column] for column in columns):
+        return {}
+    factors = np.array([units.factor(c.rpartition("_")[2]) for c in columns])
+    variance = (factors * np.array([float(row[c]) for c in columns])) ** 2
+    sigma = np.sqrt(by.as_matrix() ** 2 @ variance) / factors
+    return {c: f"{v:.9g}" for c, v in zip(columns, sigma, strict=True)}
 
 
 def _orientation_columns(

@@ -17,6 +17,8 @@ from pkm_studies.base.errors import InputError
 
 #: stands for a number in a key of a table: `height<n>` is height0, height1, ...
 NUMBER = "<n>"
+#: key of a table for all words that it does not name: such a group refuses none
+OTHERS = "*"
 #: columns of a comment in a study
 WIDTH = 100
 UNKNOWN = "this importer does not know this word, which may be part of the geometry"
@@ -172,6 +174,8 @@ def _entry(one: WrittenWord, table: WordTable) -> tuple[str, Word]:
     general = re.sub(r"\d+", NUMBER, one.key, count=1)
     if general in keys:
         return general, keys[general]
+    if OTHERS in keys:
+        return one.key, keys[OTHERS]
     raise one.error(UNKNOWN, UNKNOWN_REMEDY)
 
 

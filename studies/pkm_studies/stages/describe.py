@@ -14,6 +14,7 @@ from oed import result
 from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.measurement.measurement import Measurement, Series
+from oed.measurement.reading_noise import reading_sigma
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
 from oed.result import Drawing, MachineInfo, Polyline, SetupInfo, StudyResult
@@ -98,10 +99,19 @@ def first_result(study: Study, machine: Machine, seed: int) -> StudyResult:
     )
 
 
-def setup_info(machine: Machine, setup: Setup) -> SetupInfo:
-    """A set-up's numbers, noise and unknowns as used."""
+def setup_info(
+    machine: Machine, setup: Setup, series: Sequence[Series] = ()
+) -> SetupInfo:
+    """A set-up's numbers, noise and unknowns as used; with those of its readings."""
     instrument = setup.instrument
-    channel_noise = zip(instrument.channels, setup.sigma, strict=True)
+    measured = [s for s in series if s.setup == setup.name and s.sigma is not None]
+    amounts: Sequence[float] = setup.sigma
+    about = instrument.about + _passes(setup)
+    if measured:
+        single = np.concatenate([reading_sigma(setup, s) for s in measured])
+        amounts = [float(v) for v in np.sqrt(np.mean(single**2, axis=0))]
+        about += "; each reading has its own noise, of which the rms is stated"
+    channel_noise = zip(instrument.channels, amounts, strict=True)
     sigma = {}
     for channel, value in channel_noise:
         unit = units.FINE[channel.unit]
@@ -112,7 +122,7 @@ def setup_info(machine: Machine, setup: Setup) -> SetupInfo:
     return SetupInfo(
         name=setup.name,
         instrument=instrument.name,
-        about=instrument.about + _passes(setup),
+        about=about,
         numbers=_numbers(machine, setup),
         sigma=sigma,
         unknowns=unknowns,

@@ -38,9 +38,9 @@ def sentences(
 ) -> list[str]:
     """Sentences about the sections that are there.
 
-    Findings about the readings come first, then all those of a diagnosis. Where the
-    readings are `recorded`, no plan chose them: nothing is said about a design. The
-    `machine` says what earlier sessions give.
+    Findings about the readings come first, then all those of a diagnosis, then what
+    held-out readings say. Where the readings are `recorded`, no plan chose them: nothing
+    is said about a design. The `machine` says what earlier sessions give.
     """
     chosen = None if recorded else result.design
     ranked = [
@@ -50,7 +50,6 @@ def sentences(
         *([] if result.corrected is not None else _accuracy(result.prediction)),
         *_wanted(result),
         *_unmodelled(result.prediction),
-        *_held_out(result.held_out),
         *forecast_words.figures(result.forecast),
         *_rank(result.identifiability),
         *_gain(chosen),
@@ -65,7 +64,16 @@ def sentences(
     noise = [] if checked is None else checked.noise_words
     rounds = [] if machine is None else earlier_sentences(machine)
     asked = _indices(result.identifiability)
-    return [*alarms, *findings, *noise, *rounds, *ranked[:MAX_SENTENCES], *asked]
+    held_out = _held_out(result.held_out)
+    return [
+        *alarms,
+        *findings,
+        *noise,
+        *rounds,
+        *held_out,
+        *ranked[:MAX_SENTENCES],
+        *asked,
+    ]
 
 
 def earlier_sentences(machine: MachineInfo) -> list[str]:
@@ -201,14 +209,8 @@ def _unmodelled(section: PredictionSection | None) -> list[str]:
 
 
 def _held_out(sections: Sequence[HeldOutSection]) -> list[str]:
-    if not sections:
-        return []
-    errors = [
-        f"{s.name} {format_number(s.rms)} {s.unit} rms ({100 * s.coverage:.0f} % inside"
-        " 95 % intervals)"
-        for s in sections
-    ]
-    return [f"Held-out readings are predicted to {'; '.join(errors)}."]
+    """What held-out readings say of the fit."""
+    return [f"{section.words}." for section in sections]
 
 
 def _rank(section: IdentifiabilitySection | None) -> list[str]:

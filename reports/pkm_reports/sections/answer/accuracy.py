@@ -70,10 +70,11 @@ def title(result: StudyResult) -> str:
 
 
 def blocks(result: StudyResult) -> list[Block]:
-    """The acceptance test, then the predicted components, then what they mean."""
+    """Acceptance test and held-out readings, then the predicted components."""
     content: list[Block] = []
     if result.verification is not None:
         content.append(Notice(acceptance.verdict(result.verification)))
+    content += _held_out(result)
     prediction = final_prediction(result)
     if prediction is not None and prediction.components:
         content += _predicted(result, prediction)
@@ -82,6 +83,17 @@ def blocks(result: StudyResult) -> list[Block]:
     if result.forecast is not None:
         content.append(forecast.answer(result.forecast))
     return content
+
+
+def _held_out(result: StudyResult) -> list[Block]:
+    """What readings that the fit did not use say of it."""
+    sentences = [
+        (s.verdict, text.sentence(s.words)) for s in result.held_out if s.words
+    ]
+    return [
+        Notice(words) if verdict == "contradicts" else Paragraph(words)
+        for verdict, words in sentences
+    ]
 
 
 def final_prediction(result: StudyResult) -> PredictionSection | None:

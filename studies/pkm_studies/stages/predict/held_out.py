@@ -22,6 +22,7 @@ from oed.model.instrument import Channel
 from oed.noise.process import Whitening, stated_laws
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import HeldOutSection
+from pkm_studies.stages.predict.hold_out_verdict import HeldOutComparison
 
 #: posterior draws used for predictive intervals
 PREDICTIVE_DRAWS = 2000
@@ -57,40 +58,51 @@ def held_out_sections(
         noise = _noise_draws(measurement, s, estimate, laws, rng)
         centre = predicted.mean(axis=0)
         adjust = _setup_adjustment(measurement, s, known.theta.mean(axis=0))
-        ends = np.quantile((predicted + noise - centre) @ adjust.T, INTERVAL, axis=0)
+        draws = (predicted + noise - centre) @ adjust.T
+        low, high = np.quantile(draws, INTERVAL, axis=0)
         raw = readings - centre
-        adjusted = adjust @ raw
+        before = readings - measurement.readings([s], measurement.nominal)
+        whole = HeldOutComparison(
+            residual=adjust @ raw,
+            before=adjust @ before,
+            low=low,
+            high=high,
+            draws=draws,
+            noise=noise @ adjust.T,
+        )
         for k, channel in enumerate(channels):
             members = slice(k, None, len(channels))
-            residual, (low, high) = adjusted[members], ends[:, members]
             sections.append(
-                _section(s.setup, channel, residual, raw[members], low, high)
+                _section(s.setup, channel, whole.take(members), raw[members])
             )
     return sections
 
 
 def _section(
-    setup: str,
-    channel: Channel,
-    residual: Array,
-    raw: Array,
-    low: Array,
-    high: Array,
+    setup: str, channel: Channel, compared: HeldOutComparison, raw: Array
 ) -> HeldOutSection:
     unit = units.FINE[channel.unit]
-    inside = (residual >= low) & (residual <= high)
-    half_widths = (high - low) / 2.0
+    residual = compared.residual
+    half_widths = (compared.high - compared.low) / 2.0
     return HeldOutSection(
         name=setup,
         channel=channel.name,
         n=len(residual),
-        rms=units.number(float(np.sqrt(np.mean(residual**2))), unit),
-        rms_raw=units.number(float(np.sqrt(np.mean(raw**2))), unit),
+        rms=_rms(residual, unit),
+        rms_raw=_rms(raw, unit),
         unit=unit,
-        coverage=float(inside.mean()),
+        coverage=compared.coverage,
         residuals=[units.number(v, unit) for v in residual],
         half_widths=[units.number(v, unit) for v in half_widths],
+        predicted=_rms(compared.draws, unit),
+        rms_before=_rms(compared.before, unit),
+        verdict=compared.verdict,
+        words=compared.words(setup, channel.name, unit),
     )
+
+
+def _rms(values: Array, unit: str) -> float:
+    return units.number(float(np.sqrt(np.mean(values**2))), unit)
 
 
 def _setup_adjustment(measurement: Measurement, series: Series, mean: Array) -> Array:

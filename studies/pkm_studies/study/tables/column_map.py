@@ -79,6 +79,23 @@ class OrientationColumns(StudyTable, frozen=True, kw_only=True):
     inverse: bool = False
 
 
+class ColumnSource(StudyTable, frozen=True, kw_only=True):
+    """A column of a CSV whose numbers are in another unit, or count from another zero.
+
+    The number of the readings is factor x cell + offset, in the unit of their column.
+
+    column  of the CSV
+    factor  such as mm a revolution, or mm a count; a list for a column with braces
+    offset  in the unit of the readings column; likewise
+    k       coverage factor of an uncertainty, 2 for U95: the cell is divided by it
+    """
+
+    column: str
+    factor: float | list[float] = 1.0
+    offset: float | list[float] = 0.0
+    k: Positive | None = None
+
+
 class ColumnMap(StudyTable, frozen=True, kw_only=True):
     """A column map file.
 
@@ -88,7 +105,8 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     setup         name of the set-up
     registration  of a tracker: "free" (identified), "best_fit" (held) or "known"
     tool_mm       tool point in the platform's frame
-    columns       column of the CSV, by column of the readings
+    columns       column of the CSV, by column of the readings; or a table with its factor
+                  and offset
     orientation   columns of a quaternion, a rotation vector or a direction
     settings      of the instrument, with their unit
     noise         standard deviations of the channels, with their unit
@@ -102,7 +120,7 @@ class ColumnMap(StudyTable, frozen=True, kw_only=True):
     setup: str = "setup1"
     registration: Literal["free", "best_fit", "known"] = "free"
     tool_mm: Triple = (0.0, 0.0, 0.0)
-    columns: dict[str, str] = {}
+    columns: dict[str, str | ColumnSource] = {}
     orientation: OrientationColumns | None = None
     settings: dict[str, float] = {}
     noise: dict[str, float] = {}

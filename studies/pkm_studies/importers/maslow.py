@@ -1,0 +1,229 @@
+"""Maslow (FluidNC): anchors of maslow.yaml or of a log, and the belts of its calibration.
+
+The log's line `CLBM:[{bl:.., br:.., tr:.., tl:..}, ...]` has the lengths of the four belts
+at each waypoint, in the plane of the anchors. Two lengths are more than the sled's place
+needs, so the belts calibrate themselves. As in the firmware, the lower left anchor is
+the origin, the lower right one lies on the x axis, and the belts' lengths are right.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base.user_code import Origin
+from pkm_studies.importers import gcode, words
+from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
+from pkm_studies.importers.column_map import Model, imported_study
+from pkm_studies.importers.gcode import NUMBER, TextLine
+from pkm_studies.importers.words import (
+    HARMLESS,
+    OTHERS,
+    READ,
+    Word,
+    WordTable,
+    WrittenWord,
+    account,
+    costs,
+    same,
+)
+from pkm_studies.resolve.machine import described_machine
+from pkm_studies.study.tables.machine import MachineTable
+
+#: corners in the order of the machine's cables
+CORNERS: Final = ("tl", "tr", "br", "bl")
+MODEL: Final = "cables_planar"
+#: a value of the configuration, `Maslow_tlX: 12.3`, or of the log, `$/Maslow_tlX=12.3`
+VALUE: Final = re.compile(r"[Mm]aslow_(\w+)\s*[:=]\s*(\S+)")
+WAYPOINT: Final = re.compile(r"\{([^{}]*)\}")
+BELT: Final = re.compile(rf"\b(tl|tr|bl|br)\s*:\s*({NUMBER})")
+MARK: Final = "CLBM:"
+#: a key at the top of a configuration
+KEY: Final = re.compile(r"([A-Za-z]\w*)\s*:")
+#: coordinates that only choose the frame, and their values in the firmware, mm
+FRAME: Final = {"blX": 0.0, "blY": 0.0, "brY": 0.0}
+#: what the firmware does not identify
+FIXED: Final = (
+    *("anchor3y", "anchor4x", "anchor4y"),
+    *(f"{stem}{k}" for stem in ("l", "scale") for k in (1, 2, 3, 4)),
+)
+#: share of the smaller side of the frame that the prediction spans about its middle
+REACH: Final = 0.25
+GROUP: Final = "Maslow"
+LENGTHS: Final = costs("the lengths of the log have it already")
+ANCHORS: Final[dict[str, Word]] = {
+    **same(READ, (f"{corner}{axis}" for corner in CORNERS for axis in "XY")),
+    **same(LENGTHS, (f"{corner}Z" for corner in CORNERS)),
+    **same(
+        HARMLESS,
+        (
+            "vertical",
+            "calibration_grid_width_mm_X",
+            "calibration_grid_height_mm_Y",
+            "calibration_grid_size",
+            "Retract_Current_Threshold",
+            "Calibration_Current_Threshold",
+            "Acceptable_Calibration_Threshold",
+            "Extend_Dist",
+        ),
+    ),
+    OTHERS: costs(
+        "this importer does not know it; lengths of the log may depend on it"
+    ),
+}
+WORDS: Final[WordTable] = {GROUP: ANCHORS}
+PRIOR: Final = """
+# How far the true anchors may be from those of the file (standard deviation).
+[[prior.tolerance]]
+parameters = ["anchor*"]
+sigma_mm = 50.0
+"""
+
+
+class MaslowImporter:
+    """Reads maslow.yaml and logs, in any order; later values win."""
+
+    name = "maslow"
+    about = "Maslow: maslow.yaml, and a log with the belts of its calibration (CLBM)"
+
+    def read(self, request: ImportRequest) -> ImportedSession:
+        """Anchors and belt lengths. Raises InputError."""
+        lines = gcode.read(request.files)
+        written = list(_written(lines))
+        accounts = account(written, _other_keys(lines), WORDS).sentences()
+        anchors = _anchors(written, lines)
+        belts, notes = _belts(lines)
+        table = MachineTable(
+            model=MODEL,
+            fixed=list(FIXED),
+            geometry={
+                "anchor_mm": anchors.tolist(),
+                "home_mm": anchors.mean(axis=0).round(1).tolist(),
+                "reach_mm": round(REACH * float(np.ptp(anchors, axis=0).min()), 1),
+            },
+        )
+        machine = described_machine(table, Origin.command(request.consent), Place(""))
+        setup = {"name": "belts", "instrument": "redundancy"}
+        noise = {"assumed": True, "gap1_mm": 0.5, "gap2_mm": 0.5}
+        text = imported_study(
+            request,
+            Model(machine, table),
+            "Maslow, its belts calibrated by themselves",
+            [setup],
+            noise,
+            "best_fit",
+        )
+        listed = "; ".join(
+            f"{corner} {x:g}, {y:g}"
+            for corner, (x, y) in zip(CORNERS, anchors, strict=True)
+        )
+        statements = [
+            f"Machine: four belts in a plane, anchors {listed} mm.",
+            f"Readings: the four belts at {len(belts)} waypoints as set-up belts.",
+            *notes,
+            *accounts,
+        ]
+        return ImportedSession(
+            study=words.comments([*notes, *accounts]) + text + PRIOR,
+            rows=[_row(k, lengths) for k, lengths in enumerate(belts, start=1)],
+            statements=statements,
+        )
+
+
+importer = MaslowImporter()
+
+
+def _written(lines: Sequence[TextLine]) -> Iterator[WrittenWord]:
+    """Values of the machine, with what raises the error about each."""
+    for line in lines:
+        text = line.text.split("#")[0]
+        match = None if MARK in text else VALUE.search(text)
+        if match is not None:
+
+            def error(
+                problem: str,
+                remedy: str,
+                line: TextLine = line,
+                name: str = match[1],
+            ) -> InputError:
+                return line.error(problem, remedy, f"Maslow_{name}")
+
+            yield WrittenWord(GROUP, match[1], match[2], line.number, error)
+
+
+def _other_keys(lines: Sequence[TextLine]) -> list[str]:
+    """Keys at the top of a configuration that are none of the machine's values."""
+    matches = [
+        KEY.match(line.text)
+        for line in lines
+        if line.file.lower().endswith((".yaml", ".yml")) and not VALUE.search(line.text)
+    ]
+    return [match[1] for match in matches if match is not None]
+
+
+def _anchors(written: Sequence[WrittenWord], lines: Sequence[TextLine]) -> np.ndarray:
+    """Places (4, 2) of the anchors, mm. Raises InputError."""
+    values = dict(FRAME)
+    for word in written:
+        if ANCHORS.get(word.key) is not READ:
+            continue
+        try:
+            values[word.key] = float(word.text)
+        except ValueError:
+            raise word.error("this is no number", "correct the value") from None
+        if word.key in FRAME and values[word.key] != FRAME[word.key]:
+            problem = (
+                "the frame's origin is not the lower left anchor, x not the lower side"
+            )
+            raise word.error(problem, "give the anchors in the firmware's frame")
+    for corner in CORNERS:
+        for axis in "XY":
+            if f"{corner}{axis}" not in values:
+                raise InputError(
+                    "missing",
+                    "give maslow.yaml as well, or the log from its first line on",
+                    file=gcode.files_of(lines),
+                    field=f"Maslow_{corner}{axis}",
+                )
+    places = [[values[f"{corner}{axis}"] for axis in "XY"] for corner in CORNERS]
+    return np.array(places)
+
+
+def _belts(lines: Sequence[TextLine]) -> tuple[list[dict[str, float]], list[str]]:
+    """Belt lengths at the waypoints, mm, each once; sentences. Raises InputError."""
+    waypoints: dict[tuple[float, ...], dict[str, float]] = {}
+    count = 0
+    for line in lines:
+        if MARK not in line.text:
+            continue
+        for text in WAYPOINT.findall(line.text.partition(MARK)[2]):
+            lengths = {
+                corner: gcode.finite(value, line)
+                for corner, value in BELT.findall(text)
+            }
+            if set(lengths) != set(CORNERS):
+                problem = "a waypoint has not the four belts tl, tr, bl, br"
+                raise line.error(problem, "give the line as the firmware prints it")
+            count += 1
+            waypoints[tuple(lengths[corner] for corner in CORNERS)] = lengths
+    if not waypoints:
+        raise InputError(
+            "no belts of a calibration in it",
+            "give the log of the calibration too: its line CLBM:[{bl:..., ...}]",
+            file=gcode.files_of(lines),
+        )
+    notes = []
+    if count > len(waypoints):
+        repeated = count - len(waypoints)
+        notes.append(f"Not read: {repeated} waypoints that the log prints again.")
+    return list(waypoints.values()), notes
+
+
+def _row(order: int, lengths: dict[str, float]) -> Row:
+    label = {"setup": "belts", "run": "1", "order": str(order)}
+    joints = {f"q{k}_mm": repr(lengths[c]) for k, c in enumerate(CORNERS, start=1)}
+    return label | joints

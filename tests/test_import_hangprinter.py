@@ -1,0 +1,62 @@
+"""`oed import hangprinter`: config.g, motors and places of the real HP4."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import oed
+from pkm_studies.base.errors import InputError
+from pkm_studies.importers import session
+
+CONFIG = """\
+M669 K6 P2000.0 S200
+M669 A0:-1620:-150 B1272.792:1272.792:-150 C-1402.961:810:-150 D2350
+M666 Q0.06875 R75:75:75:75 U2:2:2:4 O1:1:1:1 L20:20:20:20 H255:255:255:255 J25:25:25:25 W2.0
+"""
+
+
+def taken(config: str, shared_data: Path, folder: Path) -> tuple[Path, str, list]:
+    (folder / "config.g").write_text(config)
+    paths = [folder / "config.g"]
+    for name in ("motor_deg.csv", "known_xyz_mm.csv"):
+        shutil.copy(shared_data / "hangprinter_hp4" / name, folder / name)
+        paths.append(folder / name)
+    path, imported = session.import_files(
+        "hangprinter", paths, folder / "out", name="h"
+    )
+    return path, " ".join(imported.statements), list(imported.rows)
+
+
+def test_the_real_machine_comes_in_and_its_lines_close(
+    shared_data: Path, tmp_path: Path
+) -> None:
+    path, sentences, rows = taken(CONFIG, shared_data, tmp_path)
+    assert len(rows) == 9 + 44
+    assert "Words read: M669 K A B C D" in sentences
+    assert "M666 W (line 3): lines of the model do not stretch" in sentences
+    study = oed.load_study(path)
+    assert study.machine.nominal["anchor4z_mm"] == 2350.0
+    assert study.machine.nominal["line1_mm"] == pytest.approx(np.hypot(1620.0, 150.0))
+    section = oed.identify(oed.read_readings(study)).section
+    # known: anchors and spools from all poses leave 0.65 mm
+    assert section.rms_after["gap"] < 800.0
+    assert max(section.rms_after[f"read_{axis}"] for axis in "xyz") < 2000.0
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "problem"),
+    [
+        ("U2:2:2:4", "U2:2:2:2", "built in"),
+        ("R75:75:75:75", "R75:75:75", "four radii"),
+        ("D2350", "D2350 I0:0:2000", "four lines"),
+        ("A0:-1620:-150", "A0:-1620", "x, y and z"),
+        ("W2.0", "E20", "does not know this word"),
+    ],
+)
+def test_other_machines_are_refused(
+    before: str, after: str, problem: str, shared_data: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=problem):
+        taken(CONFIG.replace(before, after), shared_data, tmp_path)

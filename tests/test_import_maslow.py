@@ -1,0 +1,108 @@
+"""`oed import maslow`: anchors from the configuration, belts from the calibration's log."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+import oed
+from pkm_studies.base.errors import InputError
+from pkm_studies.importers import session
+
+YAML = """\
+board: Maslow
+Maslow_vertical: false
+maslow_calibration_grid_size: 9
+Maslow_tlX: -20.0
+Maslow_tlY: 2000.0
+Maslow_tlZ: 116.0
+Maslow_trX: 3010.0
+Maslow_trY: 2010.0
+Maslow_trZ: 69.0
+Maslow_blX: 0
+Maslow_blY: 0
+Maslow_blZ: 38
+Maslow_brX: 3000.0
+Maslow_brY: 0
+Maslow_brZ: 89
+Maslow_Scale_Y: 1.0
+"""
+#: anchors tl, tr, br, bl of the true frame, mm
+TRUE = np.array([(-8.0, 2031.0), (2987.0, 2019.0), (2990.0, 0.0), (0.0, 0.0)])
+#: free coordinates: tlX, tlY, trX, trY, brX
+FREE = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0)]
+
+
+def belts() -> np.ndarray:
+    """Lengths (n, 4) over the sheet, with errors of half a millimetre."""
+    x, y = np.meshgrid(np.linspace(600.0, 2400.0, 6), np.linspace(400.0, 1600.0, 5))
+    sled = np.column_stack([x.ravel(), y.ravel()])
+    lengths = np.linalg.norm(sled[:, None] - TRUE, axis=2)
+    return lengths + np.random.default_rng(1).normal(0.0, 0.5, lengths.shape)
+
+
+def log(lengths: np.ndarray) -> str:
+    rows = [
+        f"{{bl:{bl:.2f},   br:{br:.2f},   tr:{tr:.2f},   tl:{tl:.2f}}},"
+        for tl, tr, br, bl in lengths
+    ]
+    # the first waypoints are sent twice
+    return f"[MSG:INFO] CLBM:[{''.join(rows[:6])}]\nCLBM:[{''.join(rows)}]\n"
+
+
+def taken(files: dict[str, str], folder: Path) -> tuple[Path, str, list]:
+    folder.mkdir(exist_ok=True)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    paths = [folder / name for name in files]
+    path, imported = session.import_files("maslow", paths, folder / "out", name="m")
+    return path, " ".join(imported.statements), list(imported.rows)
+
+
+def test_belts_calibrate_the_anchors_as_scipy_does(tmp_path: Path) -> None:
+    lengths = np.round(belts(), 2)
+    files = {"maslow.yaml": YAML, "log.txt": log(lengths)}
+    path, sentences, rows = taken(files, tmp_path)
+    assert len(rows) == 30
+    assert "6 waypoints that the log prints again" in sentences
+    assert "Maslow tlZ (line 6)" in sentences
+    assert "Maslow Scale_Y (line 16)" in sentences
+    assert "no part of the geometry: board." in sentences
+
+    def misfit(v: np.ndarray) -> np.ndarray:
+        anchors = np.array(
+            [(-20.0, 2000.0), (3010.0, 2010.0), (3000.0, 0.0), (0.0, 0.0)]
+        )
+        for (i, k), value in zip(FREE, v[:5], strict=True):
+            anchors[i, k] = value
+        sled = v[5:].reshape(-1, 2)
+        return (np.linalg.norm(sled[:, None] - anchors, axis=2) - lengths).ravel()
+
+    start = np.r_[-20.0, 2000.0, 3010.0, 2010.0, 3000.0, np.tile([1500.0, 1000.0], 30)]
+    right = least_squares(misfit, start).x[:5]
+    study = oed.load_study(path)
+    estimate = oed.identify(oed.read_readings(study)).section.parameters
+    names = [f"anchor{i + 1}{'xy'[k]}" for i, k in FREE]
+    assert set(estimate) == set(names)
+    values = [estimate[name].value for name in names]
+    np.testing.assert_allclose(values, right, atol=0.3)
+    np.testing.assert_allclose(values, [TRUE[i, k] for i, k in FREE], atol=3.0)
+
+
+@pytest.mark.parametrize(
+    ("yaml", "text", "problem"),
+    [
+        (YAML.replace("Maslow_trY: 2010.0", ""), None, "Maslow_trY"),
+        (YAML.replace("tlX: -20.0", "tlX: wide"), None, "no number"),
+        (YAML.replace("blX: 0", "blX: 12"), None, "lower left anchor"),
+        (YAML, "ok\n", "no belts"),
+        (YAML, "CLBM:[{bl:1.0, br:2.0, tr:3.0},]\n", "four belts"),
+    ],
+)
+def test_what_is_missing_or_wrong_is_refused(
+    yaml: str, text: str | None, problem: str, tmp_path: Path
+) -> None:
+    files = {"m.yaml": yaml, "log.txt": log(belts()) if text is None else text}
+    with pytest.raises(InputError, match=problem):
+        taken(files, tmp_path)
