@@ -26,6 +26,7 @@ SETUPS = {
     "hexapod": 'instrument = "pose_tracker"',
     "micro_cmm": 'instrument = "pose_tracker"',
     "a3_head": 'instrument = "ball_bar"',
+    "cables_planar": 'instrument = "planar_position"',
 }
 
 
