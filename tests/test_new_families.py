@@ -87,6 +87,12 @@ def test_joints_turn_in_the_sense_of_their_words(name: str) -> None:
     ahead = Kinematics(machine).struts(x, q + 1e-6, machine.nominal)[0][0]
     behind = Kinematics(machine).struts(x, q - 1e-6, machine.nominal)[0][0]
     motion = (ahead - behind) / 2e-6
+    if name != "orthoglide":
+        crank = [
+            machine.nominal[machine.index(f"r{i + 1}")] for i in range(len(motion))
+        ]
+        assert np.linalg.norm(motion, axis=1) == pytest.approx(crank, abs=1e-6)
+        assert "right-handed about its axis" in machine.joints[0].about
     if name == "orthoglide":
         assert motion == pytest.approx(np.eye(3), abs=1e-6)
     elif name == "five_bar":

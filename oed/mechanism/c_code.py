@@ -66,8 +66,9 @@ def _functions(
         return ca.Function(name, inputs, [ca.densify(f) for f in fixed])
 
     start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
+    pairs = zip(e.commanded, e.target, strict=True)
+    unmet = ca.vertcat(e.phi, *[held - wanted for held, wanted in pairs])
     held, target = ca.vertcat(*e.commanded), ca.vertcat(*e.target)
-    unmet = ca.vertcat(e.phi, held - target)
     slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
     closure_slope = ca.jacobian(e.phi, e.x)
     own_slopes = ca.vertcat(*joint_slopes(e))

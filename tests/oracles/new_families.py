@@ -43,7 +43,7 @@ def _knee(
 
 
 def _rotary_delta(x: Array, q: Array, e: Errors) -> Array:
-    out = _ring(1.0, [270.0, 30.0, 150.0])
+    out = _ring(1.0, [270.0, 150.0, 30.0])
     rows = []
     for k in range(3):
         axis = np.cross(out[k], [0.0, 0.0, -1.0])

@@ -28,7 +28,7 @@ from pkm_models.parts import cranks, families, translation
 from pkm_models.parts.families import Geometry, as_rows
 
 NAME = "rotary_delta"
-ANGLES = tuple(math.radians(d) for d in (270.0, 30.0, 150.0))
+ANGLES = tuple(math.radians(d) for d in (270.0, 150.0, 30.0))
 DIMENSIONS = (
     Dimension(
         "radius", "m", (3,), 0.155, "radius of the shoulders less the platform's"
