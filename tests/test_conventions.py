@@ -192,8 +192,7 @@ CARRIAGES = {
     "tripod_prs": None,
     "orthoglide": None,
 }
-#: cranks: see tests/test_new_families.py
-CRANKS = ("five_bar", "hexapod_rus", "rotary_delta")
+CRANKS = ("five_bar", "hexapod_rus", "rotary_delta")  # test_new_families.py
 
 
 @pytest.mark.parametrize("name", [n for n in MACHINES if n not in CRANKS])
@@ -209,12 +208,9 @@ def test_joints_have_the_sense_of_their_words(name: str) -> None:
         for sign in (h, -h):
             moved = q.copy()
             moved[:, k] += sign
-            if name in LENGTHS:
-                pose = x
-                if len(m.joints) == len(m.command):
-                    pose = kinematics.forward(moved, m.nominal, x)
-            else:
-                pose = x
+            pose = x
+            if name in LENGTHS and len(m.joints) == len(m.command):
+                pose = kinematics.forward(moved, m.nominal, x)
             ends.append(kinematics.struts(pose, moved, m.nominal)[:2])
         if name in LENGTHS:
             if len(m.joints) > len(m.command):
