@@ -27,6 +27,9 @@ SETUPS = {
     "micro_cmm": 'instrument = "pose_tracker"',
     "a3_head": 'instrument = "ball_bar"',
     "rotary_delta": 'instrument = "pose_tracker_position"',
+    "hexapod_pus": 'instrument = "pose_tracker"',
+    "hexapod_rus": 'instrument = "pose_tracker"',
+    "five_bar": 'instrument = "planar_position"',
     "cables_planar": 'instrument = "planar_position"',
 }
 
