@@ -82,7 +82,7 @@ def test_poses_of_the_mjcf_are_those_of_the_machine(
     values = truth(machine, rng)
     folder = written(oed, tmp_path / "d", machine, values, "mjcf")
     model = mujoco.MjModel.from_xml_path(str(folder / "compensation.mjcf.xml"))
-    loops = mujoco_poses.connections(model)
+    loops = mujoco_poses.connections(mujoco, model)
     assert len(loops) == len(machine.joints)
     assert max(differences(mujoco, model, loops, machine, values)) < 1e-9
 
@@ -128,7 +128,7 @@ def test_a_draw_put_into_the_mjcf_is_the_machine_with_the_drawn_parameters(
         words[int(place[0])] = repr(number)
         named[element].set(attribute, " ".join(words))
     model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
-    loops = mujoco_poses.connections(model)
+    loops = mujoco_poses.connections(mujoco, model)
     assert max(differences(mujoco, model, loops, machine, table[7])) < 1e-9
 
 

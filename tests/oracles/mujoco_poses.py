@@ -16,17 +16,19 @@ Array = NDArray[np.float64]
 Loop = tuple[int, Array, int, Array]
 
 
-def connections(model: Any) -> list[Loop]:
-    """Loops that `equality/connect` closes."""
-    return [
-        (
-            int(model.eq_obj1id[k]),
-            model.eq_data[k, :3],
-            int(model.eq_obj2id[k]),
-            model.eq_data[k, 3:6],
-        )
-        for k in range(model.neq)
-    ]
+def connections(mujoco: Any, model: Any) -> list[Loop]:
+    """Loops that `equality/connect` closes, between bodies or between sites."""
+    loops = []
+    for k in range(model.neq):
+        first, second = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+        if model.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
+            bodies, places = model.site_bodyid, model.site_pos
+            ends = [(int(bodies[s]), places[s]) for s in (first, second)]
+        else:
+            data = model.eq_data[k]
+            ends = [(first, data[:3]), (second, data[3:6])]
+        loops.append((*ends[0], *ends[1]))
+    return loops
 
 
 def close(
