@@ -26,6 +26,12 @@ SETUPS = {
     "hexapod": 'instrument = "pose_tracker"',
     "micro_cmm": 'instrument = "pose_tracker"',
     "a3_head": 'instrument = "ball_bar"',
+    "rotary_delta": 'instrument = "pose_tracker_position"',
+    "hexapod_pus": 'instrument = "pose_tracker"',
+    "hexapod_rus": 'instrument = "pose_tracker"',
+    "orthoglide": 'instrument = "pose_tracker_position"',
+    "five_bar": 'instrument = "planar_position"',
+    "cables_planar": 'instrument = "planar_position"',
 }
 
 
@@ -103,3 +109,8 @@ def save(folder: Path, content: StudyResult) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "result.json").write_bytes(msgspec.json.encode(content))
     return folder
+
+
+def with_text(content: StudyResult, text: str) -> StudyResult:
+    """The result with another study."""
+    return msgspec.structs.replace(content, study_text=text)

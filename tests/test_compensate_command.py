@@ -178,9 +178,11 @@ def test_bad_input_is_refused(oed: Run, delta_folder: Path, tmp_path: Path) -> N
     code, _, err = oed("compensate", delta_folder, "--to", "klippr")
     assert code == 2
     assert "did you mean klipper?" in err
-    code, _, err = oed("compensate", delta_folder, "--to", "linuxcnc")
+    head = sample.result(a3_head.machine, a3_head.machine.nominal)
+    head_folder = sample.save(tmp_path / "head", head)
+    code, _, err = oed("compensate", head_folder, "--to", "linuxcnc")
     assert code == 2
-    assert "linuxcnc cannot drive linear_delta" in err
+    assert "linuxcnc cannot drive a3_head" in err
     code, _, err = oed("compensate", delta_folder, "--to", "gcode")
     assert code == 2
     assert "no planned poses" in err

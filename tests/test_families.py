@@ -35,10 +35,10 @@ def _commands(machine, rng: np.random.Generator) -> np.ndarray:  # type: ignore[
 
 def _size(geometry: machine_shapes.Geometry) -> float:
     """Largest distance of a joint at the base from the origin, or longest arm; m."""
-    keys = [k for k in ("base", "guide", "anchor") if k in geometry]
-    if not keys:
-        return float(geometry["arm"].max())
-    return float(np.linalg.norm(geometry[keys[0]], axis=1).max())
+    keys = [k for k in ("base", "guide", "anchor", "centre") if k in geometry]
+    lengths = [k for k in ("arm", "lower", "strut") if k in geometry]
+    far = [np.linalg.norm(geometry[k], axis=1).max() for k in keys]
+    return float(max(far + [np.max(geometry[k]) for k in lengths]))
 
 
 def _refusal(name: str, rng: np.random.Generator) -> str | None:

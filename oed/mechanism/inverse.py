@@ -82,7 +82,7 @@ class InverseKinematics:
         slope = ca.jacobian(unmet, ca.vertcat(e.x, e.q))
         start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
         inputs = [e.x, e.q, e.p, e.c, e.tool]
-        by_x, by_joint = ca.jacobian(e.phi, e.x), ca.vertcat(*_joint_slopes(e))
+        by_x, by_joint = ca.jacobian(e.phi, e.x), ca.vertcat(*joint_slopes(e))
         self._start = BatchedFunction("start", [e.c, e.p], start)
         self._inverse = BatchedFunction("inverse", inputs, [unmet, slope])
         self._mode = BatchedFunction("mode", inputs, [by_x, slope, by_joint])
@@ -324,7 +324,7 @@ class InverseKinematics:
         )
 
 
-def _joint_slopes(e: MachineExpressions) -> list[ca.SX]:
+def joint_slopes(e: MachineExpressions) -> list[ca.SX]:
     """Slope of each joint's own equation over the joint; 0 where it has several."""
     slopes = []
     for k in range(e.q.numel()):

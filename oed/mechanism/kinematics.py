@@ -120,6 +120,11 @@ class Kinematics:
         tool = np.zeros(3) if tool is None else np.asarray(tool, dtype=float)
         return self._inverse.solve(command, parameters, tool)
 
+    @property
+    def home_mode(self) -> Array:
+        """Signs (2 + nq,) of the assembly mode, of home. Raises AssemblyError."""
+        return self._inverse.home()[1]
+
     def sent(self, command: Array, tool: Array | None = None) -> tuple[Array, Array]:
         """Pose (n, nx) that the controller means by commands, and joints that it sends.
 

@@ -149,6 +149,53 @@ def delta(rng: np.random.Generator) -> Geometry:
     return shape | {"endstop": size * rng.uniform(1.0, 1.2, 3)}
 
 
+# -- cranks and glides -----------------------------------------------------------------
+
+
+def rotary_delta(rng: np.random.Generator) -> Geometry:
+    """A rotary delta whose limbs differ in all that a limb has."""
+    size = drawn_size(rng)
+    angles = np.deg2rad([0.0, 120.0, 240.0]) + rng.uniform(-0.1, 0.1, 3)
+    shape = {"angle": angles, "radius": size * rng.uniform(0.1, 0.3, 3)}
+    shape["upper"] = size * rng.uniform(0.45, 0.55, 3)
+    shape["lower"] = size * rng.uniform(1.0, 1.2, 3)
+    shape["height"] = size * rng.uniform(-0.03, 0.03, 3)
+    return shape | {"home": np.array([0.0, 0.0, -size]), "reach": 0.15 * size}
+
+
+def hexapod_rus(rng: np.random.Generator) -> Geometry:
+    """Cranks that swing outward in nearly upright planes."""
+    size = drawn_size(rng)
+    centre = _ring(rng, 0.7 * size, _pairs(0.0, 15.0), 0.0)
+    platform = _ring(rng, 0.5 * size, _pairs(0.0, 45.0), 0.0)
+    first = centre + 0.03 * size * rng.normal(size=(6, 3))
+    axis = np.cross(first, [0.0, 0.0, 1.0]) + 0.03 * size * rng.normal(size=(6, 3))
+    shape = {"centre": centre, "axis": axis, "first": first, "platform": platform}
+    shape |= {"crank": 0.35 * size * np.ones(6), "side": -np.ones(6)}
+    shape |= {"strut": size * rng.uniform(1.1, 1.2, 6), "tilt": 0.08}
+    return shape | {"home": np.array([0.0, 0.0, 1.05 * size]), "reach": 0.06 * size}
+
+
+def five_bar(rng: np.random.Generator) -> Geometry:
+    """A five-bar linkage with both knees out or both to one side."""
+    size = drawn_size(rng)
+    centre = size * np.array([[-0.3, 0.0], [0.3, 0.0]])
+    centre = centre + 0.03 * size * rng.normal(size=(2, 2))
+    sides = np.array([1.0, -1.0]) if rng.random() < 0.5 else np.array([1.0, 1.0])
+    shape = {"centre": centre, "crank": size * rng.uniform(0.55, 0.7, 2), "side": sides}
+    shape["strut"] = size * rng.uniform(0.8, 0.95, 2)
+    return shape | {"home": np.array([0.0, 0.95 * size]), "reach": 0.15 * size}
+
+
+def orthoglide(rng: np.random.Generator) -> Geometry:
+    """Nearly square guides, carriages ahead or behind."""
+    size, side = drawn_size(rng), rng.choice([-1.0, 1.0])
+    shape = {"guide": 0.05 * size * rng.normal(size=(3, 3))}
+    shape["direction"] = np.eye(3) + 0.05 * rng.normal(size=(3, 3))
+    shape |= {"strut": size * rng.uniform(0.95, 1.05, 3), "side": np.full(3, side)}
+    return shape | {"home": np.zeros(3), "reach": 0.2 * size}
+
+
 # -- verdicts --------------------------------------------------------------------------
 
 
@@ -222,6 +269,72 @@ def _delta(geometry: Geometry, x: Array, q: Array) -> Verdict:
     return np.linalg.norm(v, axis=2) - geometry["arm"], ~below
 
 
+def _knees(
+    x: Array, q: Array, centre: Array, axis: Array, first: Array, crank: Array
+) -> tuple[Array, Array]:
+    """Knees (n, limbs, 3) by turning the crank from its place at angle 0, and the axes."""
+    axis = axis / np.linalg.norm(axis, axis=1)[:, None]
+    flat = first - np.sum(first * axis, axis=1)[:, None] * axis
+    flat *= (crank / np.linalg.norm(flat, axis=1))[:, None]
+    knees = np.empty((*q.shape, 3))
+    for k in range(q.shape[1]):
+        turned = Rotation.from_rotvec(q[:, k, None] * axis[k]).apply(flat[k])
+        knees[:, k] = centre[k] + turned
+    return knees, axis
+
+
+def _crank_verdict(
+    ends: Array, knees: Array, axis: Array, centre: Array, strut: Array, side: Array
+) -> Verdict:
+    """Ahead is where the turn from the line to the platform joint is the crank's own."""
+    turn = np.cross(ends - centre, knees - centre)
+    ahead = np.einsum("nki,ki->nk", turn, axis) * side
+    error = np.linalg.norm(ends - knees, axis=2) - strut
+    return error, (ahead < 0.0).any(axis=1)
+
+
+def _rotary_delta(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    angle = geometry["angle"]
+    out = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    radius, height = geometry["radius"], geometry["height"]
+    along = radius + geometry["upper"] * np.cos(q)
+    down = height - geometry["upper"] * np.sin(q)
+    knees = along[:, :, None] * out + down[:, :, None] * [0.0, 0.0, 1.0]
+    shoulder = radius[:, None] * out + height[:, None] * [0.0, 0.0, 1.0]
+    # outward of the line from the shoulder to the tool, in the plane of the limb
+    arm, line = knees - shoulder, x[:, None] - shoulder
+    arm_out, line_out = (np.einsum("nki,ki->nk", v, out) for v in (arm, line))
+    inward = arm_out * line[:, :, 2] - line_out * arm[:, :, 2] > 0.0
+    error = np.linalg.norm(x[:, None] - knees, axis=2) - geometry["lower"]
+    return error, inward.any(axis=1)
+
+
+def _hexapod_rus(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    shape = [geometry[n] for n in ("centre", "axis", "first", "crank")]
+    knees, axis = _knees(x, q, *shape)
+    ends, centre = _joints(geometry, x), geometry["centre"]
+    error, other = _crank_verdict(
+        ends, knees, axis, centre, geometry["strut"], geometry["side"]
+    )
+    return error, other | _upright(x)
+
+
+def _five_bar(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    arm = np.stack([np.cos(q), np.sin(q)], axis=2) * geometry["crank"][:, None]
+    line = x[:, None] - geometry["centre"]
+    error = np.linalg.norm(line - arm, axis=2) - geometry["strut"]
+    turn = line[:, :, 0] * arm[:, :, 1] - line[:, :, 1] * arm[:, :, 0]
+    return error, (turn * geometry["side"] < 0.0).any(axis=1)
+
+
+def _orthoglide(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    u = geometry["direction"]
+    u = u / np.linalg.norm(u, axis=1)[:, None]
+    v = x[:, None] - geometry["guide"] - q[:, :, None] * u
+    behind = -np.einsum("nki,ki->nk", v, u) * geometry["side"] < 0.0
+    return np.linalg.norm(v, axis=2) - geometry["strut"], behind.any(axis=1)
+
+
 FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Geometry], Any]] = {
     "delta": (delta, _delta),
     "hexapod_ups": (hexapod_ups, _legs),
@@ -231,4 +344,8 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Geometry], Any]] = {
     "tripod_passive_leg": (tripod_passive_leg, _passive_leg),
     "cables_planar": (cables_planar, _cables),
     "cables_spatial": (cables_spatial, _cables),
+    "rotary_delta": (rotary_delta, _rotary_delta),
+    "hexapod_rus": (hexapod_rus, _hexapod_rus),
+    "five_bar": (five_bar, _five_bar),
+    "orthoglide": (orthoglide, _orthoglide),
 }

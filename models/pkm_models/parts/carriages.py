@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 
 from oed.base.arrays import Array
 from oed.model.machine import Expr, Strut, Values
@@ -17,10 +18,12 @@ class GuidedStruts:
 
     along  (n, 3) directions u_i of the guides
     side   (n,) 1 where a carriage is ahead of its platform joint, -1 where behind
+    joint  (x, p, i) the platform joint (3,) of a limb
     """
 
     along: Array
     side: Array
+    joint: Callable[[Values, Values, int], Expr] = legs.platform_joint
 
     @functools.cached_property
     def _across(self) -> Array:
@@ -38,7 +41,7 @@ class GuidedStruts:
     def ends(self, x: Values, q: Values, p: Values, i: int) -> Strut:
         """Ends (3,) of a strut, at the carriage and at the platform."""
         carriage = point(p, "b", i) + q[f"q{i}"] * self.axis(p, i)
-        return carriage, legs.platform_joint(x, p, i)
+        return carriage, self.joint(x, p, i)
 
     def struts(self, x: Values, q: Values, p: Values) -> list[Strut]:
         """Ends of all struts."""
@@ -48,7 +51,7 @@ class GuidedStruts:
         """Travel of each carriage for a pose, on its side of the platform joint."""
         travels = []
         for i in self.limbs:
-            joint = legs.platform_joint(x, p, i)
+            joint = self.joint(x, p, i)
             foot, axis = point(p, "b", i), self.axis(p, i)
             strut, side = p[f"l{i}"], self.side[i - 1]
             travels.append(legs.travel(joint, foot, axis, strut, side))

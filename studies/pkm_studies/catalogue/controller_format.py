@@ -63,6 +63,7 @@ class Compensation:
     controller  what the study says of the machine's firmware
     held        what the controller holds so far, as the study names it; "" for nominal
                 numbers. The export takes its place
+    draws       (n, np) parameters drawn from the posterior, for formats that hold them
     """
 
     study: str
@@ -77,6 +78,7 @@ class Compensation:
     grid: CommandGrid | None = None
     controller: ControllerTable | None = None
     held: str = ""
+    draws: Array | None = None
 
     @property
     def tabled(self) -> Array:
@@ -119,6 +121,7 @@ class ControllerFormat:
     table                  whether it holds a table over `compensation.tabled`
     interpolated           whether the controller has the nominal model, and adds joint
                            corrections in straight lines between these commands
+    draws                  whether it holds draws of the posterior
     """
 
     name: str
@@ -133,3 +136,4 @@ class ControllerFormat:
     tables: bool = False
     table: bool = False
     interpolated: bool = False
+    draws: bool = False

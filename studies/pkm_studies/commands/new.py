@@ -20,7 +20,14 @@ def new(
     machine: Annotated[
         str | None,
         typer.Option(
-            help="A machine of `oed list machines`, or MY.py.", show_default=False
+            help="A machine of `oed list machines`, MY.py, MJCF (.xml) or URDF.",
+            show_default=False,
+        ),
+    ] = None,
+    loops: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV", help="Loops that close a URDF.", show_default=False
         ),
     ] = None,
     instrument: Annotated[
@@ -44,7 +51,7 @@ def new(
     """Write a study to start from: a commented one, or a copy of a shipped one."""
     # The study will name the files: they lie where a study's files may lie.
     origin = Origin(Path(), consent(allow_code=allow_code))
-    path = _new_study(name, machine, instrument, source, origin)
+    path = _new_study(name, machine, loops, instrument, source, origin)
     print(f"Study: {path}; edit it, then: oed run {path}")
     return 0
 
@@ -52,6 +59,7 @@ def new(
 def _new_study(
     name: str | None,
     machine: str | None,
+    loops: Path | None,
     instrument: str | None,
     source: str | None,
     origin: Origin,
@@ -74,7 +82,10 @@ def _new_study(
         )
     from pkm_studies.importers import template
 
+    model = template.model_of(machine, origin, loops)
+    for sentence in model.sentences:
+        print(f"{sentence[0].upper()}{sentence[1:]}.")
     if instrument is None:
-        instrument, others = template.default_instrument(machine, origin)
+        instrument, others = template.default_instrument(model.machine, origin)
         print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
-    return template.write(name, machine, instrument, origin)
+    return template.write(name, model, instrument, origin)

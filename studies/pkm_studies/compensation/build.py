@@ -68,6 +68,9 @@ def compensation(
         controller=study.controller,
         held=held or "",
     )
+    if controller.draws:
+        draws = identified.drawn_parameters(result, machine, parameters, folder)
+        content = dataclasses.replace(content, draws=draws)
     if not controller.table:
         return content
     return _with_grid(content, result, workspace_axes(study, machine), largest)

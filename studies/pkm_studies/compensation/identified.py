@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import numpy as np
 
+from oed.base.arrays import Array
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, EstimateSection, StudyResult
 from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue.controller_format import Identified
-from pkm_studies.resolve.earlier_result import controller_values
+from pkm_studies.resolve.earlier_result import controller_values, known_parameters
 
+#: parameters that are drawn from the posterior for simulations
+DRAWS = 100
 #: what the parameters are where a study allows effects
 ABSORBED = (
     "the parameters are the machine's, shifted so that they take up what is known of its"
@@ -36,6 +41,27 @@ def identified_parameters(
     elif result.estimate is not None and result.estimate.controller:
         conditions = (ABSORBED,)
     return Identified(values, sd, origin, conditions)
+
+
+def drawn_parameters(
+    result: StudyResult, machine: Machine, parameters: Identified, folder: Path
+) -> Array:
+    """Parameters (DRAWS, np), SI, drawn from the posterior about the given ones.
+
+    With its covariance, correlations included; parameters that are held stay.
+    """
+    section = result.final_estimate
+    estimated = set() if section is None else set(section.parameters)
+    rows = zip(machine.parameters, parameters.sd, strict=True)
+    free = [p.name for p, sd in rows if p.name in estimated and sd > 0.0]
+    values = np.tile(parameters.values, (DRAWS, 1))
+    if not free:
+        return values
+    _, covariance, _ = known_parameters(result, machine.name, free, folder)
+    rng = np.random.default_rng(0)
+    changes = rng.multivariate_normal(np.zeros(len(free)), covariance, DRAWS)
+    values[:, [machine.index(name) for name in free]] += changes
+    return values
 
 
 def adjusted_result(result: StudyResult) -> StudyResult:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from collections.abc import Iterable
@@ -15,6 +16,7 @@ from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
+from pkm_studies.importers.bodies import families
 from pkm_studies.importers.template_grid import (
     SETUP,
     SHARES,
@@ -29,6 +31,22 @@ from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import SUFFIX, parse, shipped
 from pkm_studies.study.tables.fit import PredictionReference
+
+
+@dataclasses.dataclass(frozen=True)
+class StartingModel:
+    """A machine to start from.
+
+    name       as a study names its model
+    table      numbers of the machine in a study, where they are not the model's
+    sentences  on what was read of a file
+    """
+
+    name: str
+    machine: Machine
+    table: str = ""
+    sentences: tuple[str, ...] = ()
+
 
 #: readings of the design, where the grid has as many
 READINGS = 30
@@ -51,14 +69,31 @@ GAP = """\
 """
 
 
-def default_instrument(machine: str, origin: Origin) -> tuple[str, list[str]]:
+def model_of(machine: str, origin: Origin, loops: Path | None = None) -> StartingModel:
+    """The machine of a name or file of Python, of MJCF, or of URDF with its loops.
+
+    Raises InputError for a machine that is none.
+    """
+    if families.is_model_file(machine):
+        described = families.described(origin.folder / machine, loops)
+        name = described.machine.name
+        table = families.study_tables(described)
+        return StartingModel(name, described.machine, table, described.sentences)
+    place = Place("oed new").key("--machine")
+    if loops is not None:
+        raise place.error(
+            "only URDF needs a table of loops", "leave out --loops", machine
+        )
+    return StartingModel(machine, catalogue.machine(machine, origin, place))
+
+
+def default_instrument(model: Machine, origin: Origin) -> tuple[str, list[str]]:
     """An instrument that can read a machine as it stands, and the others that can.
 
     It is the first of DEFAULTS, or of the catalogue, whose settings all have defaults.
-    Raises InputError for a machine that is none.
+    Raises InputError where none can read it.
     """
     place = Place("oed new")
-    model = catalogue.machine(machine, origin, place.key("--machine"))
     names = [entry.name for entry in catalogue.listing("instruments")]
     tools = {
         name: catalogue.instrument(name, origin, place).for_machine(model)
@@ -76,7 +111,9 @@ def default_instrument(machine: str, origin: Origin) -> tuple[str, list[str]]:
     return chosen, [name for name in able if name != chosen]
 
 
-def write(name: str | None, machine: str, instrument: str, origin: Origin) -> Path:
+def write(
+    name: str | None, machine: str | StartingModel, instrument: str, origin: Origin
+) -> Path:
     """Write NAME.study.toml into a folder; its path. Without a name, the machine's.
 
     origin  the folder, and whether the models' files may run
@@ -85,7 +122,8 @@ def write(name: str | None, machine: str, instrument: str, origin: Origin) -> Pa
     read the machine.
     """
     place = Place("oed new")
-    model = catalogue.machine(machine, origin, place.key("--machine"))
+    start = model_of(machine, origin) if isinstance(machine, str) else machine
+    model = start.machine
     path = shipped.new_path(model.name if name is None else name, origin.folder)
     listed = catalogue.instrument(instrument, origin, place.key("--instrument"))
     tool = listed.for_machine(model)
@@ -97,7 +135,10 @@ def write(name: str | None, machine: str, instrument: str, origin: Origin) -> Pa
     if tool.single:
         tool = tool.take_channels([tool.channels[0].name])
     study = path.name.removesuffix(SUFFIX)
-    drafts = (text(study, machine, model, instrument, tool, share) for share in SHARES)
+    drafts = (
+        text(study, start.name, model, instrument, tool, share, start.table)
+        for share in SHARES
+    )
     draft = _first_sound(drafts, path, origin)
     return files.write_whole(path, draft)
 
@@ -136,14 +177,16 @@ def text(
     reference: str,
     instrument: Instrument,
     share: float = SHARES[0],
+    table: str = "",
 ) -> str:
     """The text of a study; `model` and `reference` name its objects.
 
     share  of the workspace that its poses span
+    table  numbers of the machine, where they are not the model's
     """
     blocks = [
         _head(name, machine, instrument),
-        _machine(model, machine),
+        _machine(model, machine, table),
         _setup(reference, machine, instrument),
         _noise(instrument),
         _prior(machine),
@@ -176,7 +219,9 @@ seed = 0
 """
 
 
-def _machine(model: str, machine: Machine) -> str:
+def _machine(model: str, machine: Machine, table: str) -> str:
+    if table:
+        return f'[machine]\nmodel = "{model}"\n\n{table}'
     p = machine.parameters[0]
     nominal = f"{column(p.name, p.unit)} = {format_number(p.nominal, p.unit)}"
     fixed = ", ".join(f'"{name}"' for name in machine.frame)

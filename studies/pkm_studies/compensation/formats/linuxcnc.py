@@ -1,4 +1,6 @@
-"""LinuxCNC: HAL of genhexkins (hexapod) and tripodkins, and homes for the INI file."""
+"""LinuxCNC: HAL of genhexkins (hexapod), tripodkins, lineardeltakins and rotarydeltakins,
+and homes for the INI file.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +18,7 @@ from pkm_studies.catalogue.controller_format import (
     Texts,
 )
 from pkm_studies.compensation.build import sentences_of
+from pkm_studies.compensation.formats import linuxcnc_deltas
 
 #: kinematics module by number of struts
 MODULES = {6: "genhexkins", 3: "tripodkins"}
@@ -24,7 +27,11 @@ STILL = 1e-9
 
 
 #: what the modules can take
-NEEDS = "genhexkins and tripodkins need 6 or 3 struts between fixed points"
+NEEDS = (
+    "genhexkins and tripodkins need 6 or 3 struts between fixed points,"
+    " lineardeltakins and rotarydeltakins towers or cranks 120 degrees apart, the first of"
+    " them at 90 or 270 degrees from x"
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +77,9 @@ def _fixed_struts(kinematics: Kinematics, parameters: Array) -> Struts | None:
 
 
 def unfit(machine: Machine) -> str | None:
-    """Only hexapods and tripods with struts between fixed points have a module."""
+    """Hexapods and tripods with struts between fixed points have a module, and deltas."""
+    if linuxcnc_deltas.module_of(machine) is not None:
+        return None
     if _fixed_struts(Kinematics(machine), machine.nominal) is None:
         return NEEDS
     return None
@@ -78,6 +87,8 @@ def unfit(machine: Machine) -> str | None:
 
 def write(compensation: Compensation) -> Texts:
     """HAL pins of the kinematics module; home offsets for the INI file."""
+    if linuxcnc_deltas.module_of(compensation.machine) is not None:
+        return linuxcnc_deltas.write(compensation)
     struts = struts_of(compensation.kinematics, compensation.identified.values)
     nominal = struts_of(compensation.kinematics, compensation.machine.nominal)
     head = [f"# {sentence}" for sentence in sentences_of(compensation)]
@@ -135,6 +146,8 @@ def tripod_frame(struts: Struts) -> tuple[Array, Array]:
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
     """Joint readings of a controller with these pins and homes."""
+    if linuxcnc_deltas.module_of(compensation.machine) is not None:
+        return linuxcnc_deltas.joints(texts, compensation)
     zero = np.array(
         [
             float(line.rsplit("=", 1)[1])
@@ -175,8 +188,8 @@ def _tripod_lengths(pins: dict[str, str], compensation: Compensation) -> Array:
 
 controller = ControllerFormat(
     name="linuxcnc",
-    about="HAL and INI of a hexapod (genhexkins) or a tripod (tripodkins)",
-    source="LinuxCNC, src/emc/kinematics/genhexkins.c and tripodkins.c",
+    about="HAL and INI of hexapods, tripods, linear and rotary deltas",
+    source="LinuxCNC, src/emc/kinematics/genhexkins.c, tripodkins.c and others",
     write=write,
     joints=joints,
     unfit=unfit,

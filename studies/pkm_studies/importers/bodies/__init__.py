@@ -1,0 +1,1 @@
+"""Machines from models of bodies and joints: MJCF, and URDF with a table of loops."""

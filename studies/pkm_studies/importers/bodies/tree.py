@@ -1,0 +1,113 @@
+"""A mechanism as a tree of bodies with joints, and the loops that close it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array
+
+HINGE, SLIDE, BALL, FREE = "hinge", "slide", "ball", "free"
+WORLD = "world"
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyJoint:
+    """A joint between a body and its parent.
+
+    kind   `hinge`, `slide`, `ball` or `free`
+    axis   (3,) unit vector, in the body's frame
+    at     (3,) a point of it, in the body's frame, m
+    value  what it reads in the configuration that the file draws, m or rad
+    """
+
+    name: str
+    kind: str
+    axis: Array
+    at: Array
+    value: float = 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Body:
+    """A body: place (3,) and rotation (3, 3) in its parent's frame, as drawn."""
+
+    name: str
+    parent: str
+    place: Array
+    rotation: Array
+    joints: tuple[BodyJoint, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlacedJoint:
+    """A joint as drawn, in the base frame."""
+
+    joint: BodyJoint
+    axis: Array
+    at: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyLoop:
+    """Two points (3,), each in its body's frame, that coincide."""
+
+    first: str
+    on_first: Array
+    second: str
+    on_second: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class BodyTree:
+    """Bodies by name, loops, and the tool point by its body.
+
+    ignored  what of the file says nothing of the geometry, in words
+    """
+
+    bodies: dict[str, Body]
+    loops: tuple[BodyLoop, ...]
+    tools: dict[str, Array]
+    ignored: tuple[str, ...] = ()
+
+    def frame(self, name: str) -> tuple[Array, Array]:
+        """Place (3,) and rotation (3, 3) of a body in the base frame, as drawn."""
+        if name == WORLD:
+            return np.zeros(3), np.eye(3)
+        body = self.bodies[name]
+        place, rotation = self.frame(body.parent)
+        return place + rotation @ body.place, rotation @ body.rotation
+
+    def point(self, name: str, local: Array) -> Array:
+        """A point (3,) of a body in the base frame, as drawn."""
+        place, rotation = self.frame(name)
+        return np.asarray(place + rotation @ local)
+
+    def joints(self, name: str) -> list[PlacedJoint]:
+        """The joints from the base to a body."""
+        if name == WORLD:
+            return []
+        body = self.bodies[name]
+        _, rotation = self.frame(name)
+        return self.joints(body.parent) + [
+            PlacedJoint(j, rotation @ j.axis, self.point(name, j.at))
+            for j in body.joints
+        ]
+
+
+def turn(axis: Sequence[float] | Array, angle: float) -> Array:
+    """Rotation (3, 3) about an axis, by Rodrigues' formula."""
+    x, y, z = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turned = math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    return np.asarray(np.eye(3) + turned)
+
+
+def of_quaternion(quaternion: Sequence[float] | Array) -> Array:
+    """Rotation (3, 3) of w, x, y, z of any length above 0."""
+    w, *v = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
+    size = float(np.linalg.norm(v))
+    return np.eye(3) if size == 0.0 else turn(v, 2.0 * math.atan2(size, w))

@@ -1,0 +1,160 @@
+"""`oed compensate --to c`: compiled and called, beside Python and beside an oracle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import compensation_sample as sample
+import numpy as np
+import pytest
+from c_compiler import library, pointer
+from oracles import delta_trilateration
+
+from oed.compensate import command_of_pose
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
+from pkm_models.machines import a3_head, cables_planar, hexapod, linear_delta
+
+Run = Callable[..., tuple[int, str, str]]
+POSES = 10_000
+TOOL = np.array([0.01, -0.02, 0.03])
+OK, NOT_ASSEMBLED, OTHER_MODE = 0, 1, 2
+#: what LinuxCNC declares, as far as the module needs it
+HEADERS = {
+    "rtapi.h": "#define EXPORT_SYMBOL(name) extern int pkm_test_##name\n",
+    "rtapi_app.h": "#define MODULE_LICENSE(text) extern int pkm_test_license\n",
+    "hal.h": "static int hal_init(const char *n) { return n[0] != 0; }\n"
+    "static int hal_ready(int id) { return id; }\n"
+    "static void hal_exit(int id) { (void)id; }\n",
+    "kinematics.h": "typedef struct { double x, y, z; } PmCartesian;\n"
+    "typedef struct { PmCartesian tran; double a, b, c, u, v, w; } EmcPose;\n"
+    "typedef enum { KINEMATICS_BOTH = 4 } KINEMATICS_TYPE;\n"
+    "typedef unsigned long KINEMATICS_FORWARD_FLAGS;\n"
+    "typedef unsigned long KINEMATICS_INVERSE_FLAGS;\n"
+    "#define KINS_NOT_SWITCHABLE\n",
+}
+
+
+def truth(machine: Machine, rng: np.random.Generator) -> np.ndarray:
+    tolerance = np.array([p.tolerance for p in machine.parameters])
+    return machine.nominal + 0.5 * tolerance * rng.standard_normal(len(tolerance))
+
+
+def commands(machine: Machine, rng: np.random.Generator) -> np.ndarray:
+    low, high = np.array([[c.lower, c.upper] for c in machine.command]).T
+    middle, half = 0.5 * (low + high), 0.4 * (high - low)
+    return middle + half * rng.uniform(-1.0, 1.0, (POSES, len(low)))
+
+
+def written(oed: Run, folder: Path, machine: Machine, values: np.ndarray) -> Path:
+    sample.save(folder, sample.result(machine, values))
+    code, _, err = oed("compensate", folder, "--to", "c")
+    assert code == 0, err
+    return folder
+
+
+@pytest.mark.parametrize(
+    "machine", [linear_delta.machine, hexapod.machine, a3_head.machine]
+)
+def test_ten_thousand_poses_are_those_of_python(
+    machine: Machine, oed: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    values = truth(machine, rng)
+    c = library(written(oed, tmp_path / "d", machine, values) / "compensation.c")
+    values = stored(tmp_path / "d" / "compensation.h")
+    kinematics, command = Kinematics(machine), commands(machine, rng)
+    x, q = kinematics.inverse(command, values, TOOL)
+    pose, joints = np.empty_like(x), np.empty_like(q)
+    for row in zip(command, pose, joints, strict=True):
+        at, to, out = (pointer(part) for part in row)
+        assert c.pkm_inverse(at, pointer(TOOL), to, out) == OK
+    assert np.abs(pose - x).max() < 1e-12
+    assert np.abs(joints - q).max() < 1e-12
+    start, reached = x + 1e-3, x + 1e-3
+    again = command + 1e-3
+    for row in zip(q, reached, again, strict=True):
+        at, to, out = (pointer(part) for part in row)
+        assert c.pkm_forward(at, pointer(TOOL), to, out) == OK
+    expected = kinematics.forward(q, values, start)
+    assert np.abs(reached - expected).max() < 1e-12
+    by_python = command_of_pose(kinematics, expected, command + 1e-3, TOOL)
+    assert np.abs(again - by_python).max() < 1e-12
+
+
+def stored(header: Path) -> np.ndarray:
+    """Parameters that the header states; result.json rounds a unit's conversion."""
+    lines = header.read_text("utf-8").splitlines()
+    rows = [line.split() for line in lines if line.startswith(" * parameter ")]
+    return np.array([float(row[4]) for row in rows])
+
+
+def test_a_redundant_machine_settles_where_python_puts_it(
+    oed: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    machine = cables_planar.machine
+    values = truth(machine, rng)
+    c = library(written(oed, tmp_path / "d", machine, values) / "compensation.c")
+    values = stored(tmp_path / "d" / "compensation.h")
+    kinematics, command = Kinematics(machine), commands(machine, rng)[:200]
+    x, q = kinematics.inverse(command, values)
+    strained = q + 1e-3 * rng.standard_normal(q.shape)
+    expected = kinematics.forward(strained, values, x)
+    for joints, pose, wanted in zip(strained, x, expected, strict=True):
+        assert c.pkm_forward(pointer(joints), None, pointer(pose), None) == OK
+        assert np.abs(pose - wanted).max() < 1e-12
+
+
+def test_what_cannot_be_assembled_is_a_code_and_changes_nothing(
+    oed: Run, tmp_path: Path
+) -> None:
+    machine = linear_delta.machine
+    folder = written(oed, tmp_path / "d", machine, machine.nominal)
+    c = library(folder / "compensation.c")
+    pose, joints, command = np.empty(3), np.empty(3), np.empty(3)
+    c.pkm_home(pointer(pose), pointer(joints), pointer(command))
+    assert command == pytest.approx(machine.home_command)
+    kept = joints.copy()
+    far = np.array([5.0, 0.0, 0.0])
+    assert c.pkm_inverse(pointer(far), None, None, pointer(joints)) == NOT_ASSEMBLED
+    assert (joints == kept).all()
+    mirrored = pose + np.array([0.0, 0.0, 1.0])
+    above = mirrored.copy()
+    code = c.pkm_forward(pointer(joints), None, pointer(mirrored), None)
+    assert code == OTHER_MODE
+    assert (mirrored == above).all()
+
+
+def test_the_linuxcnc_module_holds_the_identified_delta(
+    oed: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    machine = linear_delta.machine
+    values = truth(machine, rng)
+    folder = written(oed, tmp_path / "d", machine, values)
+    headers = tmp_path / "headers"
+    headers.mkdir()
+    for name, text in HEADERS.items():
+        (headers / name).write_text(text, "utf-8")
+    kins = library(folder / "compensation_kins.c", headers)
+    assert kins.rtapi_app_main() == 0
+    world, joints, back = np.zeros(9), np.empty(3), np.zeros(9)
+    for command in commands(machine, rng)[:50]:
+        world[:3] = 1e3 * command
+        assert kins.kinematicsInverse(pointer(world), pointer(joints), None, None) == 0
+        tool = delta_trilateration.nozzle(
+            1e-3 * joints[None], values[0], values[1:4], values[4:7], values[7:]
+        )
+        assert np.abs(tool - command).max() < 1e-9
+        assert kins.kinematicsForward(pointer(joints), pointer(back), None, None) == 0
+        assert back == pytest.approx(world, abs=1e-9)
+    world[:3] = 9e3, 0.0, 0.0
+    assert kins.kinematicsInverse(pointer(world), pointer(joints), None, None) == -1
+    kins.rtapi_app_exit.restype = None
+    kins.rtapi_app_exit()
+
+
+def test_angles_of_a_head_are_linuxcncs_axes(oed: Run, tmp_path: Path) -> None:
+    machine = a3_head.machine
+    folder = written(oed, tmp_path / "d", machine, machine.nominal)
+    text = (folder / "compensation_kins.c").read_text("utf-8")
+    assert "Axes: Z is z, A is psi, B is theta; mm and degrees" in text

@@ -1,0 +1,127 @@
+"""`oed compensate --to linuxcnc` for deltas: the modules' formulas, written here from
+LinuxCNC's documentation, drive the identified machine.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import compensation_sample as sample
+import numpy as np
+import pytest
+from oracles import delta_trilateration, new_families
+
+from oed.model.machine import Machine
+from pkm_models.machines import delta, linear_delta, rotary_delta
+
+Run = Callable[..., tuple[int, str, str]]
+
+
+def exported(
+    oed: Run, folder: Path, machine: Machine, values: np.ndarray
+) -> tuple[dict[str, float], np.ndarray, float, str]:
+    """Pins, joints at zero (3,), offset of z, and what the command prints."""
+    sample.save(folder, sample.result(machine, values))
+    code, out, err = oed("compensate", folder, "--to", "linuxcnc")
+    assert code == 0, err
+    hal = (folder / "compensation.hal").read_text("utf-8")
+    ini = (folder / "compensation.ini").read_text("utf-8")
+    pins = {k: float(v) for k, v in re.findall(r"setp (\S+) (\S+)", hal)}
+    at_zero = np.array(re.findall(r"JOINT_AT_ZERO = (\S+)", ini), dtype=float)
+    return pins, at_zero, float(re.findall(r"Z_OFFSET = (\S+)", hal)[0]), out
+
+
+def largest_cost(out: str) -> float:
+    """What the command states that the module cannot hold, um."""
+    sentence = out[out.index("digits cost at most") :].split(" over ")[0]
+    costs = re.findall(r"([\d.e+-]+) (um|mm)", sentence)
+    assert len(costs) == 3
+    return max(float(v) * {"um": 1.0, "mm": 1e3}[unit] for v, unit in costs)
+
+
+def carriage_heights(pins: dict[str, float], points: np.ndarray) -> np.ndarray:
+    """lineardeltakins: joint 0 at (0, R), then 210 and 330 degrees; mm."""
+    r, rod = pins["lineardeltakins.R"], pins["lineardeltakins.L"]
+    sine, cosine = 3**0.5 / 2, 0.5
+    towers = np.array([[0, r], [-sine * r, -cosine * r], [sine * r, -cosine * r]])
+    across = [np.linalg.norm(points[:, :2] - tower, axis=1) for tower in towers]
+    return np.stack([points[:, 2] + (rod**2 - d**2) ** 0.5 for d in across], axis=1)
+
+
+@pytest.mark.parametrize("machine", [linear_delta.machine, delta.machine])
+def test_lineardeltakins_drives_the_identified_delta(
+    machine: Machine, oed: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    values, names = machine.nominal.copy(), [p.name for p in machine.parameters]
+    for name, change in (("radius", 4e-4), ("arm", -6e-4)):
+        values[[n.startswith(name) for n in names]] += change
+    values[names.index("endstop1")] += 8e-4
+    pins, at_zero, _, out = exported(oed, tmp_path / "d", machine, values)
+    assert largest_cost(out) < 0.01
+    points = np.column_stack([rng.uniform(-60, 60, (30, 2)), rng.uniform(5, 150, 30)])
+    # joints 0, 1 and 2 are towers 3, 1 and 2
+    travel = 1e-3 * (at_zero - carriage_heights(pins, points))[:, [1, 2, 0]]
+    stems = [
+        [v for v, n in zip(values, names, strict=True) if n.startswith(stem)]
+        for stem in ("radius", "arm", "angle", "endstop")
+    ]
+    tool = delta_trilateration.nozzle(travel, stems[0][0], *map(np.array, stems[1:]))
+    assert np.abs(1e3 * tool - points).max() < 1e-5
+
+
+def knee_down(pins: dict[str, float], point: np.ndarray) -> np.ndarray:
+    """rotarydeltakins: joint 0 swings in the plane of y and z, at -y; degrees."""
+    radius = pins["rotarydeltakins.platformradius"]
+    foot = pins["rotarydeltakins.footradius"]
+    thigh = pins["rotarydeltakins.thighlength"]
+    shin = pins["rotarydeltakins.shinlength"]
+    angles = []
+    for turn in (0.0, 2 * np.pi / 3, -2 * np.pi / 3):
+        c, s = np.cos(turn), np.sin(turn)
+        x, y, z = c * point[0] - s * point[1], s * point[0] + c * point[1], point[2]
+        a = 0.5 * (x**2 + (y - foot) ** 2 + z**2 + thigh**2 - shin**2 - radius**2) / z
+        b = (foot - radius - y) / z
+        root = (thigh**2 * (b**2 + 1) - (a - b * radius) ** 2) ** 0.5
+        knee = (radius + a * b + root) / (b**2 + 1)
+        angles.append(np.degrees(np.arctan2(b * knee - a, knee - radius)))
+    return np.array(angles)
+
+
+def test_rotarydeltakins_drives_the_identified_delta(
+    oed: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    machine = rotary_delta.machine
+    values, errors = machine.nominal.copy(), {}
+    for name, change in {"zero1": 1e-3, "zero2": -2e-3, "zero3": 5e-4}.items():
+        errors[name] = change
+    errors |= {f"r{i}": 3e-4 for i in (1, 2, 3)} | {f"l{i}": -7e-4 for i in (1, 2, 3)}
+    errors |= {f"b{i}z": 5e-4 for i in (1, 2, 3)}
+    for name, change in errors.items():
+        values[machine.index(name)] += change
+    pins, at_zero, z, out = exported(oed, tmp_path / "d", machine, values)
+    assert largest_cost(out) < 0.01
+    for point in rng.uniform([-150, -150, -900], [150, 150, -600], (20, 3)):
+        joints = np.radians(knee_down(pins, point - [0.0, 0.0, z]) - at_zero)
+        tool = new_families.pose("rotary_delta", joints, errors, 1e-3 * point)
+        assert np.abs(1e3 * tool - point).max() < 1e-4
+
+
+def test_what_the_module_cannot_hold_is_stated(oed: Run, tmp_path: Path) -> None:
+    values = rotary_delta.machine.nominal.copy()
+    values[rotary_delta.machine.index("l1")] += 2e-3
+    *_, out = exported(oed, tmp_path / "d", rotary_delta.machine, values)
+    assert 100.0 < largest_cost(out) < 2000.0
+
+
+def test_limbs_elsewhere_are_refused(oed: Run, tmp_path: Path) -> None:
+    turned = delta.family.build({"angle": np.radians([0.0, 120.0, 240.0])})
+    content = sample.result(turned, turned.nominal)
+    text = content.study_text.replace(
+        "[[setup]]", "[machine.geometry]\nangle_deg = [0, 120, 240]\n[[setup]]"
+    )
+    folder = sample.save(tmp_path / "d", sample.with_text(content, text))
+    code, _, err = oed("compensate", folder, "--to", "linuxcnc")
+    assert code == 2
+    assert "the first of them at 90 or 270 degrees" in err
