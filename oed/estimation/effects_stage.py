@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index, Mask
+from oed.base.linear_algebra import covariance_root
 from oed.estimation import effect_sizes
 from oed.estimation.coordinates import IdentifiableCoordinates
 from oed.estimation.discrepancy import Discrepancy, SampledEffects
@@ -191,7 +192,7 @@ class _Alternation:
             theta = linear.coordinates.to_theta(means.mean(axis=0))
         draws = self._draw(gram, DRAWS, 2 * SWEEPS)
         means, covariance = self._coordinates(gram, draws)
-        root = np.linalg.cholesky(covariance)
+        root = covariance_root(covariance)
         z = means + self.rng.standard_normal(means.shape) @ root.T
         centre = np.zeros(linear.slopes.shape[1])
         alone = ResidualModel(self.structure, linear.residual, linear.slopes, centre)

@@ -123,7 +123,7 @@ def _stage_with_effects(
 ) -> Estimate:
     """The last stage from theta (n,), with effects and noise law integrated over."""
     exact = last_stage(fit, stated, theta, start_residuals, patterns)
-    structure, prior = structure_and_prior(fit, exact)
+    structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
     without = integrate_law(fit, stated, exact, structure, prior).estimate
     posterior = without.noise_posterior
     mode = None if posterior is None else posterior.mode

@@ -15,7 +15,7 @@ from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.marginal import ResidualModel, integrate, most_probable
-from oed.noise.prior import NoisePrior, noise_prior
+from oed.noise.prior import LEAST_FREEDOM, NoisePrior, noise_prior
 from oed.noise.process import Laws, stated_laws
 from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
@@ -82,12 +82,20 @@ def _by_stated_weights(
 
 
 def structure_and_prior(
-    fit: ReadingsFit, first: Estimate
+    fit: ReadingsFit, first: Estimate, effects: int = 0
 ) -> tuple[ReadingStructure, NoisePrior]:
-    """Structure of the readings at an estimate, and prior of their noise law."""
+    """Structure of the readings at an estimate, and prior of their noise law.
+
+    effects  number of their coefficients. Where these leave no freedom, no reading tells
+             of an assumed noise, and the assumption holds as if it were stated
+    """
     structure = reading_structure(fit.measurement, fit.series, first.theta)
-    freedom = len(structure) - first.coordinates.basis.shape[1]
-    return structure, noise_prior(structure, freedom)
+    freedom = len(structure) - first.coordinates.basis.shape[1] - effects
+    prior = noise_prior(structure, freedom)
+    if effects and freedom < LEAST_FREEDOM:
+        statement = dataclasses.replace(structure.statement, is_assumed=False)
+        prior = dataclasses.replace(prior, statement=statement)
+    return structure, prior
 
 
 def integrate_law(

@@ -16,7 +16,7 @@ import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import linalg, optimize, special
+from scipy import optimize, special
 
 from oed.base.arrays import Array, Index
 from oed.noise.factor import Factor
@@ -177,12 +177,12 @@ class Precision:
 def with_columns(factor: Factor, columns: Array) -> Precision:
     """The precision of C + G G^T, for the factor of C and columns G (N, k).
 
-    It is C^-1 - A A^T with A = C^-1 G R^-T, R R^T = 1 + G^T C^-1 G.
+    It is C^-1 - A A^T with A = C^-1 G V / sqrt(1 + s), G^T C^-1 G = V s V^T. The numbers s
+    of columns that follow from others are rounding about 0.
     """
     solved = factor.precision(columns)
-    inner = np.eye(columns.shape[1]) + columns.T @ solved
-    root = linalg.cholesky(inner, lower=True, check_finite=False)
-    shared = linalg.solve_triangular(root, solved.T, lower=True, check_finite=False).T
+    squares, axes = np.linalg.eigh(columns.T @ solved)
+    shared = (solved @ axes) / np.sqrt(1.0 + np.maximum(squares, 0.0))
 
     def apply(values: Array) -> Array:
         alone = factor.precision(values[:, None])[:, 0]
