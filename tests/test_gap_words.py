@@ -265,6 +265,12 @@ def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow() -> None:
     assert "grows by 21 % (50 % more to 10 % more) on whole held-out runs" in words[4]
 
 
+def test_probabilities_under_one_noise_law_are_rough() -> None:
+    for laws, rough in ((1.2, True), (1.6, False), (None, False)):
+        words = _gap("effect", ["gravity"], [["gravity"]], effective_laws=laws).words
+        assert any("probabilities are rough" in w for w in words) == rough
+
+
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
     section = _gap(
         "effect",

@@ -73,6 +73,7 @@ class Library:
     labels          (K,) the block of each coefficient; "" for none
     scales          (K,) prior standard deviations of the coefficients
     not_testable    {effect: why these readings cannot test it}
+    families        {effect: family of effects that differ by the form alone}
     """
 
     columns: Array
@@ -81,11 +82,17 @@ class Library:
     labels: tuple[str, ...]
     scales: Array
     not_testable: Mapping[str, str]
+    families: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects that have atoms, in order."""
         return tuple(dict.fromkeys(a.effect for a in self.atoms))
+
+    def differ_by_form(self, effect: str, rival: str) -> bool:
+        """Whether two effects are of one family."""
+        family = self.families.get(effect)
+        return family is not None and family == self.families.get(rival)
 
     def atoms_of(self, effect: str) -> list[int]:
         """Numbers of an effect's atoms."""
@@ -157,6 +164,7 @@ def build(
         labels=tuple(labels),
         scales=np.concatenate(scales) if scales else np.zeros(0),
         not_testable=refused,
+        families={effect.name: effect.family for effect in effects if effect.family},
     )
 
 

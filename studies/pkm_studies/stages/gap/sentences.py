@@ -28,6 +28,8 @@ from pkm_studies.stages.gap.words import (
 CONSIDERABLE = 0.1
 #: probability from which a cause is stated as a fact
 EVEN = 0.5
+#: effective number of noise laws below which probabilities are rough
+FEW_LAWS = 1.5
 #: what to record for an effect's covariate
 COLUMNS = {
     "time": "time_s",
@@ -50,6 +52,7 @@ def with_sentences(gap: GapSection) -> GapSection:
         *_implausible(gap),
         *_resemblance(gap),
         *_second_explanation(gap),
+        *_few_laws(gap),
         *place_sentences(gap),
         *_closures(gap),
         *_untested(gap),
@@ -207,6 +210,16 @@ def _second_explanation(gap: GapSection) -> list[str]:
         ]
     causes = join_words([plain_name(n) for n in second.effects]) or "no gap at all"
     return [f"The next most likely explanation is {causes} {chance}."]
+
+
+def _few_laws(gap: GapSection) -> list[str]:
+    """That the probabilities are rough, where few of the tried noise laws count."""
+    if gap.effective_laws is None or gap.effective_laws >= FEW_LAWS:
+        return []
+    return [
+        "The probabilities are rough: of the noise laws that were tried one alone suits"
+        " these readings."
+    ]
 
 
 # -- how far ---------------------------------------------------------------------------
