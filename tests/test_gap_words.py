@@ -271,6 +271,19 @@ def test_probabilities_under_one_noise_law_are_rough() -> None:
         assert any("probabilities are rough" in w for w in words) == rough
 
 
+def test_an_open_answer_names_the_way_to_a_second_session() -> None:
+    for verdict, probability, is_open in (
+        ("effect", 0.9, False),
+        ("effect", 0.7, True),
+        ("class", 0.9, True),
+        ("none", 0.6, False),
+    ):
+        effects = [] if verdict == "none" else ["gravity"]
+        answers = [AnswerRecord(effects, probability, [effects])]
+        section = _gap(verdict, effects, [effects], answers=answers)
+        assert any("--after DIR" in text for text in section.next) == is_open
+
+
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
     section = _gap(
         "effect",

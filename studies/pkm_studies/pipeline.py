@@ -15,6 +15,7 @@ from oed.result import StudyResult
 from pkm_studies.base import files
 from pkm_studies.base.progress import Progress, Silent
 from pkm_studies.results import claims
+from pkm_studies.sessions.session_files import with_sessions
 from pkm_studies.stages import describe, headline, result_folder
 from pkm_studies.stages.plan.earlier import read_earlier_session, stored_knowledge
 from pkm_studies.stages.run_state import (
@@ -99,14 +100,17 @@ def diagnose(
     readings: Sequence[Path] | None,
     out: Path,
     *,
+    after: Path | None = None,
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> StudyResult:
     """Fit readings (the study's own where None), and diagnose what the fit leaves.
 
-    Raises InputError where there are no readings.
+    `after` is the folder of an earlier diagnosis: its readings count as well. Raises
+    InputError where there are no readings.
     """
     state = start(study, seed, progress or Silent(), readings)
+    state = with_sessions(state, readings, after)
     data = state.resolved.dataset
     if data is None and study.readings is None:
         raise study.place.key("readings").error(

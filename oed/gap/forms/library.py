@@ -90,9 +90,8 @@ class Library:
         return tuple(dict.fromkeys(a.effect for a in self.atoms))
 
     def differ_by_form(self, effect: str, rival: str) -> bool:
-        """Whether two effects are of one family."""
-        family = self.families.get(effect)
-        return family is not None and family == self.families.get(rival)
+        """Whether two different effects are of one family."""
+        return self.families.get(effect, effect) == self.families.get(rival, rival)
 
     def atoms_of(self, effect: str) -> list[int]:
         """Numbers of an effect's atoms."""
@@ -196,7 +195,8 @@ def _forms(
 
     first = [point for point in grid if is_simple(point)]
     if metric is None:
-        return _equally_likely(list(_signatures(problem, effect, first)))
+        every = list(_signatures(problem, effect, first))
+        return [(form, math.log(1.0 / len(every))) for form in every]
     further = [point for point in grid if not is_simple(point)]
     log_first = math.log(0.5 / len(first))
     log_further = math.log(0.5 / max(len(further), 1))
@@ -227,11 +227,6 @@ def _signatures(
             if content.digest() not in distinct:
                 distinct.add(content.digest())
                 yield form
-
-
-def _equally_likely(forms: Sequence[Signature]) -> list[Weighted]:
-    """Forms that share an effect's prior equally."""
-    return [(form, math.log(1.0 / len(forms))) for form in forms]
 
 
 def _best(

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from oed.gap.cause.advice import MOST_NAMES
+from oed.gap.cause.advice import MOST_NAMES, SURE
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
@@ -28,6 +28,11 @@ from pkm_studies.stages.gap.words import (
 CONSIDERABLE = 0.1
 #: probability from which a cause is stated as a fact
 EVEN = 0.5
+#: how readings that are taken for it come into the answer
+SECOND_SESSION = (
+    "Diagnose such readings together with these: `oed diagnose STUDY --readings NEW.csv"
+    " --after DIR`, with the folder of this result."
+)
 #: effective number of noise laws below which probabilities are rough
 FEW_LAWS = 1.5
 #: what to record for an effect's covariate
@@ -333,7 +338,16 @@ def _next_steps(gap: GapSection) -> list[str]:
         if note.remedy and note.remedy not in known:
             lead = f"If it is {effect}" if doubtful else f"Remedy for {effect}"
             steps.append(f"{lead}: {note.remedy}.")
+    if _asks_for_readings(gap):
+        steps.append(SECOND_SESSION)
     return list(dict.fromkeys(steps))
+
+
+def _asks_for_readings(gap: GapSection) -> bool:
+    """Whether further readings would make the answer clearer."""
+    open_verdicts = ("class", "unknown", "scatter")
+    unsure = gap.effect_reported and gap.answers[0].probability < SURE
+    return gap.verdict in open_verdicts or unsure
 
 
 def _effects_in_question(gap: GapSection) -> list[str]:
