@@ -15,7 +15,6 @@ from oed.result import StudyResult
 from pkm_studies.base import files
 from pkm_studies.base.progress import Progress, Silent
 from pkm_studies.results import claims
-from pkm_studies.sessions.session_files import with_sessions
 from pkm_studies.stages import describe, headline, result_folder
 from pkm_studies.stages.plan.earlier import read_earlier_session, stored_knowledge
 from pkm_studies.stages.run_state import (
@@ -27,6 +26,7 @@ from pkm_studies.stages.run_state import (
     promote,
     start,
 )
+from pkm_studies.stages.session_files import with_sessions
 from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.correct import correct_for_effects
 from pkm_studies.stages.steps.design import (
