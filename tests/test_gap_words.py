@@ -159,9 +159,10 @@ def test_what_an_unknown_effect_resembles() -> None:
 
 
 @pytest.mark.parametrize(("low", "high", "interval"), [
-    (0.35, 49.55, "35 to 100 %"), (-7.0, 0.4, "0 to 40 %"), (-0.2, 1.2, "0 to 100 %"),
+    (0.35, 49.55, "35 to 100 %"), (-7.0, 0.4, "700 % more to 40 % less"),
+    (-0.2, 1.2, "20 % more to 100 % less"),
 ])  # fmt: skip
-def test_an_interval_of_a_share_stays_between_nothing_and_all(
+def test_an_interval_ends_at_the_whole_and_says_what_is_growth(
     low: float, high: float, interval: str
 ) -> None:
     section = _gap(
@@ -191,8 +192,8 @@ def test_a_set_up_that_was_read_in_one_stretch_of_time_is_that_too() -> None:
     places = [PlaceRecord("set-up ruler", 0.01, 0.98, "time 0-1800")]
     sentence = _gap("effect", ["gravity"], [["gravity"]], where=places).words[2]
     assert (
-        sentence == "It shows most in set-up ruler (98 % of it; in these readings the"
-        " same as the time from 0 min to 30 min)."
+        sentence == "It shows most in set-up ruler or the time from 0 min to 30 min,"
+        " which are the same readings (98 % of it)."
     )
 
 
@@ -250,7 +251,37 @@ def test_more_than_the_whole_is_all_that_exceeds_the_noise() -> None:
 def test_a_gap_that_grows_does_not_shrink() -> None:
     grown = [ClosureRecord("whole", -0.21, -0.5, 0.1, 0.8, 3.0, 3.3, 1.2, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=grown).words[3]
-    assert "shrinks by nothing (0 to 10 %) on whole held-out runs" in sentence
+    assert "grows by 21 % (50 % more to 10 % less) on whole held-out runs" in sentence
+    assert "shrinks" not in sentence
+
+
+def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow() -> None:
+    both = [
+        ClosureRecord("within", 0.8, 0.6, 0.9, 0.0, 3.0, 1.4, 1.2, 200),
+        ClosureRecord("whole", -0.21, -0.5, -0.1, 1.0, 3.0, 3.3, 1.2, 200),
+    ]
+    words = _gap("effect", ["gravity"], [["gravity"]], closure=both).words
+    assert "shrinks by 80 % (60 to 90 %) on held-out stretches of runs." in words[3]
+    assert "grows by 21 % (50 % more to 10 % more) on whole held-out runs" in words[4]
+
+
+def test_probabilities_under_one_noise_law_are_rough() -> None:
+    for laws, rough in ((1.2, True), (1.6, False), (None, False)):
+        words = _gap("effect", ["gravity"], [["gravity"]], effective_laws=laws).words
+        assert any("probabilities are rough" in w for w in words) == rough
+
+
+def test_an_open_answer_names_the_way_to_a_second_session() -> None:
+    for verdict, probability, is_open in (
+        ("effect", 0.9, False),
+        ("effect", 0.7, True),
+        ("class", 0.9, True),
+        ("none", 0.6, False),
+    ):
+        effects = [] if verdict == "none" else ["gravity"]
+        answers = [AnswerRecord(effects, probability, [effects])]
+        section = _gap(verdict, effects, [effects], answers=answers)
+        assert any("--after DIR" in text for text in section.next) == is_open
 
 
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import gap_fixture
 import msgspec
 import numpy as np
+import pandas as pd
 import pytest
 import sample
 
@@ -223,3 +224,64 @@ def test_a_study_without_a_table_is_diagnosed_with_all_effects(
     assert "gravity" in decoded["gap"]["tried"]
     assert oed("run", study, "--out", "y", "--quiet")[0] == 0
     assert json.loads((tmp_path / "y/result.json").read_text())["gap"] is None
+
+
+# -- a second session ----------------------------------------------------------------
+
+
+def _two_sessions(folder: Path) -> None:
+    """r.csv with a clock, and its runs of one height and of the other apart: both call
+    their runs alike and begin their clocks at 0.
+    """
+    whole = pd.read_csv(folder / "r.csv", dtype={"run": str})
+    half = whole["z_mm"].eq(whole["z_mm"].iloc[0])
+    parts = [whole[half].copy(), whole[~half].copy()]
+    names = {run: f"run {k % 2}" for k, run in enumerate(whole["run"].unique())}
+    for k, part in enumerate(parts):
+        part["run"] = part["run"].map(names)
+        part["time_s"] = 10.0 * np.arange(len(part))
+        part.to_csv(folder / f"s{k + 1}.csv", index=False)
+    later = parts[1].assign(
+        time_s=parts[1]["time_s"] + 10.0 * (len(parts[0]) - 1) + 1.0
+    )
+    later["run"] += " (session 2)"
+    pd.concat([parts[0], later]).to_csv(folder / "one.csv", index=False)
+
+
+def test_two_sessions_together_are_as_one_file_of_both(
+    oed: Run, tmp_path: Path
+) -> None:
+    """And a third session finds both in the second's folder."""
+    study = gap_fixture.written(tmp_path)
+    assert oed("simulate", study, "--out", "r.csv")[0] == 0
+    _two_sessions(tmp_path)
+    options = ("diagnose", study, "--quiet", "--out")
+    assert oed(*options, "one", "--readings", "one.csv")[0] == 0
+    assert oed(*options, "first", "--readings", "s1.csv")[0] == 0
+    after = ("--readings", "s2.csv", "--after", "first")
+    assert oed(*options, "second", *after)[0] == 0
+    one, first, second = (
+        json.loads((tmp_path / name / "result.json").read_text())
+        for name in ("one", "first", "second")
+    )
+    assert first["goodness"] != one["goodness"]
+    for section in ("goodness", "estimate", "gap"):
+        assert second[section] == one[section]
+    clock = [w for w in second["warnings"] if "clock of session 2 starts again" in w]
+    assert len(clock) == 1
+    for number in (1, 2):
+        stored = tmp_path / f"second/session{number}_1.readings.csv"
+        assert stored.read_bytes() == (tmp_path / f"s{number}.csv").read_bytes()
+
+
+def test_a_second_session_needs_readings_and_a_first_one(
+    oed: Run, tmp_path: Path
+) -> None:
+    study = gap_fixture.written(tmp_path)
+    assert oed("diagnose", study, "--out", "virtual", "--quiet")[0] == 0
+    assert oed("simulate", study, "--out", "r.csv")[0] == 0
+    code, _, err = oed("diagnose", study, "--out", "x", "--after", "virtual")
+    assert (code, "give --readings" in err) == (2, True)
+    after = ("--readings", "r.csv", "--after", "virtual")
+    code, _, err = oed("diagnose", study, "--out", "x", *after)
+    assert (code, "keeps no readings files" in err) == (2, True)

@@ -11,6 +11,7 @@ table       text of a file as a table of checked cells
 checks      a table against the machine and its set-ups
 data        the readings of a session in SI
 csv_input   readings from files
+sessions    tables of several sessions as those of one
 csv_output  readings to files
 """
 
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING
 from oed.base.lazy import attributes
 
 if TYPE_CHECKING:
-    from oed.dataset.csv_input import from_tables, load
+    from oed.dataset.csv_input import from_tables, load, load_sessions
     from oed.dataset.csv_output import save, to_csv
     from oed.dataset.data import ColumnLayout, Dataset, from_series
     from oed.dataset.readings_file import ReadingsError
@@ -33,6 +34,7 @@ __all__ = [
     "from_series",
     "from_tables",
     "load",
+    "load_sessions",
     "save",
     "to_csv",
 ]
@@ -41,7 +43,7 @@ __all__ = [
 __getattr__ = attributes(
     __name__,
     {
-        "csv_input": ("from_tables", "load"),
+        "csv_input": ("from_tables", "load", "load_sessions"),
         "csv_output": ("save", "to_csv"),
         "data": ("ColumnLayout", "Dataset", "from_series"),
         "readings_file": ("ReadingsError",),

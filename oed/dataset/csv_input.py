@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from oed.base.arrays import Array, Index, Mask
-from oed.dataset import checks, table
+from oed.dataset import checks, sessions, table
 from oed.dataset.columns import (
     ReadingsColumn,
     column_name,
@@ -46,9 +46,22 @@ def load(path: Path | Sequence[Path], measurement: Measurement) -> Dataset:
     Raises ReadingsError for readings that do not fit, OSError for files.
     """
     paths = [path] if isinstance(path, Path) else list(path)
+    return load_sessions([paths], measurement)[0]
+
+
+def load_sessions(
+    files: Sequence[Sequence[Path]], measurement: Measurement
+) -> tuple[Dataset, tuple[int, ...]]:
+    """Load the files of several sessions, the earliest first, as one dataset.
+
+    The second result are the numbers of sessions whose clock starts again. Raises as
+    `load` does.
+    """
     expected = checks.expected_columns(measurement)
     poses = checks.pose_groups(measurement)
-    return from_tables([table.read(p, expected, poses) for p in paths], measurement)
+    tables = [[table.read(p, expected, poses) for p in paths] for paths in files]
+    joined = sessions.join(tables)
+    return from_tables(joined.tables, measurement), joined.restarted
 
 
 def from_tables(tables: Sequence[ReadingsFile], measurement: Measurement) -> Dataset:

@@ -142,8 +142,14 @@ def conclude(
         not_testable=untested,
         confusable=tuple(dict.fromkeys(c for c in first.classes if len(c) > 1)),
         next=advice.advise(ranked, effects, untested, scatter is not None),
+        effective_laws=best.effective_laws if _is_estimated(search_results) else None,
     )
     return diagnosis, best
+
+
+def _is_estimated(search_results: Sequence[Search]) -> bool:
+    """Whether there are several noise laws, rather than a known one."""
+    return any(search.law is not search_results[0].law for search in search_results)
 
 
 def _constants(

@@ -215,6 +215,8 @@ class Effect:
     check                what to check where it is far larger than expected
     nature               what it has in common with others, in words: how a class of many
                          effects is named
+    family               effects of one family differ by the form alone, which real ones
+                         depart from; "" for none
     instruments          instruments of whose set-ups it is an error; empty where it is none
                          of a set-up's reference or instrument
     unfit(machine)       why it cannot occur on a machine, in words; None where it can
@@ -242,6 +244,7 @@ class Effect:
     exposed_by: str = ""
     check: str = ""
     nature: str = ""
+    family: str = ""
     instruments: tuple[str, ...] = ()
     unfit: Callable[[Machine], str | None] = lambda machine: None
     common_to_limbs: bool = False

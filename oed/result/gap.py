@@ -161,6 +161,7 @@ class GapSection(Record, frozen=True):
               the stated noise)
     unknown   what a remainder of unknown form is like, in words, with probabilities,
               the likeliest first
+    effective_laws  number of equally good noise laws that the first answer rests on
     words     one finding a sentence, the most important first
     next      what to do about it
     """
@@ -191,6 +192,7 @@ class GapSection(Record, frozen=True):
     constants: dict[str, dict[str, float]] = {}
     unknown: dict[str, float] = {}
     scatter: float | None = None
+    effective_laws: float | None = None
 
     @property
     def effect_reported(self) -> bool:

@@ -26,6 +26,7 @@ from pkm_studies.stages.run_state import (
     promote,
     start,
 )
+from pkm_studies.stages.session_files import with_sessions
 from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.correct import correct_for_effects
 from pkm_studies.stages.steps.design import (
@@ -99,14 +100,17 @@ def diagnose(
     readings: Sequence[Path] | None,
     out: Path,
     *,
+    after: Path | None = None,
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> StudyResult:
     """Fit readings (the study's own where None), and diagnose what the fit leaves.
 
-    Raises InputError where there are no readings.
+    `after` is the folder of an earlier diagnosis: its readings count as well. Raises
+    InputError where there are no readings.
     """
     state = start(study, seed, progress or Silent(), readings)
+    state = with_sessions(state, readings, after)
     data = state.resolved.dataset
     if data is None and study.readings is None:
         raise study.place.key("readings").error(

@@ -60,6 +60,7 @@ effect = Effect(
         " compensation a leg"
     ),
     nature=natures.MOTION,
+    family=natures.REVERSAL,
     exposed_by="the same circle in both directions, at two feeds",
     common_to_limbs=True,
 )

@@ -36,6 +36,7 @@ effect = Effect(
     ),
     check="the joint's conversion factor: lead, gear ratio, counts a turn",
     nature=natures.SCALE,
+    family=natures.ALONG_TRAVEL,
     exposed_by="a laser interferometer along a joint, or a second known tool length",
     common_to_limbs=True,
 )

@@ -73,6 +73,7 @@ effect = Effect(
         " encoder, or compensate friction"
     ),
     nature=natures.MOTION,
+    family=natures.REVERSAL,
     exposed_by="circles in both directions at a slow feed, and with another load",
     unfit=terms.lacks_struts,
     common_to_limbs=True,

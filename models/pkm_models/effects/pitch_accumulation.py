@@ -40,6 +40,7 @@ effect = Effect(
         " controller's pitch table"
     ),
     nature=natures.TRAVEL,
+    family=natures.ALONG_TRAVEL,
     exposed_by="readings over the full stroke of each joint",
     textbook_share=0.1,
 )

@@ -8,7 +8,9 @@ part of the readings that effect k explains, y_k = G_k beta_k, is fitted by a ri
 what j cannot absorb of it, with the parameters and the other selected effects absorbing
 too, is lambda_{k|j}. Where its root is below 5 the readings cannot distinguish the two,
 and both belong to the answer. Where nearly all of y_k is absorbed, no readings of this
-kind could.
+kind could. Effects of one family (backlash and friction, scale and pitch) differ by their
+form alone. Real ones depart from their textbook form: as much as these departures can
+make, in lambda_{k|j} and in the evidence, does not distinguish two of a family.
 
 Where effects are large, hypotheses are compared about the points at which they act. The
 search is linear about the calibration without effects. Where an effect is so large that
@@ -44,6 +46,9 @@ EXACT = 0.002
 #: priors of sizes and forms can set two effects apart. One further behind leaves little
 #: only because its form can be any
 PLAINER = 12.0
+#: share of sqrt(lambda) that real effects keep outside their best textbook form: half, of
+#: friction with presliding, play that is taken up, pitch errors of real screws
+DEPARTURE = 0.5
 #: largest size, against its expected one, that a rival may have where the effect is not
 #: larger itself
 RIVAL = EFFECT_SIZES.usual[-1]
@@ -69,11 +74,17 @@ def compare(searches: Sequence[Search]) -> list[Hypothesis]:
 def _over_laws(alike: Sequence[Hypothesis]) -> Hypothesis:
     """One hypothesis under several laws, in the form and law that suit it best.
 
-    Its evidence is over all of them.
+    Its evidence is over all of them. The effective number of laws is that of importance
+    sampling, (sum of shares)^2 / sum of squared shares (Kong 1992).
     """
     best = max(alike, key=lambda h: h.log_evidence)
-    total = special.logsumexp([h.log_evidence for h in alike])
-    return dataclasses.replace(best, log_evidence=float(total))
+    values = np.array([h.log_evidence for h in alike])
+    shares = special.softmax(values)
+    return dataclasses.replace(
+        best,
+        log_evidence=float(special.logsumexp(values)),
+        effective_laws=float(1.0 / np.sum(shares**2)),
+    )
 
 
 def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:
@@ -106,9 +117,14 @@ def equivalent_effects(
             distinct, whole = _distinct_energy(search, grams, h, i, rival)
             exact = distinct < EXACT * whole and odds.of(rival) > -PLAINER
             replaced = frozenset({rival, *(h.effects[j] for j in others)})
-            score = scores.get((replaced, h.unknown), -np.inf)
-            near = score > h.score - alive
-            if exact or (distinct < DISTINCT**2 and near):
+            score, of_form = scores.get((replaced, h.unknown), -np.inf), 0.0
+            if search.library.differ_by_form(effect, rival):
+                # what a form can make that departs from its textbook
+                of_form = DEPARTURE**2 * whole
+                if not h.unknown:
+                    score = max(score, h.score + odds.of(rival))
+            near = score > h.score - max(alive, 0.5 * of_form)
+            if exact or (distinct < max(DISTINCT**2, of_form) and near):
                 members.append(rival)
         classes.append(tuple(members))
     return classes

@@ -44,6 +44,7 @@ class Hypothesis:
     log_evidence    of the readings, over all forms and sizes
     log_prior       log prior probability
     law             number of the noise law that suits it best
+    effective_laws  number of equally good noise laws that its evidence rests on
     """
 
     effects: tuple[str, ...]
@@ -55,6 +56,7 @@ class Hypothesis:
     log_evidence: float
     log_prior: float
     law: int = 0
+    effective_laws: float = 1.0
 
     @property
     def score(self) -> float:

@@ -9,6 +9,7 @@ the sum over all combinations is taken about the best one: with a* the best form
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import functools
 from collections.abc import Iterable, Sequence
@@ -129,6 +130,17 @@ class Search:
             return self._products.grams(every)
         metric = Metric(self.problem, self.law)
         return evidence.grams(self.problem, metric, self.library.columns)
+
+    def with_weight(self, log_prior: float) -> Search:
+        """The same search with another log prior of its noise law."""
+        other = copy.copy(self)
+        change = log_prior - self.log_prior
+        other.log_prior, other._log_law = log_prior, self._log_law + change
+        other._hypotheses = [
+            dataclasses.replace(h, log_evidence=h.log_evidence + change)
+            for h in self._hypotheses
+        ]
+        return other
 
     def columns_of(self, atom: int) -> Index:
         """Columns of a form."""
@@ -352,11 +364,8 @@ class Search:
         triples = self._extend(pairs[: SETS // 2])
         known = [empty, *singles, *pairs, *triples]
         known.sort(key=lambda h: -h.score)
-        least = known[0].score - 2.0 * BEHIND
-        likely = [h for h in known if h.score > least][: 2 * SETS]
-        if empty not in likely:
-            likely.append(empty)
-        extended = [h for h in likely if h in likely[:SETS] or h is empty]
+        # an effect may show beside an unknown alone: every single one is tried with it
+        extended = [h for k, h in enumerate(known) if k < SETS or len(h.effects) < 2]
         mixed = [self.add_unknown(h) for h in extended if len(self._remainders)]
         return [*known, *mixed]
 

@@ -3,7 +3,8 @@
 The laws are drawn with no gap, any gap, and the best gaps in the model
 (`oed.gap.data.laws`); every hypothesis that a search prefers is evaluated under each. A
 large gap hides in the noise of the first laws: where that is far beyond what is stated,
-the search goes on under the laws of its best gaps.
+the search goes on under the laws of its best gaps. Where the evidence of a likely gap
+rests on few of the laws, more are drawn with that gap in the model.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.gap.cause.compare import compare, probabilities
 from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
 from oed.gap.data import laws
@@ -34,6 +36,9 @@ LOUD = 2.0
 Forms = tuple[tuple[int, ...], int | None]
 #: hypotheses of each first search that are evaluated under all laws
 CANDIDATES = 14
+#: probability from which a hypothesis should rest on more than a few noise laws, and how
+#: many these are
+LIKELY, FEW = 0.05, 3.0
 #: least root mean square of each effect and process in the wide model, in units of the
 #: noise
 WIDE = 0.7
@@ -67,20 +72,31 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
         further = search_under(list(gaps.values()))
         _add_best_gaps(gaps, clean, further)
     candidates = _candidates([*first, *further])
-    every = [plain, wide, *gaps.values()]
-    return [
-        Search(
-            clean,
-            library,
-            unknown,
-            law,
-            weight,
-            outliers=outliers,
-            candidates=candidates,
-            given=problem,
-        )
-        for law, weight in laws.mixture(clean, every)
-    ]
+
+    def search_all(known: Sequence[Search]) -> list[Search]:
+        """Searches under all laws of the posteriors; the first laws may be searched."""
+        mixture = laws.mixture(clean, [plain, wide, *gaps.values()])
+        pairs = zip(known, mixture, strict=False)
+        weighed = [search.with_weight(weight) for search, (_, weight) in pairs]
+        further = [
+            Search(
+                clean,
+                library,
+                unknown,
+                law,
+                weight,
+                outliers=outliers,
+                candidates=candidates,
+                given=problem,
+            )
+            for law, weight in mixture[len(known) :]
+        ]
+        return [*weighed, *further]
+
+    results = search_all(())
+    count = len(gaps)
+    _add_scarce(gaps, clean, results)
+    return results if len(gaps) == count else search_all(results)
 
 
 def searches_under(
@@ -154,11 +170,32 @@ def _add_best_gaps(
 ) -> None:
     """Add the law's posterior with the best gap of each search in the model."""
     for search in searches:
-        gap = _best_gap(search)
-        forms = (tuple(sorted(gap.atoms)), gap.process)
-        if forms not in posteriors:
-            columns = gap.columns(search.library, search.processes)
-            posteriors[forms] = laws.posterior(problem, columns)
+        _add_gap(posteriors, problem, search, _best_gap(search))
+
+
+def _add_gap(
+    posteriors: dict[Forms, LawPosterior],
+    problem: GapProblem,
+    search: Search,
+    gap: Hypothesis,
+) -> None:
+    """Add the law's posterior with a gap in the model, unless it is there."""
+    forms = (tuple(sorted(gap.atoms)), gap.process)
+    if forms not in posteriors:
+        columns = gap.columns(search.library, search.processes)
+        posteriors[forms] = laws.posterior(problem, columns)
+
+
+def _add_scarce(
+    posteriors: dict[Forms, LawPosterior],
+    problem: GapProblem,
+    searches: Sequence[Search],
+) -> None:
+    """Add the posteriors with the likely gaps whose evidence rests on few laws."""
+    hypotheses = compare(searches)
+    for h, share in zip(hypotheses, probabilities(hypotheses), strict=True):
+        if h.is_gap and share > LIKELY and h.effective_laws < FEW:
+            _add_gap(posteriors, problem, searches[h.law], h)
 
 
 # -- the wide model --------------------------------------------------------------------

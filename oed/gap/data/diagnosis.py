@@ -86,6 +86,8 @@ class Diagnosis:
     next            advice, in sentences
     scatter         of readings within runs over the stated one, where that is more than
                     the instrument has and nothing explains it; None otherwise
+    effective_laws  number of equally good noise laws that the evidence of the answer
+                    rests on; None under a known law
     """
 
     problem: GapProblem
@@ -109,3 +111,4 @@ class Diagnosis:
     confusable: tuple[tuple[str, ...], ...]
     next: tuple[str, ...]
     scatter: float | None = None
+    effective_laws: float | None = None

@@ -73,6 +73,7 @@ class Library:
     labels          (K,) the block of each coefficient; "" for none
     scales          (K,) prior standard deviations of the coefficients
     not_testable    {effect: why these readings cannot test it}
+    families        {effect: family of effects that differ by the form alone}
     """
 
     columns: Array
@@ -81,11 +82,16 @@ class Library:
     labels: tuple[str, ...]
     scales: Array
     not_testable: Mapping[str, str]
+    families: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Names of the effects that have atoms, in order."""
         return tuple(dict.fromkeys(a.effect for a in self.atoms))
+
+    def differ_by_form(self, effect: str, rival: str) -> bool:
+        """Whether two different effects are of one family."""
+        return self.families.get(effect, effect) == self.families.get(rival, rival)
 
     def atoms_of(self, effect: str) -> list[int]:
         """Numbers of an effect's atoms."""
@@ -157,6 +163,7 @@ def build(
         labels=tuple(labels),
         scales=np.concatenate(scales) if scales else np.zeros(0),
         not_testable=refused,
+        families={effect.name: effect.family for effect in effects if effect.family},
     )
 
 
@@ -188,7 +195,8 @@ def _forms(
 
     first = [point for point in grid if is_simple(point)]
     if metric is None:
-        return _equally_likely(list(_signatures(problem, effect, first)))
+        every = list(_signatures(problem, effect, first))
+        return [(form, math.log(1.0 / len(every))) for form in every]
     further = [point for point in grid if not is_simple(point)]
     log_first = math.log(0.5 / len(first))
     log_further = math.log(0.5 / max(len(further), 1))
@@ -219,11 +227,6 @@ def _signatures(
             if content.digest() not in distinct:
                 distinct.add(content.digest())
                 yield form
-
-
-def _equally_likely(forms: Sequence[Signature]) -> list[Weighted]:
-    """Forms that share an effect's prior equally."""
-    return [(form, math.log(1.0 / len(forms))) for form in forms]
 
 
 def _best(

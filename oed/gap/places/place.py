@@ -20,14 +20,15 @@ is a place of what belongs to set-ups: errors of their readings, bars, mounts.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
 from scipy import special
 
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array, Index, Mask
 from oed.gap.data.problem import GapProblem
+from oed.gap.forms import carriers
 from oed.gap.places.draws import Draws, LikelyForms, draw_energies
 from oed.noise.law import NoiseLaw
 from oed.result.gap import PlaceRecord
@@ -43,6 +44,9 @@ RUNS, STANDS_OUT = 4, 0.05
 #: departure of a direction's share from a half that is none: which way a joint arrives at
 #: the ends of a run is not known of runs that were driven the other way
 NEARLY_EVEN = 0.05
+#: share of the readings of two places that both have, from which they are the same; and of
+#: a joint's extent by which it is off its middle position
+SAME, STILL = 0.9, 1e-3
 #: nats by which a stretch must confine the gap to be reported
 WORTH = 0.1
 
@@ -69,8 +73,9 @@ def locate(
         *_stretch_of_phase(problem, drawn),
         *_directions(problem, drawn),
     ]
-    blocks = [place.block for place in sorted(places, key=_rank)]
-    return tuple(_with_same_readings(problem, block) for block in blocks)
+    readings = _readings_of_places(problem)
+    ranked = sorted(places, key=_rank)
+    return tuple(_with_same_readings(problem, place, readings) for place in ranked)
 
 
 # -- places ----------------------------------------------------------------------------
@@ -78,11 +83,12 @@ def locate(
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Place:
-    """A place as reported, its mean share of the gap, and its even share."""
+    """A place as reported, its mean share of the gap, its even share, its readings (N,)."""
 
     block: PlaceRecord
     share: float
     even: float
+    readings: Mask | None = None
 
     @property
     def confines(self) -> float:
@@ -137,8 +143,10 @@ def _labelled(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
 
 def _of_readings(name: str, rows: Index, energy: Array) -> _Place:
     """A place that holds some readings, by the energy (N, D) of all."""
-    total = energy.sum(axis=0)
-    return _place(name, energy[rows].sum(axis=0), total, len(rows) / len(energy))
+    total, even = energy.sum(axis=0), len(rows) / len(energy)
+    place = _place(name, energy[rows].sum(axis=0), total, even)
+    inside = np.isin(np.arange(len(energy)), rows)
+    return dataclasses.replace(place, readings=inside)
 
 
 def _runs(problem: GapProblem, drawn: Draws) -> list[_Place]:
@@ -183,42 +191,59 @@ def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
         yield stretch
 
 
-def _with_same_readings(problem: GapProblem, block: PlaceRecord) -> PlaceRecord:
-    """The block with the place of another kind that has the same readings, if any.
+def _with_same_readings(
+    problem: GapProblem, place: _Place, readings: Mapping[str, Mask]
+) -> PlaceRecord:
+    """The place with one of another kind that has the same readings, if any.
 
-    A set-up that was read in one stretch of the session is that stretch as well, and one
-    that was read in one run is that run.
+    readings  (N,) those of each set-up, run and leg by its name
+
+    A set-up that was read in one stretch of the session is that stretch as well, one that
+    was read in one run is that run, and a leg that moved in one run alone is that run.
     """
-    for setup, others in _same_as_setups(problem).items():
-        names = (f"set-up {setup}", *others)
-        if block.block in names:
-            other = next((n for n in names if n != block.block), "")
-            return replace(block, same_as=other)
-    return block
+    block = place.block
+    inside = readings.get(block.block, place.readings)
+    if inside is None or inside.all():
+        return block
+    kind = block.block.partition(" ")[0]
+    for name, others in readings.items():
+        if name.partition(" ")[0] != kind and _are_same(inside, others):
+            return replace(block, same_as=name)
+    stretch = "" if kind == "time" else _as_stretch(problem, inside)
+    return replace(block, same_as=stretch)
 
 
-def _same_as_setups(problem: GapProblem) -> dict[str, list[str]]:
-    """Names of the run and of the stretch of time that have a set-up's readings alone."""
-    rows = problem.rows
-    if rows["setup"].nunique() < 2:
-        return {}
-    same: dict[str, list[str]] = {str(setup): [] for setup in rows["setup"].unique()}
-    names = zip(_run_names(problem), problem.members, strict=True)
-    runs = rows.groupby("setup")["run"].nunique()
-    for name, members in names:
-        setup = rows["setup"].iloc[members[0]]
-        if runs[setup] == 1:
-            same[str(setup)].append(name)
-    if "time" not in rows.columns:
-        return same
-    times = rows["time"].to_numpy(dtype=float)
-    for setup, members in rows.groupby("setup", sort=False).indices.items():
-        of_setup = times[members]
-        others = np.delete(times, members)
-        inside = (others >= of_setup.min()) & (others <= of_setup.max())
-        if np.isfinite(times).all() and not inside.any():
-            same[str(setup)].append(f"time {_extent(times, of_setup)}")
-    return same
+def _are_same(inside: Mask, others: Mask) -> bool:
+    """Whether nearly all readings of two places are those of both."""
+    return bool((inside & others).sum() >= SAME * (inside | others).sum())
+
+
+def _readings_of_places(problem: GapProblem) -> dict[str, Mask]:
+    """Readings (N,) of each set-up, run and leg by its name.
+
+    Those of a leg are those off its middle position: a constant error of the leg is one
+    of the geometry.
+    """
+    setup = problem.rows["setup"].to_numpy()
+    masks = {f"set-up {name}": np.asarray(setup == name) for name in np.unique(setup)}
+    for name, members in zip(_run_names(problem), problem.members, strict=True):
+        masks[name] = np.isin(np.arange(len(problem)), members)
+    joints = carriers.at_poses(problem, [s.joints for s in problem.states])[:, 0]
+    off = np.abs(joints - np.median(joints, axis=0))
+    moved = off > STILL * np.ptp(joints, axis=0)
+    return masks | {f"leg {i + 1}": moved[:, i] for i in problem.states[0].limbs}
+
+
+def _as_stretch(problem: GapProblem, inside: Mask) -> str:
+    """The stretch of time that has some readings alone; "" where none has."""
+    if "time" not in problem.rows.columns:
+        return ""
+    times = problem.rows["time"].to_numpy(dtype=float)
+    own, others = times[inside], times[~inside]
+    between = (others >= own.min()) & (others <= own.max())
+    if not np.isfinite(times).all() or between.any():
+        return ""
+    return f"time {_extent(times, own)}"
 
 
 def _extent(times: Array, inside: Array) -> str:

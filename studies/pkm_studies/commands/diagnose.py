@@ -27,6 +27,14 @@ def diagnose(
             metavar="CSV", help="The readings [those of the study].", show_default=False
         ),
     ] = None,
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Earlier diagnosis: its readings count as well.",
+            show_default=False,
+        ),
+    ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
     allow_code: AllowCode = False,
@@ -39,5 +47,7 @@ def diagnose(
 
     given = None if readings is None else [readings]
     with display.progress(quiet=quiet) as progress:
-        result = pipeline.diagnose(loaded, given, folder, seed=seed, progress=progress)
+        result = pipeline.diagnose(
+            loaded, given, folder, after=after, seed=seed, progress=progress
+        )
     return report_outcome(result, folder, quiet)

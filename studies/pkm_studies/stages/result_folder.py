@@ -133,7 +133,7 @@ def _write_result(folder: Path, result: StudyResult) -> None:
 
 def _texts(result: StudyResult, state: RunState) -> dict[str, str]:
     """Text files by name that go with the result."""
-    texts = dict(state.forecast_files)
+    texts = {**state.forecast_files, **state.session_files}
     if state.gap_poses is not None:
         texts["gap_poses.csv"] = state.gap_poses
     if result.design is not None or state.planned:

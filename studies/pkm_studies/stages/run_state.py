@@ -115,6 +115,7 @@ class RunState:
     plan             the plan of stages
     gap_poses        readings of the runs of [gap.design], as CSV
     forecast_files   nodes to measure, and the table of measured ones, as CSV by name
+    session_files    text of the readings files that are diagnosed, by name
     planned          readings to write down as poses, in working order
     with_effects     names of effects to estimate together with the parameters
     checkpoint       where an unfinished chain of draws is saved, if anywhere
@@ -133,6 +134,7 @@ class RunState:
     plan: PlanOutcome | None = None
     gap_poses: str | None = None
     forecast_files: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    session_files: Mapping[str, str] = dataclasses.field(default_factory=dict)
     planned: tuple[Series, ...] = ()
     with_effects: tuple[str, ...] = ()
     checkpoint: Checkpoint | None = None

@@ -37,12 +37,22 @@ def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Da
 
 def from_files(paths: Sequence[Path], measurement: Measurement) -> Dataset:
     """Readings files taken together. Raises InputError."""
+    return from_sessions([paths], measurement)[0]
+
+
+def from_sessions(
+    sessions: Sequence[Sequence[Path]], measurement: Measurement
+) -> tuple[Dataset, tuple[int, ...]]:
+    """Readings files of several sessions, and whose clocks start again: their numbers.
+
+    Raises InputError.
+    """
     try:
-        return dataset.load(paths, measurement)
+        return dataset.load_sessions(sessions, measurement)
     except ReadingsError as error:
         raise _input_error(error) from error
     except OSError as error:
-        raise _unreadable(error, paths[0]) from error
+        raise _unreadable(error, sessions[0][0]) from error
 
 
 def check_text(path: Path) -> int:

@@ -4,6 +4,7 @@ from the bar's length on an A3.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from collections.abc import Collection
 
@@ -186,6 +187,29 @@ def test_a_class_is_what_the_dense_formula_says(
             lam, whole = energies[r]
             same = lam < compare.EXACT * whole or (near and lam < compare.DISTINCT**2)
             assert (r in others) == same, (r, lam, whole)
+
+
+@pytest.mark.parametrize("behind", [2.0, 20.0, 1e4])
+def test_a_rival_of_its_family_is_in_a_class_as_far_as_forms_depart(
+    behind: float,
+) -> None:
+    """Half of sqrt(lambda): a quarter of lambda, and an eighth of it in nats."""
+    p = readings(TOOLS)
+    search, h = searched(p, "encoder_scale", 60.0)
+    rivals = [e.name for e in EFFECTS if e.name != "encoder_scale"]
+    scores = {(frozenset({r}), False): h.score - behind for r in rivals}
+    alone = compare.equivalent_effects(search, h, scores, 3.0)[0]
+    families = {e.name: "alike" for e in EFFECTS}
+    search.library = dataclasses.replace(search.library, families=families)
+    members = compare.equivalent_effects(search, h, scores, 3.0)[0]
+    for r in rivals:
+        lam, whole = dense(p, search, h, r)
+        odds = (
+            search.fit((r,), (search.library.atoms_of(r)[0],), (1.0,)).score - h.score
+        )
+        near = min(behind, -odds) < max(3.0, whole / 8.0)
+        by_form = near and lam < max(compare.DISTINCT**2, 0.25 * whole)
+        assert (r in members) == (r in alone or by_form), (r, lam, whole)
 
 
 @pytest.mark.parametrize("truth", ["encoder_scale", "bar_length"])

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from kernel import gap_lines, planar_session
 from oed.gap import procedure as diagnosing
 from oed.gap.cause.search import Search
+from oed.gap.data import problem as problems
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.forms import discrepancy, library
-from oed.gap.places.draws import ReversedForms
+from oed.gap.places import place
+from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.gap.places.place import STANDS_OUT
+from oed.measurement.measurement import Measurement
+from oed.model.instrument import mount
 from oed.noise.law import stated_law
 from oed.result.gap import PlaceRecord
 from pkm_models.effects import encoder_scale, leg_thermal, mount_drift, step
+from pkm_models.instruments.pose_tracker import position
+from pkm_models.machines import planar_2dof
 
 EFFECTS = [module.effect for module in (encoder_scale, leg_thermal, mount_drift, step)]
 
@@ -117,3 +124,32 @@ def test_a_discrepancy_of_one_direction_is_not_there_the_other_way() -> None:
         else:
             assert turned == pytest.approx(columns)
     assert kinds == {atom.effect for atom in search.processes.atoms}
+
+
+def test_a_leg_that_moved_in_one_stretch_alone_is_that_stretch() -> None:
+    """Leg 1 stands still but for the second of three runs."""
+    measurement = Measurement(planar_2dof.machine, [mount(position, "tracker")])
+    each = 12
+    x, rest = measurement.kinematics.inverse(np.array([[0.0, 0.7]]))
+    along, still = np.linspace(-0.2, 0.2, each), np.zeros(each)
+    first = np.concatenate([still, along, still])
+    second = np.concatenate([along, still, -along])
+    q = rest + np.column_stack([first, second])
+    start = np.tile(x, (len(q), 1))
+    poses = measurement.kinematics.forward(q, planar_2dof.machine.nominal, start)
+    runs = np.repeat(["a", "b", "c"], each)
+    series = measurement.series("tracker", poses, runs.tolist())
+    order = np.tile(np.arange(each), 3)
+    times = 60.0 * np.arange(len(q))
+    rows = {"setup": "tracker", "run": runs, "order": order, "time": times}
+    problem = problems.assemble(measurement, [series], pd.DataFrame(rows))
+    inside = (problem.rows["run"] == "b").to_numpy()
+    column = inside * np.sin(np.arange(len(problem)))
+    change = column[:, None] * 50.0
+    model = LikelyForms(1.0, change, ["leg 1"], np.array([True]))
+    readings = problem.with_residual(change[:, 0])
+    law = stated_law(readings)
+    places = place.locate(readings, law, [model], np.random.default_rng(1))
+    same = {p.block: p.same_as for p in places}
+    assert same["run b"] == "leg 1"
+    assert [p.same_as for p in places if p.block.startswith("time")] == ["run b"]

@@ -139,7 +139,7 @@ def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
 def test_an_unknown_is_added_to_the_most_probable_sets(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """And to none at all, where not all sets are extended."""
+    """And to none and every single effect, where not all sets are extended."""
     monkeypatch.setattr(searching_one, "SETS", 2)
     problem = planted(readings(4), BOW, {"leg 1": 2.0, "leg 2": -1.0}, turns=2.0)
     process = dataclasses.replace(BOW, name="process")
@@ -150,7 +150,8 @@ def test_an_unknown_is_added_to_the_most_probable_sets(
     best = sorted(known, key=lambda h: h.score)[-2:]
     mixed = {h.key[0] for h in hypotheses if h.key[1]}
     assert len(known) > 3
-    assert mixed == {frozenset(), *(h.key[0] for h in best)}
+    single = {h.key[0] for h in known if len(h.effects) == 1}
+    assert mixed == {frozenset(), *single, *(h.key[0] for h in best)}
 
 
 def test_pairs_extend_the_most_probable_single_effects_alone(

@@ -28,8 +28,14 @@ def place_sentences(gap: GapSection) -> list[str]:
 
 
 def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
-    """Significant places in the diagnosis' order: the one that confines best first."""
-    places = [place for place in where if place.p_value < SIGNIFICANT]
+    """Significant places in the diagnosis' order: the one that confines best first.
+
+    Of two places of the same readings the first stands for both.
+    """
+    places: list[PlaceRecord] = []
+    for place in where:
+        if place.p_value < SIGNIFICANT and not any(_same(place, o) for o in places):
+            places.append(place)
     if not places:
         return []
     best = places[0]
@@ -39,14 +45,19 @@ def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
     return places[:MAX_PLACES]
 
 
+def _same(place: PlaceRecord, other: PlaceRecord) -> bool:
+    """Whether two places have the same readings."""
+    return place.block == other.same_as or place.same_as == other.block
+
+
 def _place(place: PlaceRecord) -> str:
+    """`leg 1 or run 2, which are the same readings (80 % of it)`."""
     name = _place_name(place.block)
-    notes = []
-    if place.strength is not None:
-        notes.append(f"{format_probability(place.strength)} of it")
     if place.same_as:
-        notes.append(f"in these readings the same as {_place_name(place.same_as)}")
-    return f"{name} ({'; '.join(notes)})" if notes else name
+        name = f"{name} or {_place_name(place.same_as)}, which are the same readings"
+    if place.strength is None:
+        return name
+    return f"{name} ({format_probability(place.strength)} of it)"
 
 
 def _place_name(block: str) -> str:

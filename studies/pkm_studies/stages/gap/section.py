@@ -80,6 +80,7 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         next=list(diagnosis.next),
         unknown={form: float(p) for form, p in diagnosis.likeness.items()},
         scatter=diagnosis.scatter,
+        effective_laws=diagnosis.effective_laws,
     )
     return sentences.with_sentences(section)
 

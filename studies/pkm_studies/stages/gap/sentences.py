@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from oed.gap.cause.advice import MOST_NAMES
+from oed.gap.cause.advice import MOST_NAMES, SURE
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
@@ -28,6 +28,13 @@ from pkm_studies.stages.gap.words import (
 CONSIDERABLE = 0.1
 #: probability from which a cause is stated as a fact
 EVEN = 0.5
+#: how readings that are taken for it come into the answer
+SECOND_SESSION = (
+    "Diagnose such readings together with these: `oed diagnose STUDY --readings NEW.csv"
+    " --after DIR`, with the folder of this result."
+)
+#: effective number of noise laws below which probabilities are rough
+FEW_LAWS = 1.5
 #: what to record for an effect's covariate
 COLUMNS = {
     "time": "time_s",
@@ -50,6 +57,7 @@ def with_sentences(gap: GapSection) -> GapSection:
         *_implausible(gap),
         *_resemblance(gap),
         *_second_explanation(gap),
+        *_few_laws(gap),
         *place_sentences(gap),
         *_closures(gap),
         *_untested(gap),
@@ -209,36 +217,74 @@ def _second_explanation(gap: GapSection) -> list[str]:
     return [f"The next most likely explanation is {causes} {chance}."]
 
 
+def _few_laws(gap: GapSection) -> list[str]:
+    """That the probabilities are rough, where few of the tried noise laws count."""
+    if gap.effective_laws is None or gap.effective_laws >= FEW_LAWS:
+        return []
+    return [
+        "The probabilities are rough: of the noise laws that were tried one alone suits"
+        " these readings."
+    ]
+
+
 # -- how far ---------------------------------------------------------------------------
 
 
 def _closures(gap: GapSection) -> list[str]:
+    """How far the gap shrinks on held-out readings, or by how much it grows there."""
     if not gap.effect_reported:
         return []
-    shares = [_closure(c, c.value) for c in gap.closure if c.value is not None]
-    if not shares:
-        return []
+    known = [(c, c.value) for c in gap.closure if c.value is not None]
+    shrinking = [_closure(c, value) for c, value in known if value >= 0.0]
+    growing = [_growth(c, value) for c, value in known if value < 0.0]
     causes = join_words([plain_name(n) for n in gap.selected]) or "the remainder"
-    return [
+    lead = (
         f"With {causes} in the model, the mean square of what calibration leaves beyond"
-        f" the noise shrinks by {join_words(shares)}."
-    ]
+        " the noise"
+    )
+    sentences = []
+    if shrinking:
+        sentences.append(f"{lead} shrinks by {join_words(shrinking)}.")
+    if growing:
+        sentences.append(
+            f"{lead} grows by {join_words(growing)}: what was fitted to the other readings"
+            " does not carry over to these."
+        )
+    return sentences
 
 
 def _closure(closure: ClosureRecord, value: float) -> str:
-    """`80 % (60 to 90 %) on whole held-out runs`, of a closure whose value is known."""
+    """`80 % (60 to 90 %) on whole held-out runs`, of a closure that is no growth."""
     digits = _digits(closure.low)
-    if value <= 0.0:
+    if value == 0.0:
         size = "nothing"
     elif value < 1.0:
         size = f"{_format_share(value, digits)} %"
     else:
         size = "all that exceeds the noise"
-    interval = ""
-    if closure.low is not None and closure.high is not None:
-        low, high = (_format_bound(v, digits) for v in (closure.low, closure.high))
-        interval = f" ({low} to {high} %)"
+    interval = _interval(closure, digits)
     return f"{size}{interval} {SPLITS.get(closure.split, closure.split)}"
+
+
+def _growth(closure: ClosureRecord, value: float) -> str:
+    """`40 % (90 % more to 10 % less) on whole held-out runs`, of a closure below 0."""
+    size = f"{-100.0 * value:.0f} %{_interval(closure, 0)}"
+    return f"{size} {SPLITS.get(closure.split, closure.split)}"
+
+
+def _interval(closure: ClosureRecord, digits: int) -> str:
+    """` (60 to 90 %)`, of which an end below 0 is growth; "" where it is not known."""
+    low, high = closure.low, closure.high
+    if low is None or high is None:
+        return ""
+    if low < 0.0:
+        return f" ({_bound_in_words(low)} to {_bound_in_words(high)})"
+    return f" ({_format_bound(low, digits)} to {_format_bound(high, digits)} %)"
+
+
+def _bound_in_words(share: float) -> str:
+    """`40 % more` or `10 % less`: an end of the interval of a share by which it shrinks."""
+    return f"{abs(100.0 * min(share, 1.0)):.0f} % {'more' if share < 0.0 else 'less'}"
 
 
 def _digits(low: float | None) -> int:
@@ -256,8 +302,8 @@ def _format_share(value: float, digits: int) -> str:
 
 
 def _format_bound(value: float, digits: int) -> str:
-    """An end of a share's interval; no gap shrinks by less than 0 or more than 100 %."""
-    return _format_share(min(max(value, 0.0), 1.0), digits)
+    """An end of the interval of a share; no gap shrinks by more than 100 %."""
+    return _format_share(min(value, 1.0), digits)
 
 
 # -- what could not be tested, and what next -------------------------------------------
@@ -292,7 +338,16 @@ def _next_steps(gap: GapSection) -> list[str]:
         if note.remedy and note.remedy not in known:
             lead = f"If it is {effect}" if doubtful else f"Remedy for {effect}"
             steps.append(f"{lead}: {note.remedy}.")
+    if _asks_for_readings(gap):
+        steps.append(SECOND_SESSION)
     return list(dict.fromkeys(steps))
+
+
+def _asks_for_readings(gap: GapSection) -> bool:
+    """Whether further readings would make the answer clearer."""
+    open_verdicts = ("class", "unknown", "scatter")
+    unsure = gap.effect_reported and gap.answers[0].probability < SURE
+    return gap.verdict in open_verdicts or unsure
 
 
 def _effects_in_question(gap: GapSection) -> list[str]:
