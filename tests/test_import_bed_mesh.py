@@ -14,6 +14,7 @@ from pkm_reports.sections.answer import accuracy
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers import session
 from pkm_studies.importers.bed_mesh import copied_margin
+from pkm_studies.stages.result_folder import load_result
 
 
 def rows_of_mesh(folder: Path) -> list[dict[str, str]]:
@@ -100,6 +101,8 @@ def test_heights_of_a_mesh_as_readings_estimate_the_noise(tmp_path: Path) -> Non
     mesh = virtual.mesh_heights(true, virtual.FIRMWARE, rng, 0.03)
     config = virtual.configuration(virtual.heights(true, rng, 0.03), mesh)
     result = virtual.run(config, tmp_path / "fitted", mesh="readings")
+    # joints of the calibration beside commands of the mesh: the report reads them back
+    assert load_result(tmp_path / "fitted" / "out").estimate is not None
     assert not result.held_out
     assert result.estimate.readings == 7 + 49
     assert result.estimate.rms_after["height"] == pytest.approx(30.0, rel=0.25)

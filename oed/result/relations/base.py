@@ -96,6 +96,14 @@ def same_keys(field: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Breach]
         yield from same_names(f"{field}[{k}]", row, rows[0], f"{field}[1]")
 
 
+def same_commands(field: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Breach]:
+    """Commands that have other names than the first; empty where joints were recorded."""
+    known_rows = [(k, row) for k, row in enumerate(rows, start=1) if row]
+    for k, row in known_rows[1:]:
+        first, names = known_rows[0]
+        yield from same_names(f"{field}[{k}]", row, names, f"{field}[{first}]")
+
+
 def unit(field: str, name: str) -> Iterator[Breach]:
     """A unit that nobody knows."""
     of_effects = [shown for shown, _ in units.EFFECT.values()]

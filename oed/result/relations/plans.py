@@ -155,7 +155,7 @@ def _drawing(section: Drawing, setups: list[str]) -> Iterator[Breach]:
         values = getattr(section, name)
         if values:
             yield from base.lengths(f"drawing.{name}", values, other, count)
-    yield from base.same_keys("drawing.commands", section.commands)
+    yield from base.same_commands("drawing.commands", section.commands)
     for k, line in enumerate(section.lines, start=1):
         yield from base.points(f"drawing.lines[{k}].points", line.points)
     for k, bar in enumerate(section.bars, start=1):
