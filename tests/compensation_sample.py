@@ -29,6 +29,7 @@ SETUPS = {
     "rotary_delta": 'instrument = "pose_tracker_position"',
     "hexapod_pus": 'instrument = "pose_tracker"',
     "hexapod_rus": 'instrument = "pose_tracker"',
+    "pentapod": 'instrument = "pose_tracker_position"',
     "orthoglide": 'instrument = "pose_tracker_position"',
     "five_bar": 'instrument = "planar_position"',
     "cables_planar": 'instrument = "planar_position"',

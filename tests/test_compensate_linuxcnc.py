@@ -12,9 +12,10 @@ import compensation_sample as sample
 import numpy as np
 import pytest
 from oracles import delta_trilateration, new_families
+from scipy.spatial.transform import Rotation
 
 from oed.model.machine import Machine
-from pkm_models.machines import delta, linear_delta, rotary_delta
+from pkm_models.machines import delta, linear_delta, pentapod, rotary_delta
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -106,6 +107,41 @@ def test_rotarydeltakins_drives_the_identified_delta(
         joints = np.radians(knee_down(pins, point - [0.0, 0.0, z]) - at_zero)
         tool = new_families.pose("rotary_delta", joints, errors, 1e-3 * point)
         assert np.abs(1e3 * tool - point).max() < 1e-4
+
+
+def strut(pins: dict[str, float], k: int, world: np.ndarray) -> float:
+    """pentakins: the length of strut k for x, y, z (mm), A and B (roll, pitch; rad)."""
+    base = np.array([pins[f"pentakins.base.{k}.{a}"] for a in "xyz"])
+    r, z = (pins[f"pentakins.effector.{k}.{a}"] for a in "rz")
+    turn = Rotation.from_euler("xyz", [world[3], world[4], 0.0])
+    at = turn.inv().apply(base - world[:3])
+    return float(np.hypot(at[2] - z, np.hypot(at[0], at[1]) - r))
+
+
+def test_pentakins_drives_the_identified_pentapod(
+    oed: Run, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    machine = pentapod.machine
+    names = [p.name for p in machine.parameters]
+    sd = np.array([p.tolerance for p in machine.parameters])
+    errors = dict(zip(names, sd * rng.standard_normal(len(sd)), strict=True))
+    values = machine.nominal + np.array(list(errors.values()))
+    folder = sample.save(tmp_path / "d", sample.result(machine, values))
+    code, out, err = oed("compensate", folder, "--to", "linuxcnc")
+    assert code == 0, err
+    assert "digits cost at most" in out
+    hal = (folder / "compensation.hal").read_text("utf-8")
+    ini = (folder / "compensation.ini").read_text("utf-8")
+    pins = {k: float(v) for k, v in re.findall(r"setp (\S+) (\S+)", hal)}
+    zero = np.array(re.findall(r"STRUT_ZERO = (\S+)", ini), dtype=float)
+    for _ in range(10):
+        world = rng.uniform(-1, 1, 5) * [80, 80, 80, 0.2, 0.2]
+        lengths = np.array([strut(pins, k, world) for k in range(5)])
+        axis = Rotation.from_euler("xyz", [world[3], world[4], 0.0]).as_matrix()[:, 2]
+        tilt = np.cross([0, 0, 1], axis) * np.arccos(axis[2]) / np.hypot(*axis[:2])
+        start = np.r_[1e-3 * world[:3], tilt[:2]]
+        pose = new_families.pose("pentapod", 1e-3 * (lengths - zero), errors, start)
+        assert np.abs(pose - start).max() < 1e-7
 
 
 def test_what_the_module_cannot_hold_is_stated(oed: Run, tmp_path: Path) -> None:

@@ -172,6 +172,7 @@ LENGTHS = {
     "a3_head": 1.0,
     "hexapod": 1.0,
     "hexapod_ups": 1.0,
+    "pentapod": 1.0,
     "micro_cmm": 1.0,
     "tripod_rps": 1.0,
     "tripod_passive_leg": 1.0,

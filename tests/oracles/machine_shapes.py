@@ -196,6 +196,17 @@ def orthoglide(rng: np.random.Generator) -> Geometry:
     return shape | {"home": np.zeros(3), "reach": 0.2 * size}
 
 
+def pentapod(rng: np.random.Generator) -> Geometry:
+    """Three legs from above, two from the sides."""
+    size = drawn_size(rng)
+    upper = _ring(rng, 0.8 * size, [90.0, 210.0, 330.0], 1.2 * size)
+    lower = _ring(rng, 0.9 * size, [45.0, 135.0], 0.2 * size)
+    height = size * np.array([0.7, 0.7, 0.7, 0.1, 0.1]) * rng.uniform(0.95, 1.05, 5)
+    shape = {"base": np.vstack([upper, lower]), "height": height}
+    shape |= {"radius": size * rng.uniform(0.06, 0.1, 5), "home": np.zeros(3)}
+    return shape | {"reach": 0.08 * size, "tilt": 0.2}
+
+
 # -- verdicts --------------------------------------------------------------------------
 
 
@@ -335,6 +346,16 @@ def _orthoglide(geometry: Geometry, x: Array, q: Array) -> Verdict:
     return np.linalg.norm(v, axis=2) - geometry["strut"], behind.any(axis=1)
 
 
+def _pentapod(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    tilt = Rotation.from_rotvec(np.column_stack([x[:, 3:5], np.zeros(len(x))]))
+    axis = tilt.as_matrix()[:, :, 2]
+    offset = geometry["base"] - x[:, None, :3]
+    along = np.einsum("nki,ni->nk", offset, axis)
+    across = np.linalg.norm(np.cross(offset, axis[:, None]), axis=2)
+    length = np.hypot(along - geometry["height"], across - geometry["radius"])
+    return length - q, axis[:, 2] < 0.0
+
+
 FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Geometry], Any]] = {
     "delta": (delta, _delta),
     "hexapod_ups": (hexapod_ups, _legs),
@@ -348,4 +369,5 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Geometry], Any]] = {
     "hexapod_rus": (hexapod_rus, _hexapod_rus),
     "five_bar": (five_bar, _five_bar),
     "orthoglide": (orthoglide, _orthoglide),
+    "pentapod": (pentapod, _pentapod),
 }

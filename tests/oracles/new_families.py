@@ -85,11 +85,26 @@ def _orthoglide(x: Array, q: Array, e: Errors) -> Array:
     return np.array(rows)
 
 
+def _pentapod(x: Array, q: Array, e: Errors) -> Array:
+    upper, lower = _ring(0.8, [90, 210, 330]), _ring(0.9, [45, 135])
+    base = np.vstack([np.add(upper, [0, 0, 1.2]), np.add(lower, [0, 0, 0.2])])
+    tool = Rotation.from_rotvec([x[3], x[4], 0.0])
+    rows = []
+    for k in range(5):
+        at = tool.inv().apply(base[k] + _vector(e, f"b{k + 1}") - x[:3])
+        height = (0.7 if k < 3 else 0.1) + e.get(f"h{k + 1}", 0.0)
+        radius = 0.08 + e.get(f"r{k + 1}", 0.0)
+        length = np.hypot(at[2] - height, np.hypot(at[0], at[1]) - radius)
+        rows.append(length - e.get(f"l{k + 1}", 0.0) - q[k])
+    return np.array(rows)
+
+
 CLOSURES: dict[str, Callable[[Array, Array, Errors], Array]] = {
     "rotary_delta": _rotary_delta,
     "hexapod_rus": _hexapod_rus,
     "five_bar": _five_bar,
     "orthoglide": _orthoglide,
+    "pentapod": _pentapod,
 }
 
 

@@ -1,10 +1,11 @@
-"""LinuxCNC: HAL of genhexkins (hexapod), tripodkins, lineardeltakins and rotarydeltakins,
-and homes for the INI file.
+"""LinuxCNC: HAL of genhexkins (hexapod), tripodkins, pentakins, lineardeltakins and
+rotarydeltakins, and homes for the INI file.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from pkm_studies.catalogue.controller_format import (
     Texts,
 )
 from pkm_studies.compensation.build import sentences_of
-from pkm_studies.compensation.formats import linuxcnc_deltas
+from pkm_studies.compensation.formats import linuxcnc_deltas, linuxcnc_pentapod
 
 #: kinematics module by number of struts
 MODULES = {6: "genhexkins", 3: "tripodkins"}
@@ -26,6 +27,8 @@ MODULES = {6: "genhexkins", 3: "tripodkins"}
 STILL = 1e-9
 
 
+Write = Callable[[Compensation], Texts]
+Joints = Callable[[Texts, Compensation], Array]
 #: what the modules can take
 NEEDS = (
     "genhexkins and tripodkins need 6 or 3 struts between fixed points,"
@@ -76,9 +79,18 @@ def _fixed_struts(kinematics: Kinematics, parameters: Array) -> Struts | None:
     return Struts(*(units.from_si(v[0], "mm") for v in (base, local, zero)))
 
 
-def unfit(machine: Machine) -> str | None:
-    """Hexapods and tripods with struts between fixed points have a module, and deltas."""
+def _formats_of(machine: Machine) -> tuple[Write, Joints] | None:
+    """Writer and formula of a machine with a module of its own; None for other ones."""
+    if linuxcnc_pentapod.is_pentapod(machine):
+        return linuxcnc_pentapod.write, linuxcnc_pentapod.joints
     if linuxcnc_deltas.module_of(machine) is not None:
+        return linuxcnc_deltas.write, linuxcnc_deltas.joints
+    return None
+
+
+def unfit(machine: Machine) -> str | None:
+    """Hexapods and tripods with struts between fixed points, deltas and pentapods."""
+    if _formats_of(machine) is not None:
         return None
     if _fixed_struts(Kinematics(machine), machine.nominal) is None:
         return NEEDS
@@ -87,8 +99,9 @@ def unfit(machine: Machine) -> str | None:
 
 def write(compensation: Compensation) -> Texts:
     """HAL pins of the kinematics module; home offsets for the INI file."""
-    if linuxcnc_deltas.module_of(compensation.machine) is not None:
-        return linuxcnc_deltas.write(compensation)
+    other = _formats_of(compensation.machine)
+    if other is not None:
+        return other[0](compensation)
     struts = struts_of(compensation.kinematics, compensation.identified.values)
     nominal = struts_of(compensation.kinematics, compensation.machine.nominal)
     head = [f"# {sentence}" for sentence in sentences_of(compensation)]
@@ -146,8 +159,9 @@ def tripod_frame(struts: Struts) -> tuple[Array, Array]:
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
     """Joint readings of a controller with these pins and homes."""
-    if linuxcnc_deltas.module_of(compensation.machine) is not None:
-        return linuxcnc_deltas.joints(texts, compensation)
+    other = _formats_of(compensation.machine)
+    if other is not None:
+        return other[1](texts, compensation)
     zero = np.array(
         [
             float(line.rsplit("=", 1)[1])
@@ -188,7 +202,7 @@ def _tripod_lengths(pins: dict[str, str], compensation: Compensation) -> Array:
 
 controller = ControllerFormat(
     name="linuxcnc",
-    about="HAL and INI of hexapods, tripods, linear and rotary deltas",
+    about="HAL and INI of hexapods, pentapods, tripods, linear and rotary deltas",
     source="LinuxCNC, src/emc/kinematics/genhexkins.c, tripodkins.c and others",
     write=write,
     joints=joints,
