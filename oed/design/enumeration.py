@@ -45,7 +45,8 @@ def best_of_all(
         matrices = np.broadcast_to(base, (len(plans), *base.shape)).copy()
         for place in range(size):
             matrices += products[plans[:, place]]
-        values = criterion.of_eigenvalues(np.linalg.eigvalsh(matrices))
+        eigenvalues = np.asarray(np.linalg.eigvalsh(matrices), dtype=float)
+        values = criterion.of_eigenvalues(eigenvalues)
         if values.max() > best + EQUAL:
             best = float(values.max())
             chosen = plans[np.flatnonzero(values >= best - EQUAL)[0]]
