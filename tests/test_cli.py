@@ -69,6 +69,12 @@ def test_lists_load_nothing_that_computes(kind: str) -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
+def test_checks_load_no_statistics() -> None:
+    """They would take as long as a third of all that a check imports."""
+    code = "import sys, pkm_studies.commands.checks; sys.exit('scipy.stats' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
 @pytest.mark.parametrize(
     "command",
     ["run", "check", "simulate", "identify", "report", "list", "schema", "new"],

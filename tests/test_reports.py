@@ -250,6 +250,30 @@ def test_a_parameter_that_is_not_sampled_has_no_diagnostics() -> None:
     assert "nan" not in shown.split()
 
 
+def test_independent_draws_have_no_diagnostics_of_chains() -> None:
+    raw = report_fixture.bare() | {"posterior": report_fixture.sample()["posterior"]}
+    raw["posterior"] |= {
+        "sampler": "importance",
+        "pareto_k": 0.18,
+        "proposals": 1600,
+        "draws": 1200,
+        "acceptance": None,
+        "walkers": 0,
+        "autocorrelation": None,
+    }
+    for marginal in raw["posterior"]["marginals"].values():
+        marginal["rhat"] = None
+    shown = shown_text(result_of(raw))
+    assert "1200 independent draws: 1600 points" in shown
+    assert "Pareto k = 0.18; up to 0.69" in shown
+    assert "Every marginal is well sampled" in shown
+    for word in ("R-hat", "walker", "autocorrelation time", "accepted", "mixed"):
+        assert word not in shown
+    raw["posterior"] |= report_fixture.sample()["posterior"]
+    raw["posterior"] |= {"sampler": "emcee", "pareto_k": 0.93}
+    assert "Pareto k = 0.93 (reliable up to 0.69)" in shown_text(result_of(raw))
+
+
 # -- names are never markup ------------------------------------------------------------
 
 

@@ -19,7 +19,7 @@ from pkm_studies.commands import cli
 
 STUDY = (
     sample.DELTA
-    + "[readings]\nfiles = ['r.csv']\n[posterior]\nsteps = 300\ness = 1000000\n"
+    + "[readings]\nfiles = ['r.csv']\n[posterior]\nsampler = 'emcee'\nsteps = 300\ness = 1000000\n"
     + "[report]\nhtml = false\npdf = false\n"
 )
 

@@ -27,7 +27,7 @@ from oed.noise.prior import noise_prior
 from oed.noise.process import Whitening
 from oed.posterior import laplace, posterior
 
-Sampler = Literal["laplace", "emcee"]
+Sampler = Literal["laplace", "auto", "emcee"]
 #: draws that a rank is among
 DRAWS = 99
 #: effective sample size and steps of the sampler
@@ -113,6 +113,7 @@ def _draws(
         y,
         estimate,
         rng,
+        sampler=sampler,
         ess=EFFECTIVE,
         max_steps=STEPS,
     )

@@ -4,7 +4,8 @@ The relaxation (`oed.design.bounds`) comes first. It gives the bound, and its sl
 weights guide the search (`oed.design.search`). An exchange removes one candidate and
 adds the best one, by the criterion's exact value after adding. For D of single rows all
 pairs are known at once (`oed.design.row_exchange`). Criteria that are not smooth are reached
-along their continuation: E by exchanges that lower tr M^-p while p grows.
+along their continuation: E by exchanges that lower tr M^-p while p grows. Where there are few
+plans, all are looked at (`oed.design.enumeration`).
 """
 
 from __future__ import annotations
@@ -14,9 +15,16 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.blocks import Spectrum, as_blocks, in_orthonormal_basis, spectrum
+from oed.design.blocks import (
+    Spectrum,
+    as_blocks,
+    in_orthonormal_basis,
+    information,
+    spectrum,
+)
 from oed.design.bounds import Bound, bound, condition_bound
 from oed.design.criterion import Criterion, Determinant, Variance, named
+from oed.design.enumeration import best_of_all
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
@@ -131,6 +139,11 @@ def choose(
     problem = pose(rows, rules, criterion, prior, tolerance)
     blocks, goal, base = problem.blocks, problem.criterion, problem.base
     directions = blocks.shape[2]
+    best = best_of_all(blocks, goal, base, rules)
+    if best is not None:
+        value = goal.value(base + information(blocks[best]))
+        choice = _choice(problem, best, value, columns)
+        return choice.with_bound(goal, value, value, 0.0)
     guiding = _guiding_criterion(goal, directions, rules)
     guide = bound(blocks, guiding, rules, base, rounding=problem.rounding)
     evaluator = CriterionEvaluator(blocks, goal, base)
@@ -149,14 +162,7 @@ def choose(
             f"no plan under these rules determines the {directions} directions that the"
             " candidates determine"
         )
-    choice = Choice(
-        indices=np.sort(best),
-        criterion=goal.name,
-        value=goal.conventional_value(value, len(best)),
-        directions=directions,
-        columns=columns,
-        weak=problem.weak,
-    )
+    choice = _choice(problem, best, value, columns)
     upper = None
     if guiding is goal:
         upper = guide
@@ -165,6 +171,18 @@ def choose(
     if upper is None:
         return choice
     return choice.with_bound(goal, value, upper.value, upper.duality_gap)
+
+
+def _choice(problem: Problem, best: Index, value: float, columns: int) -> Choice:
+    """The choice of a plan with this log phi, still without a bound."""
+    return Choice(
+        indices=np.sort(best),
+        criterion=problem.criterion.name,
+        value=problem.criterion.conventional_value(value, len(best)),
+        directions=problem.blocks.shape[2],
+        columns=columns,
+        weak=problem.weak,
+    )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -7,7 +7,8 @@ a long, crooked tail on the other. The split Student (Geweke 1989, Econometrica 
 weighted draws follow the tail (population Monte Carlo; Cappe et al. 2004, Journal of
 Computational and Graphical Statistics 13, 907-929).
 
-Points are those of a Sobol sequence, so that the same readings give the same laws.
+Points are those of a Sobol sequence, so that the same readings give the same laws. A
+sampler draws from the kernels at random.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ DEGREES = 5.0
 STRETCH_STEPS, STRETCH_LIMITS, LEAST_RISE = (1.0, 2.0, 3.5), (0.7, 4.0), 1e-3
 #: power of the weights by which kernels are placed: a single draw must not take all
 TEMPER = 0.5
+#: numbers of offsets from kernels that are computed at once
+KERNEL_VALUES = 500_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -89,8 +92,20 @@ class KernelMixture:
         student = normal / np.sqrt(_chi2(uniform[:, -1:]) / DEGREES)
         return np.asarray(self.centres[number] + student @ self.root.T)
 
+    def draw(self, rng: np.random.Generator, count: int) -> Array:
+        """Random points (count, d)."""
+        number = rng.choice(len(self.weights), size=count, p=self.weights)
+        normal = rng.standard_normal((count, self.centres.shape[1]))
+        student = normal / np.sqrt(rng.chisquare(DEGREES, (count, 1)) / DEGREES)
+        return np.asarray(self.centres[number] + student @ self.root.T)
+
     def log_density(self, u: Array) -> Array:
         """Log density (L,) at points (L, d)."""
+        few = max(1, KERNEL_VALUES // self.centres.size)
+        starts = range(0, len(u), few)
+        return np.concatenate([self._log_density(u[k : k + few]) for k in starts])
+
+    def _log_density(self, u: Array) -> Array:
         offsets = (u[:, None] - self.centres).reshape(-1, u.shape[1])
         student = np.asarray(np.linalg.solve(self.root, offsets.T).T, dtype=float)
         kernels = _log_student(student).reshape(len(u), -1)
@@ -114,8 +129,13 @@ def split_student(
     return SplitStudent(mode, root, behind, ahead)
 
 
-def kernels_at(draws: Array, log_weights: Array) -> KernelMixture:
-    """Kernels at draws (m, d), more where their weights are larger."""
+def kernels_at(
+    draws: Array, log_weights: Array, widening: float = 1.0
+) -> KernelMixture:
+    """Kernels at draws (m, d), more where their weights are larger.
+
+    widening  of the kernels, over the best for a normal density
+    """
     weights = np.exp(TEMPER * (log_weights - log_weights.max()))
     weights /= weights.sum()
     offsets = draws - weights @ draws
@@ -126,7 +146,7 @@ def kernels_at(draws: Array, log_weights: Array) -> KernelMixture:
     width = (4.0 / ((d + 2.0) * effective)) ** (1.0 / (d + 4.0))
     values, vectors = eigenvectors(covariance)
     least = 1e-6 * values.max()
-    root = width * vectors * np.sqrt(np.maximum(values, least))
+    root = widening * width * vectors * np.sqrt(np.maximum(values, least))
     return KernelMixture(draws, weights, root)
 
 

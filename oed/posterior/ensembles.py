@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,10 @@ from oed.posterior.log_density import LogDensity
 ENSEMBLES, LEAST_WALKERS = 4, 16
 #: shares of the two kinds of moves
 LAPLACE_SHARE, EVOLUTION_SHARE = 0.6, 0.4
+
+
+#: points (count, dimensions) to start from
+Starts = Callable[[np.random.Generator, int], Array]
 
 
 def ensemble_sizes(walkers: int | None, dimensions: int) -> list[int]:
@@ -53,7 +57,7 @@ class Ensemble:
 class Ensembles:
     """Ensembles of one density; `determining` are arrays that determine the chains.
 
-    An ensemble with a checkpoint goes on where its saved chain ends.
+    They start about the estimate, or at `starts`. An ensemble with a checkpoint goes on where its saved chain ends.
     """
 
     def __init__(
@@ -63,8 +67,9 @@ class Ensembles:
         rng: np.random.Generator,
         checkpoint: Checkpoint | None,
         determining: Iterable[Array],
+        starts: Starts | None = None,
     ) -> None:
-        self._target = target
+        self._target, self._starts = target, starts or target.starts
         given = tuple(determining)
         self._members = [
             self._ensemble(k, size, rng, checkpoint, given)
@@ -82,7 +87,7 @@ class Ensembles:
         import emcee
 
         target, shape = self._target, (size, self._target.dimensions)
-        start = target.starts(rng, size)
+        start = self._starts(rng, size)
         random: Any = np.random.RandomState(rng.integers(2**31)).get_state()
         if checkpoint is not None:
             folder = checkpoint.folder / str(number)

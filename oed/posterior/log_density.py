@@ -26,6 +26,7 @@ from oed.measurement.interpolated_readings import (
 )
 from oed.measurement.measurement import Measurement, Series
 from oed.model.series import take_values
+from oed.noise.marginal import NoisePosterior, ResidualModel
 from oed.noise.process import Whitening
 
 #: degrees of freedom of the independent proposals' Student tails
@@ -33,7 +34,7 @@ PROPOSAL_DOF = 20.0
 #: Gauss-Newton steps that keep the readings as they were along null directions
 CORRECTIONS = 2
 #: readings of draws that are predicted at once
-VALUES = 1_000_000
+VALUES = 200_000
 #: spread of the points that readings are interpolated between, over the posterior's
 WIDER = 1.5
 
@@ -162,6 +163,12 @@ class LogDensity:
             return np.full(len(points), -np.inf)
 
     def _log_density(self, points: Array) -> Array:
+        few = max(VALUES // len(self._y), 1)
+        starts = range(0, len(points), few)
+        return np.concatenate([self._part(points[k : k + few]) for k in starts])
+
+    def _part(self, points: Array) -> Array:
+        """The log density of as many points as fit into memory with their readings."""
         z, u = points[:, : self.r], points[:, self.r :]
         theta = self.coordinates.to_theta(z)
         residual = self._readings(theta) - self._y
@@ -169,6 +176,24 @@ class LogDensity:
         value = -0.5 * (self._misfit(residual, u) + prior)
         possible = np.isfinite(value) & self.measurement.in_bounds(theta, self._bounded)
         return np.where(possible, value, -np.inf)
+
+    @property
+    def noise_posterior(self) -> NoisePosterior | None:
+        """Posterior of the noise law in the linear model; None where noise is known."""
+        return self._posterior
+
+    def linear_model(self) -> ResidualModel:
+        """Readings as a linear model about the estimate, for an estimated noise law."""
+        assert self._posterior is not None
+        structure, series = self._posterior.structure, self._series
+        jacobian = self.measurement.jacobian(series, self._theta)
+        residual = self._y - self.measurement.readings(series, self._theta)
+        return ResidualModel(
+            structure,
+            structure.standardise(residual),
+            structure.standardise(jacobian @ self.coordinates.basis),
+            self.centre[: self.r],
+        )
 
     def starts(self, rng: np.random.Generator, count: int) -> Array:
         """Points (count, dimensions) from the Laplace approximation, within bounds.

@@ -31,6 +31,8 @@ from oed.result.design import (
     WorkingOrder,
 )
 from oed.result.fit import (
+    EMCEE,
+    IMPORTANCE,
     CombinationEstimate,
     EffectSizeRecord,
     EstimateSection,
@@ -39,6 +41,7 @@ from oed.result.fit import (
     PosteriorSection,
     PredictiveCheckRecord,
     RunCurve,
+    largest_pareto_k,
 )
 from oed.result.forecast import ForecastComponent, ForecastSection
 from oed.result.gap import (
@@ -104,6 +107,8 @@ from oed.result.study import (
 )
 
 __all__ = [
+    "EMCEE",
+    "IMPORTANCE",
     "SCHEMA",
     "AcceptanceSection",
     "AdjustedRecord",
@@ -186,4 +191,5 @@ __all__ = [
     "VerdictRecord",
     "VerificationSection",
     "WorkingOrder",
+    "largest_pareto_k",
 ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from oed.result.record import Number, Record
 
 #: probability below which a discrepancy contradicts the posterior, either way
@@ -111,10 +113,26 @@ class EstimateSection(Record, frozen=True):
     runs: list[RunCurve] = []
 
 
+#: samplers of the posterior
+IMPORTANCE, EMCEE = "importance", "emcee"
+
+
+def largest_pareto_k(points: int) -> float:
+    """Shape of the weights' tail up to which means over `points` converge.
+
+    Vehtari, Simpson, Gelman, Yao and Gabry 2024, JMLR 25(72), equation 13.
+
+    >>> largest_pareto_k(1000), largest_pareto_k(1_000_000)
+    (0.666..., 0.7)
+    """
+    return min(1.0 - 1.0 / math.log10(max(points, 10)), 0.7)
+
+
 class Marginal(Record, frozen=True):
     """Posterior of one parameter, in its display unit.
 
-    rhat, ess    None for a parameter that is not sampled
+    rhat    of emcee's ensembles; None for independent draws
+    ess     None for a parameter that is not sampled
     """
 
     mean: float
@@ -145,15 +163,27 @@ class PredictiveCheckRecord(Record, frozen=True):
 
 
 class PosteriorSection(Record, frozen=True):
-    """Sampler summary. `posterior.nc` holds the draws."""
+    """Sampler summary. `posterior.nc` holds the draws.
+
+    sampler    `importance` (independent draws) or `emcee`
+    pareto_k   shape of the tail of the importance weights, also where emcee ran because it
+               is too large; None where no weights were computed
+    proposals  points that were weighted
+
+    Of emcee alone, None and 0 for independent draws: acceptance, walkers,
+    autocorrelation.
+    """
 
     marginals: dict[str, Marginal]
-    acceptance: float
+    acceptance: Number
     draws: int
     walkers: int
-    autocorrelation: float
+    autocorrelation: Number
     directions: list[str]  # names of the worst-seen directions shown in the corner plot
     corner: list[
         list[float]
     ]  # thinned draws [draw][direction], in prior standard deviations
     checks: dict[str, PredictiveCheckRecord] = {}  # posterior predictive
+    sampler: str = "emcee"
+    pareto_k: Number = None
+    proposals: int = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 
-from scipy import optimize, stats
+from scipy import optimize
 
 #: false alarm and power that "is found" stands for
 FALSE_ALARM, POWER = 0.01, 0.90
@@ -12,6 +12,8 @@ FALSE_ALARM, POWER = 0.01, 0.90
 
 def power(lam: float, columns: int) -> float:
     """Probability that a test with `columns` degrees of freedom finds a gap of lambda."""
+    from scipy import stats  # takes half a second to import
+
     level = stats.chi2.isf(FALSE_ALARM, columns)
     return float(stats.ncx2.sf(level, columns, lam))
 

@@ -8,7 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord, StudyResult
+from oed.result import (
+    IMPORTANCE,
+    Marginal,
+    PosteriorSection,
+    PredictiveCheckRecord,
+    StudyResult,
+    largest_pareto_k,
+)
 from oed.result.record import Number
 from pkm_reports.figures import corner
 from pkm_reports.page import text
@@ -61,15 +68,30 @@ def blocks(result: StudyResult) -> list[Block]:
 
 
 def _sampler(posterior: PosteriorSection) -> str:
-    draws = text.number(posterior.draws)
+    draws, points = text.number(posterior.draws), text.number(posterior.proposals)
+    refused = ""
+    if posterior.pareto_k is not None:
+        limit = text.fixed(largest_pareto_k(posterior.proposals), 2)
+        k = text.fixed(posterior.pareto_k, 2)
+        if posterior.sampler == IMPORTANCE:
+            return (
+                f"The posterior has {draws} independent draws: {points} points about the"
+                " estimate were weighted by the density, and draws taken by weight. The"
+                f" tail of the weights has Pareto k = {k}; up to {limit} such draws are"
+                " reliable. All draws are in posterior.nc."
+            )
+        refused = (
+            f" Draws by weight were no use: of {points} points about the estimate the"
+            f" weights have Pareto k = {k} (reliable up to {limit}), or few count."
+        )
     walkers = text.count(posterior.walkers, "walker")
     acceptance = text.percent(posterior.acceptance)
     time = text.number(posterior.autocorrelation)
     return (
         f"The posterior has {draws} draws from {walkers} in independent ensembles, which"
         " R-hat compares. The sampler accepted"
-        f" {acceptance} of its moves; the autocorrelation time is {time} steps. All"
-        " draws are in posterior.nc."
+        f" {acceptance} of its moves; the autocorrelation time is {time} steps.{refused}"
+        " All draws are in posterior.nc."
     )
 
 
@@ -81,30 +103,35 @@ def _diagnostics(marginals: Mapping[str, Marginal]) -> list[Block]:
     sampled = {name: m for name, m in marginals.items() if _is_sampled(m)}
     if not sampled:
         return []
-    rhat = max(or_nan(m.rhat) for m in sampled.values())
+    rhat = max((m.rhat for m in sampled.values() if m.rhat is not None), default=None)
     ess = min(or_nan(m.ess) for m in sampled.values())
-    diagnostics = (
-        f"R-hat is at most {text.fixed(rhat, 3)}, and the effective sample size at"
-        f" least {_sample_size(ess)}"
-    )
+    diagnostics = f"the effective sample size is at least {_sample_size(ess)}"
+    if rhat is not None:
+        diagnostics = (
+            f"R-hat is at most {text.fixed(rhat, 3)}, and the effective sample size at"
+            f" least {_sample_size(ess)}"
+        )
     bad = [name for name, m in sampled.items() if not _is_well_sampled(m)]
     if not bad:
         return [Paragraph(f"Every marginal is well sampled: {diagnostics}.")]
-    wanted = f"wanted: {LARGEST_RHAT} at most, {SMALLEST_ESS:.0f} at least"
+    wanted, what = f"{SMALLEST_ESS:.0f} at least", "The draws are few"
+    if rhat is not None:
+        wanted = f"{LARGEST_RHAT} at most, {wanted}"
+        what = "The sampler has not fully mixed"
     return [
         Notice(
-            f"The sampler has not fully mixed: {diagnostics} ({wanted}). This concerns"
+            f"{what}: {diagnostics} (wanted: {wanted}). This concerns"
             f" {text.listing(bad, 8)}."
         )
     ]
 
 
 def _is_sampled(marginal: Marginal) -> bool:
-    return math.isfinite(or_nan(marginal.rhat))
+    return math.isfinite(or_nan(marginal.ess))
 
 
 def _is_well_sampled(marginal: Marginal) -> bool:
-    mixed = or_nan(marginal.rhat) <= LARGEST_RHAT
+    mixed = marginal.rhat is None or or_nan(marginal.rhat) <= LARGEST_RHAT
     return mixed and or_nan(marginal.ess) >= SMALLEST_ESS
 
 
@@ -160,9 +187,11 @@ def _marginals(marginals: Mapping[str, Marginal]) -> list[Block]:
         TableColumn("Parameter"),
         *number_columns("Mean", "sd", "2.5 %", "97.5 %"),
         TableColumn("Unit"),
-        *number_columns("R-hat", "ESS"),
     ]
-    rows = [_marginal_row(name, marginal) for name, marginal in marginals.items()]
+    # independent draws have no R-hat
+    mixed = any(m.rhat is not None for m in marginals.values())
+    columns += number_columns("R-hat", "ESS") if mixed else number_columns("ESS")
+    rows = [_marginal_row(name, m, mixed) for name, m in marginals.items()]
     caption = (
         "Marginals of the posterior with sampler diagnostics (ESS: effective sample"
         " size, which decides how many digits are printed)."
@@ -195,7 +224,7 @@ def _checks(checks: Mapping[str, PredictiveCheckRecord]) -> list[Block]:
     return [Table(columns, rows, caption)]
 
 
-def _marginal_row(name: str, marginal: Marginal) -> list[str]:
+def _marginal_row(name: str, marginal: Marginal, mixed: bool) -> list[str]:
     numbers = (marginal.mean, marginal.sd, marginal.q025, marginal.q975)
     return [
         name,
@@ -204,7 +233,7 @@ def _marginal_row(name: str, marginal: Marginal) -> list[str]:
             for number, error in zip(numbers, ERRORS, strict=True)
         ],
         text.unit_symbol(marginal.unit),
-        text.fixed(marginal.rhat, 3),
+        *([text.fixed(marginal.rhat, 3)] if mixed else []),
         _sample_size(marginal.ess),
     ]
 

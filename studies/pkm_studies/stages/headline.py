@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from oed.result import (
+    IMPORTANCE,
     ComponentAccuracy,
     CorrectedSection,
     DesignSection,
@@ -340,10 +341,13 @@ def _posterior(section: PosteriorSection | None) -> list[str]:
         return []
     marginals = section.marginals.values()
     ess = min((m.ess for m in marginals if m.ess is not None), default=math.nan)
+    size = f"an effective sample size of at least {float(f'{ess:.2g}'):.0f}"
+    if section.sampler == IMPORTANCE:
+        return [f"The posterior has {section.draws} independent draws, {size}."]
     rhat = max((m.rhat for m in marginals if m.rhat is not None), default=math.nan)
     return [
-        f"The posterior has {section.draws} draws, an effective sample size of at least"
-        f" {float(f'{ess:.2g}'):.0f} and an R-hat of at most {rhat:.3f}."
+        f"The posterior has {section.draws} draws, {size} and an R-hat of at most"
+        f" {rhat:.3f}."
     ]
 
 

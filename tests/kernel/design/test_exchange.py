@@ -58,10 +58,13 @@ def problem(seed: int) -> tuple[np.ndarray, np.random.Generator]:
         pytest.param("E", PROBLEMS, marks=pytest.mark.slow),
     ],
 )
-def test_tiny_problems_are_solved_almost_always(criterion: str, problems: int) -> None:
-    """4 of 9 readings for 3 directions: the best of all 126 subsets in 90 % of the
+def test_tiny_problems_are_solved_almost_always(
+    criterion: str, problems: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search alone, not all plans: 4 of 9 readings for 3 directions: the best of all 126 subsets in 90 % of the
     problems, and never far from it.
     """
+    monkeypatch.setattr(exchange, "best_of_all", lambda *_: None)
     shortfall = []
     for seed in range(problems):
         rows, rng = problem(seed)

@@ -12,7 +12,7 @@ import pytest
 
 from kernel.posterior.test_posterior import problem
 from oed.base.whole_file import whole_file
-from oed.posterior import posterior
+from oed.posterior import chains, posterior
 from oed.posterior.checkpoint import Checkpoint
 from oed.posterior.posterior import Posterior
 
@@ -22,7 +22,7 @@ STEPS, BLOCK = 64, 20
 
 @pytest.fixture(autouse=True)
 def _short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(posterior, "CHECK_STEPS", BLOCK)
+    monkeypatch.setattr(chains, "CHECK_STEPS", BLOCK)
 
 
 class KilledError(Exception):
@@ -42,6 +42,7 @@ def sampled(folder: Path | None, seed: int = 5, key: str = "a study") -> Posteri
         y,
         estimate,
         np.random.default_rng(seed),
+        sampler="emcee",
         ess=1e9,
         max_steps=STEPS,
         checkpoint=checkpoint,
@@ -105,6 +106,7 @@ def test_only_a_chain_of_the_same_key_and_seed_is_resumed(
             y,
             estimate,
             np.random.default_rng(seed),
+            sampler="emcee",
             max_steps=BLOCK + 4,
             checkpoint=Checkpoint(folder, key),
             resumed=resumed_after.append,

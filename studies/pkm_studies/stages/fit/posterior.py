@@ -14,7 +14,7 @@ from oed.base.linear_algebra import by_size
 from oed.estimation.identification import Estimate
 from oed.measurement.measurement import Measurement
 from oed.posterior.posterior import MIXED_RHAT, Posterior
-from oed.result import Marginal, PosteriorSection, PredictiveCheckRecord
+from oed.result import IMPORTANCE, Marginal, PosteriorSection, PredictiveCheckRecord
 from pkm_studies.study.tables import PosteriorTable
 
 #: draws shown in the corner plot
@@ -26,6 +26,7 @@ NAMED = 3
 def sampler_options(table: PosteriorTable) -> dict[str, Any]:
     """Options of the sampler, as [posterior] states them."""
     return {
+        "sampler": table.sampler,
         "walkers": table.walkers,
         "ess": float(table.ess),
         "max_steps": table.steps,
@@ -51,10 +52,13 @@ def posterior_section(
     directions, table = _widest(measurement, estimate, posterior, corner)
     return PosteriorSection(
         marginals=marginals,
-        acceptance=posterior.acceptance,
+        sampler=posterior.sampler,
+        pareto_k=_finite(posterior.pareto_k),
+        proposals=posterior.proposals,
+        acceptance=_finite(posterior.acceptance),
         draws=len(posterior.pooled),
         walkers=posterior.walkers,
-        autocorrelation=posterior.autocorrelation,
+        autocorrelation=_finite(posterior.autocorrelation),
         directions=directions,
         corner=table,
     )
@@ -98,9 +102,10 @@ def sampling_warnings(posterior: Posterior, ess: int) -> list[str]:
             " [posterior] steps"
         )
     if least < ess:
+        key = "draws" if posterior.sampler == IMPORTANCE else "steps"
         sentences.append(
             f"the posterior has an effective sample size of {least:.0f}, short of"
-            f" {ess}; raise [posterior] steps"
+            f" {ess}; raise [posterior] {key}"
         )
     unmixed = np.flatnonzero(np.nan_to_num(posterior.rhat) > MIXED_RHAT)
     if unmixed.size:
@@ -122,10 +127,15 @@ def marginal(values: Array, posterior: Posterior, k: int, unit: str) -> Marginal
         sd=float(values.std(ddof=1)),
         q025=float(low),
         q975=float(high),
-        rhat=float(posterior.rhat[k]),
+        rhat=_finite(posterior.rhat[k]),
         ess=float(posterior.ess[k]),
         unit=unit,
     )
+
+
+def _finite(value: float) -> float | None:
+    """The value; None where the sampler has none."""
+    return float(value) if np.isfinite(value) else None
 
 
 def _widest(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.stats import qmc
 
 from oed.base.arrays import Array
 from oed.compensate import GridAxis, box_axes, pose_error
@@ -197,6 +196,8 @@ def _sigma(
 
 def _places(axes: tuple[GridAxis, ...], rng: np.random.Generator) -> Array:
     """Places (PLACES, n_dof) evenly over the box."""
+    from scipy.stats import qmc  # takes half a second to import
+
     low = np.array([axis.lower for axis in axes])
     high = np.array([axis.upper for axis in axes])
     cube = qmc.LatinHypercube(len(axes), rng=rng).random(PLACES)

@@ -141,7 +141,7 @@ def sample_posterior(state: Fitted) -> Fitted:
     table = state.study.posterior
     if not table.enabled or state.estimate.effects is not None:
         return state
-    posterior.import_samplers()
+    posterior.import_samplers(table.sampler)
     state.progress.stage("posterior")
     draws = posterior.sample(
         state.measurement,

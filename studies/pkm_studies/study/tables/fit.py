@@ -60,17 +60,21 @@ PredictionReference = Literal["home", "absolute", "best_fit"]
 
 
 class PosteriorTable(StudyTable, frozen=True, kw_only=True):
-    """[posterior]: how long to sample.
+    """[posterior]: how to sample, and how long.
 
     enabled  whether to sample
-    walkers  number of chains, in up to four independent ensembles
-    steps    most steps of each chain
+    sampler  "auto": independent draws by importance sampling where the tail of their
+             weights allows it, else emcee, started from them; "emcee": always emcee
     ess      effective sample size of each parameter at which sampling stops
-    draws    most draws in posterior.nc; four times `ess` by default
-    thin     each so many-th step is a draw, or fewer where `draws` asks for it
+    draws    most draws in posterior.nc; by default as many as are worth `ess`, of emcee
+             four times `ess`
+    walkers  of emcee: number of chains, in up to four independent ensembles
+    steps    of emcee: most steps of each chain
+    thin     of emcee: each so many-th step is a draw, or fewer where `draws` asks for it
     """
 
     enabled: bool = True
+    sampler: Literal["auto", "emcee"] = "auto"
     walkers: Annotated[int, msgspec.Meta(ge=4, le=100_000)] | None = None
     steps: Count = 20_000
     ess: Count = 1000

@@ -1,0 +1,147 @@
+"""Draws of the posterior with what is known of their quality, in memory and as a file."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.base.own_files import save_own
+from oed.result.fit import EMCEE
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+@dataclasses.dataclass(frozen=True)
+class Posterior:
+    """Draws from the posterior, and their diagnostics.
+
+    names            parameters of theta
+    draws            (chains, draws, n) theta, SI. Independent draws are one chain; of
+                     emcee a chain is an ensemble, its walkers in turn, thinned, or a
+                     walker where there is one ensemble alone
+    z                (chains, draws, r) identifiable coordinates
+    noise_law        (chains, draws, d) coordinates of the noise law, standard normal a
+                     priori (`oed.noise.prior`)
+    noise_names      of these coordinates
+    ess              (n,) effective sample size; NaN for held parameters. Of independent
+                     draws: less than their number where some are repeated; of emcee: of
+                     all steps (ArviZ, bulk)
+    sampler          IMPORTANCE or EMCEE
+    pareto_k         shape of the tail of the importance weights, also where emcee ran
+                     because it is too large; NaN where no weights were computed
+    proposals        points that were weighted
+
+    Of emcee alone, NaN and 0 for independent draws:
+
+    rhat             (n,) split R-hat of the ensembles (ArviZ); NaN for held parameters
+    acceptance       mean share of accepted steps
+    autocorrelation  longest integrated autocorrelation time, in steps (emcee)
+    walkers          of all ensembles
+    steps            steps run by each
+    burn_in          steps discarded
+    """
+
+    names: tuple[str, ...]
+    draws: Array
+    z: Array
+    noise_law: Array
+    noise_names: tuple[str, ...]
+    ess: Array
+    rhat: Array
+    acceptance: float = np.nan
+    autocorrelation: float = np.nan
+    walkers: int = 0
+    steps: int = 0
+    burn_in: int = 0
+    sampler: str = EMCEE
+    pareto_k: float = np.nan
+    proposals: int = 0
+
+    @property
+    def pooled(self) -> Array:
+        """The draws of all chains (chains * draws, n), SI."""
+        return self.draws.reshape(-1, self.draws.shape[2])
+
+    @property
+    def theta(self) -> Array:
+        """Means of the draws (n,), SI."""
+        mean: Array = self.pooled.mean(axis=0)
+        return mean
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the draws (n, n), SI."""
+        return np.cov(self.pooled, rowvar=False)
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations of the draws (n,), SI."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def to_arviz(posterior: Posterior) -> xr.DataTree:
+    """The draws, SI, as ArviZ and xarray read them: groups posterior and sample_stats.
+
+    Attributes name the sampler, and k of the importance weights. R-hat is emcee's alone.
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.estimation import identify
+    >>> from oed.measurement import draw_parameters, draw_readings
+    >>> from oed.posterior import sample, to_arviz
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> rng = np.random.default_rng(1)
+    >>> truth = draw_parameters(measurement, rng)
+    >>> y = draw_readings(measurement, [series], truth, rng)
+    >>> estimate = identify(measurement, [series], y)
+    >>> posterior = sample(measurement, [series], y, estimate, rng, ess=400)
+    >>> to_arviz(posterior)["posterior"]["theta"].dims
+    ('chain', 'draw', 'parameter')
+    """
+    import arviz_base
+
+    statistics = {"ess": posterior.ess[None, None]}
+    if posterior.sampler == EMCEE:
+        statistics["rhat"] = posterior.rhat[None, None]
+    groups = {
+        "posterior": {"theta": posterior.draws, "noise_law": posterior.noise_law},
+        "sample_stats": statistics,
+    }
+    tree: xr.DataTree = arviz_base.from_dict(
+        groups,
+        # a chain of a single ensemble is a walker, and may be short
+        check_conventions=False,
+        coords={
+            "parameter": list(posterior.names),
+            "noise_coordinate": list(posterior.noise_names),
+        },
+        dims={
+            "theta": ["parameter"],
+            "noise_law": ["noise_coordinate"],
+            "ess": ["parameter"],
+            "rhat": ["parameter"],
+        },
+    )
+    tree.attrs["sampler"] = posterior.sampler
+    if np.isfinite(posterior.pareto_k):
+        tree.attrs["pareto_k"] = posterior.pareto_k
+    return tree
+
+
+def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> Path:
+    """Write the draws, SI, as NetCDF for xarray and ArviZ, whole or not at all.
+
+    Returns the path: one with a number where the user changed the file.
+    """
+    tree = to_arviz(posterior)
+    tree.attrs.update(attributes)
+    return save_own(path, lambda part: tree.to_netcdf(part, engine="h5netcdf"))

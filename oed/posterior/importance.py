@@ -1,0 +1,225 @@
+"""Independent draws of the posterior by importance sampling, checked by their weights.
+
+Proposals x with density q get weights p(x) / q(x). The largest weights are replaced by
+quantiles of the generalised Pareto distribution that fits them (PSIS; Vehtari, Simpson,
+Gelman, Yao and Gabry 2024, Journal of Machine Learning Research 25(72)). Its shape k says
+whether means converge: above min(1 - 1 / log10(count), 0.7) they do not, and the weights
+are not used. Else draws are taken by their weights, so that all count alike.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from oed.base.arrays import Array, Index
+from oed.posterior.chains import arviz
+from oed.posterior.draws import Posterior
+from oed.posterior.log_density import LogDensity, OutOfBoundsError
+from oed.posterior.proposals import Proposal, proposal_of
+from oed.result.fit import IMPORTANCE, largest_pareto_k
+
+#: k beyond which more proposals are not worth a try
+HOPELESS_K = 1.0
+#: draws, over the wanted effective sample size: more where some are repeated
+SPARES = (1.2, 2.0, 3.0)
+#: proposals at most, over the wanted effective sample size
+MOST = 30.0
+#: proposals at first at least: the tail of fewer has no shape
+LEAST = 1000
+#: effective sample size beyond which proposals need too much memory
+LARGEST_ESS = 100_000.0
+#: further proposals where the draws are worth less than wanted, over those that would do
+#: if their worth were their share, and least of those so far
+ENOUGH, LEAST_MORE = 1.3, 0.25
+#: proposals in one round at most
+ROUND = 20_000
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Proposals:
+    """Weighted proposals.
+
+    points       (m, dimensions) those of a density above 0
+    log_weights  (m,) before smoothing
+    drawn        proposals, with those of density 0
+    """
+
+    points: Array
+    log_weights: Array
+    drawn: int
+
+    @classmethod
+    def empty(cls, dimensions: int) -> Proposals:
+        """No proposal yet."""
+        return cls(np.zeros((0, dimensions)), np.zeros(0), 0)
+
+    def extend(
+        self,
+        target: LogDensity,
+        proposal: Proposal,
+        rng: np.random.Generator,
+        count: int,
+    ) -> Proposals:
+        """These and `count` more. Raises KeyboardInterrupt."""
+        points, log_density = proposal.draw(rng, count)
+        log_weights = target(points) - log_density
+        if target.interrupted:
+            raise KeyboardInterrupt
+        good = np.isfinite(log_weights)
+        return Proposals(
+            np.concatenate([self.points, points[good]]),
+            np.concatenate([self.log_weights, log_weights[good]]),
+            self.drawn + count,
+        )
+
+    def smoothed(self) -> tuple[Array, float]:
+        """Smoothed weights (m,) of sum 1, and the shape k of their tail."""
+        # ArviZ takes log likelihoods, whose inverses are the weights
+        log_weights, k = arviz().psislw(-self.log_weights)
+        weights = np.exp(log_weights - np.max(log_weights))
+        return weights / weights.sum(), float(k)
+
+    def starts(self, rng: np.random.Generator, count: int) -> Array:
+        """Different points (count, dimensions), the more probable the larger their weights."""
+        gumbel = rng.gumbel(size=len(self.log_weights))
+        best = np.argsort(-(self.log_weights + gumbel))[:count]
+        return self.points[best]
+
+
+def draw_weighted(
+    target: LogDensity,
+    proposal: Proposal,
+    rng: np.random.Generator,
+    ess: float,
+    most: float,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Proposals, float, Index | None]:
+    """Proposals, k, and numbers of those drawn; None where weights cannot be used.
+
+    Draws are as many as are worth `ess` independent ones for every parameter, and `most`
+    at most. Raises KeyboardInterrupt.
+    """
+    proposals, k = Proposals.empty(target.dimensions), math.inf
+    count = max(math.ceil(proposal.points_of_ess * ess), LEAST)
+    while proposals.drawn < max(MOST * ess, LEAST):
+        for some in _rounds(count):
+            proposals = proposals.extend(target, proposal, rng, some)
+        if len(proposals.points) < 0.01 * proposals.drawn:
+            break
+        weights, k = proposals.smoothed()
+        if k > HOPELESS_K:
+            break
+        more = 1.0
+        if k <= largest_pareto_k(proposals.drawn):
+            for spare in SPARES:
+                chosen = resample(weights, math.ceil(min(spare * ess, most)), rng)
+                reached = float(np.min(worth(target, proposals.points, chosen)))
+                if reached >= ess or len(chosen) >= most:
+                    return proposals, k, chosen
+            if progress is not None:
+                progress(min(1.0, reached / ess))
+            more = np.clip(ENOUGH * ess / reached - 1.0, LEAST_MORE, 1.0)
+        count = math.ceil(more * proposals.drawn)
+    return proposals, k, None
+
+
+def _rounds(count: int) -> list[int]:
+    whole, rest = divmod(count, ROUND)
+    return [ROUND] * whole + [rest] * (rest > 0)
+
+
+def resample(weights: Array, count: int, rng: np.random.Generator) -> Index:
+    """Numbers (count,) of proposals by their weights (m,), in a random order.
+
+    Systematic: each is taken as often as its weight says, rounded up or down.
+    """
+    places = (np.arange(count) + rng.random()) / count
+    ends = np.cumsum(weights)
+    numbers = np.searchsorted(ends, places * ends[-1])
+    return rng.permutation(np.minimum(numbers, len(weights) - 1))
+
+
+def worth(target: LogDensity, points: Array, chosen: Index) -> Array:
+    """Number of independent draws (n,) that draws are worth, of parameters that move.
+
+    For draws with repetitions c about a mean, it is the variance of one over that of the
+    mean: m sum c x^2 / sum c^2 x^2.
+    """
+    counts = np.bincount(chosen, minlength=len(points)).astype(float)
+    some = counts > 0
+    counts = counts[some, None]
+    theta = target.coordinates.to_theta(points[some, : target.r])[:, target.moving]
+    if not theta.size:
+        return np.array([float(len(chosen))])
+    square = (theta - (counts * theta).sum(axis=0) / len(chosen)) ** 2
+    once, twice = (counts * square).sum(axis=0), (counts**2 * square).sum(axis=0)
+    return np.asarray(len(chosen) * once / np.maximum(twice, np.finfo(float).tiny))
+
+
+def collect(
+    target: LogDensity,
+    proposals: Proposals,
+    k: float,
+    chosen: Index,
+    rng: np.random.Generator,
+) -> Posterior:
+    """The drawn proposals, with null directions from their prior, within bounds.
+
+    Raises OutOfBoundsError where no draw is within bounds.
+    """
+    coordinates, r = target.coordinates, target.r
+    points, null = proposals.points[chosen], coordinates.null_basis
+    change = rng.standard_normal((len(points), null.shape[1])) @ null.T
+    theta = target.move_along_null(coordinates.to_theta(points[:, :r]), change)
+    inside = target.in_bounds(theta)
+    if not inside.any():
+        raise OutOfBoundsError(target.measurement, theta)
+    ess = np.full(theta.shape[1], np.nan)
+    ess[np.ptp(theta, axis=0) > 0] = len(chosen)
+    ess[target.moving] = worth(target, proposals.points, chosen)
+    return Posterior(
+        names=target.measurement.names,
+        draws=theta[inside][None],
+        z=points[inside][None, :, :r],
+        noise_law=points[inside][None, :, r:],
+        noise_names=target.noise_names,
+        ess=ess * inside.mean(),
+        rhat=np.full(theta.shape[1], np.nan),
+        sampler=IMPORTANCE,
+        pareto_k=k,
+        proposals=proposals.drawn,
+    )
+
+
+def sample_independent(
+    target: LogDensity,
+    rng: np.random.Generator,
+    ess: float,
+    most: float = math.inf,
+    progress: Callable[[float], None] | None = None,
+) -> tuple[Posterior | None, Proposals, float]:
+    """Independent draws worth `ess`, or None; the proposals and k of their weights.
+
+    most  draws at most
+
+    Raises KeyboardInterrupt, OutOfBoundsError.
+    """
+    proposal = proposal_of(target, rng)
+    wanted = reachable = min(ess, most / SPARES[0])
+    while True:
+        proposals, k, chosen = draw_weighted(
+            target, proposal, rng, wanted, most, progress
+        )
+        if chosen is None:
+            return None, proposals, k
+        drawn = collect(target, proposals, k, chosen, rng)
+        share = drawn.draws.shape[1] / len(chosen)
+        least = float(np.nanmin(drawn.ess, initial=len(chosen)))
+        if least >= reachable or wanted > reachable or len(chosen) >= most:
+            return drawn, proposals, k
+        # bounds left out some
+        wanted = SPARES[0] * wanted / share

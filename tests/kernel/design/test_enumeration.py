@@ -1,0 +1,58 @@
+"""All plans of small problems against loops over subsets, one matrix at a time."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from oed.design import choose
+from oed.design.enumeration import best_of_all
+from oed.design.exchange import pose
+from oed.design.rules import Rules
+
+
+def values(
+    blocks: np.ndarray, size: int, prior: np.ndarray, criterion: str
+) -> list[float]:
+    """Least eigenvalue, or minus the condition number of H, of each plan."""
+    of_plans = []
+    for chosen in combinations(range(len(blocks)), size):
+        rows = np.vstack([blocks[k] for k in chosen])
+        if criterion == "E":
+            least = np.linalg.eigvalsh(rows.T @ rows + prior)[0]
+            of_plans.append(float(least))
+        else:
+            root = np.linalg.cholesky(prior + 1e-300 * np.eye(len(prior))).T
+            of_plans.append(-float(np.linalg.cond(np.vstack([rows, root]))))
+    return of_plans
+
+
+@pytest.mark.parametrize("criterion", ["E", "kappa"])
+@pytest.mark.parametrize(("k", "with_prior"), [(1, False), (2, True)])
+def test_the_best_of_all_plans_is_chosen_and_proven(
+    criterion: str, k: int, with_prior: bool
+) -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        blocks = rng.standard_normal((10, k, 3))
+        prior = 0.3 * np.eye(3) if with_prior else np.zeros((3, 3))
+        given = prior if with_prior else None
+        choice = choose(blocks, 4, rng, criterion, prior=given)
+        best = max(values(blocks, 4, prior, criterion))
+        assert choice.value == pytest.approx(abs(best), rel=1e-9)
+        assert choice.proven
+        assert choice.bound == choice.value
+        assert choice.efficiency == 1.0
+
+
+def test_other_criteria_rules_and_many_plans_are_left_to_the_search() -> None:
+    rows = np.random.default_rng(1).standard_normal((40, 4))
+    for count, criterion, taken in (
+        (12, "E", True),
+        (12, "D", False),
+        (40, "E", False),
+    ):
+        rules = Rules(size=6)
+        problem = pose(rows[:count], rules, criterion, None, 1e-6)
+        plan = best_of_all(problem.blocks, problem.criterion, problem.base, rules)
+        assert (plan is not None) == taken
