@@ -39,18 +39,34 @@ class SessionStates:
     covariates  one row a reading
     states      one a series
     gravity     its direction in the base frame
+    used        values, SI, of covariates at which the machine is used
     """
 
     measurement: Measurement
     covariates: pd.DataFrame
     states: tuple[State, ...]
     gravity: tuple[float, float, float]
+    used: Mapping[str, Array] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, problem: GapProblem) -> SessionStates:
+    def of(
+        cls, problem: GapProblem, used: Mapping[str, Array] | None = None
+    ) -> SessionStates:
         """Those of a problem's readings."""
         return cls(
-            problem.measurement, problem.covariates, problem.states, problem.gravity
+            problem.measurement,
+            problem.covariates,
+            problem.states,
+            problem.gravity,
+            used or {},
+        )
+
+    def draw(self, count: int, rng: np.random.Generator) -> pd.DataFrame:
+        """Covariates of `count` rows: drawn readings of the session, as used."""
+        drawn = rng.integers(len(self.covariates), size=count)
+        rows = self.covariates.iloc[drawn]
+        return rows.assign(
+            **{name: rng.choice(values, count) for name, values in self.used.items()}
         )
 
 
@@ -59,7 +75,8 @@ def workspace_state(
 ) -> State:
     """The machine's state at commands, then at home, in drawn states of the session.
 
-    At home the states are those of the session's first reading.
+    At home the states are those of the session's first reading. Covariates that the
+    machine is used at are drawn from their values, each by itself.
     """
     measurement, first = session.measurement, session.states[0]
     home = measurement.machine.home_command[None]
@@ -69,8 +86,7 @@ def workspace_state(
     index = np.arange(len(poses))[:, None]
     run = np.array(["1"] * len(poses))
     series = Series(first.setup, q, x, poses, index, run)
-    drawn = rng.integers(len(session.covariates), size=len(q))
-    rows = session.covariates.iloc[drawn]
+    rows = session.draw(len(q), rng)
     rows = rows.assign(run="1", order=np.arange(len(q), dtype=float))
     rows.iloc[-1] = _first_row(session.covariates, rows)
     (state,) = states_of.states(

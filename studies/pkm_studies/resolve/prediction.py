@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Mapping
 
+import numpy as np
+
+from oed.base import units
 from oed.base.arrays import Array
+from oed.dataset import columns
 from oed.model.machine import Machine
 from pkm_studies.resolve import grids, quantities
 from pkm_studies.study import Study
 from pkm_studies.study.tables import PredictionTable
+
+#: covariates that place a reading in its session
+FROM_THE_SESSION = ("time", "repeat")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,10 +26,12 @@ class PredictionRequest:
 
     table    the table itself
     command  (n, n_dof) commands at which accuracy is predicted, SI
+    states   values, SI, of covariates that the machine is used at
     """
 
     table: PredictionTable
     command: Array
+    states: Mapping[str, Array]
 
 
 def prediction_request(study: Study, machine: Machine) -> PredictionRequest | None:
@@ -37,7 +48,44 @@ def prediction_request(study: Study, machine: Machine) -> PredictionRequest | No
             "hold",
         )
     grids.check_workspace(machine, command, keys, place)
-    return PredictionRequest(study.prediction, command)
+    return PredictionRequest(study.prediction, command, _states(study))
+
+
+def _states(study: Study) -> dict[str, Array]:
+    """Values of the covariates in `states`, SI, by stem. Raises InputError."""
+    states = {} if study.prediction is None else study.prediction.states
+    place = study.place.key("prediction").key("states")
+    if states and study.identify.effects == "none":
+        raise place.error(
+            "only effects differ by the state of the machine",
+            'add effects = "catalogue" to [identify], or leave the states out',
+        )
+    values = {}
+    for name, given in states.items():
+        known = None
+        with contextlib.suppress(units.UnitError):
+            known = columns.parse_column(name)
+        if known is None or not _is_covariate(known):
+            raise place.key(name).error(
+                "no covariate of a readings file with its unit",
+                "name one as in the file: payload_N, temp_<body>_C, direction",
+            )
+        if known.stem in FROM_THE_SESSION:
+            raise place.key(name).error(
+                "no state that a machine is used at",
+                "leave it out: it is as in the session",
+            )
+        listed = given if isinstance(given, list) else [given]
+        if not listed:
+            raise place.key(name).error("no value", "state those in use", listed)
+        values[known.stem] = known.factor * np.array(listed, dtype=float)
+    return values
+
+
+def _is_covariate(column: columns.ReadingsColumn) -> bool:
+    """Whether a column is a covariate in a unit of its kind."""
+    stem = column.stem
+    return columns.is_covariate(stem) and columns.covariate_unit(stem) == column.unit
 
 
 def wanted_accuracy(study: Study, machine: Machine) -> dict[str, float]:

@@ -14,6 +14,7 @@ from oed.compensate.effects.unmodelled import expected_effects
 from oed.estimation.identification import identify
 from oed.gap.data.problem import assemble
 from oed.gap.data.state import DOWN
+from oed.model.effect import State
 from oed.model.expected_size import with_expected_size
 from pkm_models.effects import gravity, leg_thermal, servo_lag
 
@@ -63,6 +64,34 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     )
     assert quarter.sizes["leg 2 per kelvin"] == pytest.approx(PER_KELVIN / 4.0)
     assert 16.0 * quarter.variance == pytest.approx(expected.variance, rel=1e-9)
+
+
+def test_an_effect_acts_in_the_states_of_use() -> None:
+    """Twice as warm as stated for half the poses, cold for the others; the rest as before."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    command = a3_plans.workspace()[::3]
+    session = SessionStates.of(problem)
+    used = SessionStates.of(problem, {"temp_leg2": np.array([0.0, 20.0])})
+
+    def states(of: SessionStates) -> State:
+        return workspace_state(of, m.nominal, command, np.random.default_rng(3))
+
+    before, after = states(session), states(used)
+    start = before.start_temperature["leg2"]
+    at = after.temperature["leg2"][:-1]
+    assert set(at) <= {0.0, 20.0}
+    assert 0.2 < np.mean(at > 0.0) < 0.8
+    assert after.temperature["leg2"][-1] == before.temperature["leg2"][-1]
+    np.testing.assert_array_equal(after.joints, before.joints)
+    column = next(
+        c
+        for c in leg_thermal.effect.columns(after, tau=1800.0)
+        if c.name == "leg 2 per kelvin"
+    )
+    growth = column.joints[WARM_LEG][:-1]
+    assert growth == pytest.approx(after.joints[:-1, WARM_LEG] * (at - start))
 
 
 def test_effects_that_need_what_no_plan_states_are_left_out() -> None:

@@ -16,10 +16,12 @@ from oed.checks.judgement import KNOWN_TO
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.compensate.effects.fit import EffectReadings
+from oed.dataset.columns import column_name, covariate_unit
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.estimation.left_out import left_out_errors
 from oed.gap.data import problem as problems
+from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
@@ -96,9 +98,32 @@ def readings_with_covariates(state: Measured, request: GapRequest) -> EffectRead
 
 def session_states(state: Fitted) -> SessionStates:
     """States in which the readings were taken."""
+    return SessionStates.of(_problem(state))
+
+
+def states_in_use(state: Fitted) -> SessionStates:
+    """States in which the machine is used, as far as [prediction] states them.
+
+    Raises InputError for a covariate that no reading has.
+    """
+    problem, resolved = _problem(state), state.resolved
+    used = {} if resolved.prediction is None else resolved.prediction.states
+    for name in used:
+        recorded = problem.covariates.get(name)
+        if recorded is None or recorded.isna().all():
+            place = state.study.place.key("prediction").key("states")
+            raise place.error(
+                "no reading was taken at a recorded value of it, so that nothing is known"
+                " of what it does",
+                "record it in the readings, or leave it out",
+                column_name(name, covariate_unit(name)),
+            )
+    return SessionStates.of(problem, used)
+
+
+def _problem(state: Fitted) -> GapProblem:
     request = state.resolved.gap_or_default
-    problem = readings_with_covariates(state, request).problem(state.estimate.theta)
-    return SessionStates.of(problem)
+    return readings_with_covariates(state, request).problem(state.estimate.theta)
 
 
 def changes_by_effects(

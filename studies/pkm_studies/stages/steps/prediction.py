@@ -23,7 +23,7 @@ from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.stages.fit.effects import (
     changes_by_effects,
-    session_states,
+    states_in_use,
     with_controller,
 )
 from pkm_studies.stages.gap.virtual_readings import empty_readings
@@ -108,13 +108,13 @@ def _knowledge(state: Scheduled) -> ParameterKnowledge:
 
 
 def _acting_effects(state: Fitted, draws: ApproximateDraws) -> ActingEffects | None:
-    """Effects of the fit, in the states of its readings; None without effects."""
+    """Effects of the fit, in the states of use; None without effects."""
     columns = state.effect_columns
     if columns is None:
         return None
     return ActingEffects(
         columns=columns,
-        session=session_states(state),
+        session=states_in_use(state),
         theta=state.estimate.theta,
         draws=draws.effects,
     )

@@ -119,6 +119,9 @@ class PredictionTable(StudyTable, frozen=True, kw_only=True):
                       moves with the tool point
     wanted            rms error to reach, by component, `{ z_um = 30, theta_arcsec = 2 }`;
                       reported beside the predicted one. A claim of [expect] tests it
+    states            what the machine is used at, by column of the readings file:
+                      `{ payload_N = [0, 500], temp_frame_C = [18, 26] }`. Effects of
+                      [identify] act there; anything else is as in the session
     further           coordinates of the grid, as in [[design.candidates]]
     """
 
@@ -127,4 +130,5 @@ class PredictionTable(StudyTable, frozen=True, kw_only=True):
     virtual_machines: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
     tools: list[float] = msgspec.field(name="tools_mm", default_factory=list)
     wanted: dict[str, Positive] = {}
+    states: dict[str, list[float] | float] = {}
     coordinates: dict[str, Axis] = {}

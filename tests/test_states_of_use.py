@@ -1,0 +1,77 @@
+"""`states` of [prediction]: read with their units, refused where nothing follows from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bar_readings
+import numpy as np
+import pytest
+import sample
+import test_bad_fit
+
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands import cli
+from pkm_studies.resolve.resolved import resolve
+from pkm_studies.study import load
+
+WORKSPACE = """
+[prediction]
+z_mm = [1100, 1200]
+psi_deg = [0, 90]
+theta_deg = 20
+states = {states}
+"""
+ALLOWED = '[identify]\neffects = "catalogue"\n'
+
+
+def written(folder: Path, states: str, allowed: str = ALLOWED) -> Path:
+    file = folder / "small.study.toml"
+    text = sample.STUDY.replace("[report]", allowed + "\n[report]")
+    file.write_text(text + WORKSPACE.format(states=states), encoding="utf-8")
+    return file
+
+
+def test_states_are_read_with_their_units(tmp_path: Path) -> None:
+    states = "{ payload_N = [0, 500], temp_leg1_C = 30, direction = [-1, 1] }"
+    resolved = resolve(load(written(tmp_path, states)), readings=[])
+    assert resolved.prediction is not None
+    values = resolved.prediction.states
+    assert set(values) == {"payload", "temp_leg1", "direction"}
+    np.testing.assert_allclose(values["payload"], [0.0, 500.0])
+    np.testing.assert_allclose(values["temp_leg1"], [30.0])
+
+
+@pytest.mark.parametrize(
+    ("states", "words"),
+    [
+        ("{ payload_mm = 1 }", "no covariate"),
+        ("{ wind_N = 1 }", "no covariate"),
+        ("{ time_s = 1 }", "as in the session"),
+        ("{ payload_N = [] }", "no value"),
+    ],
+)
+def test_what_is_no_state_is_refused(tmp_path: Path, states: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        resolve(load(written(tmp_path, states)), readings=[])
+
+
+def test_states_need_effects(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="only effects differ"):
+        resolve(load(written(tmp_path, "{ payload_N = 1 }", "")), readings=[])
+
+
+def test_a_state_that_no_reading_recorded_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, readings = test_bad_fit.write(tmp_path, bar_readings.a3_readings(0))
+    text = study.read_text().replace(
+        "[prediction]\n", "[prediction]\nstates = { temp_frame_C = [18, 26] }\n"
+    )
+    study.write_text(text + '\n[identify]\neffects = ["gravity"]\n')
+    out = tmp_path / "out"
+    arguments = ["identify", str(study), "--readings", str(readings)]
+    assert cli.main([*arguments, "--out", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert "temp_frame_C" in message
+    assert "record it in the readings" in message
