@@ -19,7 +19,7 @@ from playwright.sync_api import sync_playwright
 from oed.measurement import simulation
 from pkm_studies.page import serve
 from pkm_studies.page.machine_page import MachinePage
-from pkm_studies.page.server import application
+from pkm_studies.page.server import Switch
 
 PORT, READINGS = 8766, 12
 
@@ -48,7 +48,7 @@ def main(out: Path) -> None:
         if page is None:
             raise SystemExit("no study")
         measure(page)
-        config = uvicorn.Config(application(page, shelf), port=PORT, log_level="error")
+        config = uvicorn.Config(Switch(page, shelf), port=PORT, log_level="error")
         threading.Thread(target=uvicorn.Server(config).run, daemon=True).start()
         time.sleep(1.0)
         with sync_playwright() as driver:

@@ -22,7 +22,7 @@ from oed.measurement import simulation
 from pkm_studies.page import serve as page
 from pkm_studies.page.guard import Guard, hosts_of
 from pkm_studies.page.machine_page import MachinePage
-from pkm_studies.page.server import application
+from pkm_studies.page.server import Switch
 
 STUDY = sample.changed(
     sample.STUDY,
@@ -41,7 +41,11 @@ def served(
     opened, shelf = page.open_page(target, options)
     listening = page._listen("127.0.0.1", 0)
     port = listening.getsockname()[1]
-    app = Guard(application(opened, shelf), hosts_of(["127.0.0.1"], port), token)
+    app = Guard(
+        Switch(opened, shelf, None if opened is not None else page.starter(options)),
+        hosts_of(["127.0.0.1"], port),
+        token,
+    )
     config = uvicorn.Config(
         app,
         log_level="critical",

@@ -223,6 +223,29 @@ def test_from_readings_to_the_controller(
         assert "length" in report.value.text_content("main")
 
 
+@needs_browser
+@pytest.mark.slow
+def test_from_sizes_to_the_first_reading(opened: Any, tmp_path: Path) -> None:
+    """With the page alone: a family's sizes, an error at its field, the machine's page."""
+    with served(tmp_path, serve.PageOptions()) as (_, port):
+        page = opened(port)
+        page.get_by_role("link", name="New study").first.click()
+        page.locator("#scene").wait_for()
+        assert axe_faults(page) == []
+        reach = page.locator("[name='geometry.reach_mm']")
+        reach.fill("-5")
+        page.locator("label:has([name='geometry.reach_mm']) .fault").wait_for()
+        reach.fill("80.0")
+        page.locator(".fault").wait_for(state="detached")
+        page.fill("[name=minutes]", "90")
+        page.fill("[name='wanted.z_um']", "30")
+        page.get_by_role("button", name="Write the study").click()
+        page.locator("#entry").wait_for(timeout=60_000)
+        text = (tmp_path / "hexapod_ups.study.toml").read_text("utf-8")
+        assert "\nreach_mm = 80.0  # " in text
+        assert load(tmp_path / "hexapod_ups.study.toml").name == "hexapod_ups"
+
+
 # -- sudden ends -----------------------------------------------------------------------
 
 

@@ -17,7 +17,7 @@ def serve(
         Path,
         typer.Argument(
             metavar="STUDY|DIR",
-            help="A study, a result, or a folder of results.",
+            help="A study, a result, or a folder of studies and results.",
             show_default=False,
         ),
     ],

@@ -81,9 +81,10 @@ class BackgroundCommand:
         """Take up stages from its errors' stream, then what it printed."""
         stages = threading.Thread(target=self._stages, args=(process,), daemon=True)
         stages.start()
-        lines = [line.rstrip()[:LONGEST] for line in process.stdout or ()]
+        with process:
+            lines = [line.rstrip()[:LONGEST] for line in process.stdout or ()]
+            stages.join()
         code = process.wait()
-        stages.join()
         if code and not lines:
             lines = [self.state.stage]
         self.state = dataclasses.replace(

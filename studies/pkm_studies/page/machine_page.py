@@ -6,7 +6,6 @@ import datetime
 import itertools
 import tempfile
 import threading
-import time
 from pathlib import Path
 from typing import Any, Final
 
@@ -70,6 +69,12 @@ class MachinePage:
         self._counter = itertools.count(1)
         self._shown: tuple[object, dict[str, Any]] = (None, {})
         self._lock = threading.Lock()
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """End the background command and the watch."""
+        self._stopped.set()
+        self.job.stop()
 
     # -- state -------------------------------------------------------------------------
 
@@ -179,11 +184,10 @@ class MachinePage:
         return compensation_files(self.shelf.folder(key), word)
 
     def watch(self) -> None:
-        """Look at the readings file twice a second, without end, in a thread."""
+        """Look at the readings file twice a second, in a thread, until it stops."""
 
         def look() -> None:
-            while True:
-                time.sleep(PAUSE)
+            while not self._stopped.wait(PAUSE):
                 try:
                     self.session.refresh()
                 except (InputError, OSError):
@@ -226,8 +230,13 @@ def comparison(folders: list[Path]) -> str:
 
 
 def stored_report(folder: Path) -> str:
-    """The report of a result, as HTML. Raises InputError where there is none."""
+    """The report of a result, as HTML: the folder's, else one that is made now."""
+    from pkm_reports import write_report
+    from pkm_studies.results.stored_result import load_result
+
     path = folder / "report.html"
-    if not path.is_file() or path.is_symlink():
-        raise InputError("this result has no report", "write it: oed report DIR")
-    return path.read_text(encoding="utf-8")
+    if path.is_file() and not path.is_symlink():
+        return path.read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory(prefix="oed-") as place:
+        (page,) = write_report(load_result(folder), Path(place), pdf=False)
+        return page.read_text(encoding="utf-8")

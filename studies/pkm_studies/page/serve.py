@@ -18,7 +18,7 @@ from pkm_studies.base.user_code import Consent
 from pkm_studies.page.feed import Feed
 from pkm_studies.page.guard import Guard, hosts_of
 from pkm_studies.page.machine_page import MachinePage
-from pkm_studies.page.server import application
+from pkm_studies.page.server import Switch
 from pkm_studies.page.session import MachineSession
 from pkm_studies.page.shelf import RESULT, Shelf
 from pkm_studies.sessions.next_reading import Adviser
@@ -74,6 +74,20 @@ def open_page(target: Path, options: PageOptions) -> tuple[MachinePage | None, S
     return page, page.shelf
 
 
+def starter(options: PageOptions) -> Callable[[Path], MachinePage]:
+    """What opens a study of a served folder, with its results in a folder beside it."""
+
+    def start(path: Path) -> MachinePage:
+        study = load(path, Consent.RECORDED)
+        adviser = Adviser(study, options.wanted)
+        folder = path.parent / study.name
+        page = MachinePage(MachineSession(adviser, folder / "poses.csv"), path, folder)
+        page.watch()
+        return page
+
+    return start
+
+
 def _study(target: Path, consent: Consent) -> tuple[Study, Path, Path]:
     """The study, its file, and the folder of its results."""
     if not target.is_dir():
@@ -98,7 +112,8 @@ def serve(
     port = listening.getsockname()[1]
     token = "" if _is_local(host) else secrets.token_urlsafe(SECRET)
     names = [LOCAL, "localhost", "::1"] if not token else _names(host)
-    app = Guard(application(page, shelf), hosts_of(names, port), token)
+    switch = Switch(page, shelf, None if page is not None else starter(options))
+    app = Guard(switch, hosts_of(names, port), token)
     config = uvicorn.Config(
         app,
         log_level="warning",
@@ -122,8 +137,8 @@ def serve(
     try:
         uvicorn.Server(config).run(sockets=[listening])
     finally:
-        if page is not None:
-            page.job.stop()
+        if switch.page is not None:
+            switch.page.stop()
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import AsyncIterator, Callable
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -13,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
+from starlette.types import Receive, Scope, Send
 
 from pkm_studies.base.errors import InputError
 from pkm_studies.page import machine_page, render
@@ -22,9 +24,10 @@ from pkm_studies.page.machine_page import (
     ReadingEntry,
     ResultChoice,
 )
+from pkm_studies.page.new_study import FieldError, NewStudy, StudyForm
 from pkm_studies.page.readings_log import StaleError
 from pkm_studies.page.session import DoubtfulError
-from pkm_studies.page.shelf import Shelf
+from pkm_studies.page.shelf import Shelf, study_files
 
 #: time between two looks for news, and from one sign of life to the next, s
 PAUSE, ALIVE = 0.1, 15.0
@@ -33,17 +36,47 @@ LISTENERS: Final = 32
 #: status of an answer: in doubt or out of date; not usable; too many
 CONFLICT, UNUSABLE, TOO_MANY = 409, 422, 429
 
+#: machine of a new form
+FIRST: Final = "hexapod_ups"
+
 Body = TypeVar("Body")
 
 
-def application(page: MachinePage | None, shelf: Shelf) -> Starlette:
-    """The page of a session with the results beside it; without one, results alone."""
-    results = ResultAddresses(shelf)
-    first = [Route("/", results.show)]
-    if page is not None:
-        first = MachineAddresses(page).routes
-    routes = [*first, *results.routes]
-    return Starlette(routes=routes, exception_handlers={404: _absent, 405: _absent})
+class Switch:
+    """The application of a page; in a folder of studies, one of them may be opened.
+
+    start  makes the page of a study's file
+    """
+
+    def __init__(
+        self,
+        page: MachinePage | None,
+        shelf: Shelf,
+        start: Callable[[Path], MachinePage] | None = None,
+    ) -> None:
+        self.page, self.shelf, self.start = page, shelf, start
+        self.app = self._application()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer by the application of now."""
+        await self.app(scope, receive, send)
+
+    def open(self, study: Path) -> None:
+        """Go on with the page of a study. Raises InputError for one without advice."""
+        if self.start is None:
+            raise InputError("no study is opened here", "serve a folder")
+        before, self.page = self.page, self.start(study)
+        if before is not None:
+            before.stop()
+        self.app = self._application()
+
+    def _application(self) -> Starlette:
+        results = ResultAddresses(self.shelf, self if self.start is not None else None)
+        first = [Route("/", results.show)]
+        if self.page is not None:
+            first = MachineAddresses(self.page).routes
+        handlers = {404: _absent, 405: _absent}
+        return Starlette(routes=[*first, *results.routes], exception_handlers=handlers)
 
 
 class MachineAddresses:
@@ -150,9 +183,10 @@ class MachineAddresses:
 class ResultAddresses:
     """Addresses of stored results: cards, reports, two side by side, files to send."""
 
-    def __init__(self, shelf: Shelf) -> None:
-        self.shelf = shelf
+    def __init__(self, shelf: Shelf, switch: Switch | None = None) -> None:
+        self.shelf, self.switch = shelf, switch
         self.routes = [
+            *([] if switch is None else StudyAddresses(shelf.root, switch).routes),
             Route("/results", self.show),
             Route("/results/{key}/report", self.report),
             Route("/results/{first}/beside/{second}", self.side_by_side),
@@ -166,8 +200,16 @@ class ResultAddresses:
             cards=self.shelf.cards(),
             folder=self.shelf.root.resolve().name,
             formats=machine_page.format_names(),
+            studies=self._studies(),
         )
         return HTMLResponse(html, headers=headers)
+
+    def _studies(self) -> list[tuple[str, str]] | None:
+        """Keys and names of the studies that can be opened here; None where none can."""
+        if self.switch is None:
+            return None
+        known = study_files(self.shelf.root)
+        return [(key, path.name) for key, path in known.items()]
 
     def report(self, request: Request) -> Response:
         """The report of a result, apart from everything else."""
@@ -197,6 +239,68 @@ class ResultAddresses:
         return _answer(answer | extra, status)
 
 
+class StudyAddresses:
+    """Addresses of a folder of studies: a form for a new one, and one to go on with."""
+
+    def __init__(self, folder: Path, switch: Switch) -> None:
+        self.folder, self.switch, self.form = folder, switch, StudyForm(folder)
+        self.routes = [
+            Route("/new", self.show),
+            Route("/new", self._answering(NewStudy, self._write), methods=["POST"]),
+            Route("/new/draw", self._answering(NewStudy, self._draw), methods=["POST"]),
+            Route("/open", self._answering(ResultChoice, self._open), methods=["POST"]),
+        ]
+
+    def show(self, request: Request) -> Response:
+        """The form, for the machine of the query."""
+        names = self.form.machines()
+        machine = request.query_params.get("machine", FIRST)
+        if machine not in names:
+            return Response("There is no such machine.\n", 404, media_type="text/plain")
+        html, headers = render.document(
+            "new",
+            folder=self.folder.resolve().name,
+            machines=names,
+            machine=machine,
+            families=[name for name in names if self.form.sizes(name)],
+            sizes=self.form.sizes(machine),
+            instruments=self.form.instruments(machine),
+            components=self.form.components(machine),
+        )
+        return HTMLResponse(html, headers=headers)
+
+    def _draw(self, form: NewStudy) -> dict[str, Any]:
+        return {"view": render.plain(self.form.drawing(form))}
+
+    def _write(self, form: NewStudy) -> dict[str, Any]:
+        path = self.form.write(form)
+        self.switch.open(path)
+        return {"file": path.name}
+
+    def _open(self, choice: ResultChoice) -> dict[str, Any]:
+        known = study_files(self.folder)
+        key = "".join(choice.keys[:1])
+        if key not in known:
+            raise InputError("there is no such study", "load the page again")
+        self.switch.open(known[key])
+        return {}
+
+    def _answering(
+        self, kind: type[Body], work: Callable[[Body], dict[str, Any]]
+    ) -> Callable[[Request], Any]:
+        def worked(body: bytes) -> Response:
+            answer: dict[str, Any] = {}
+            status, extra = _attempt(
+                body, kind, lambda value: answer.update(work(value))
+            )
+            return _answer(answer | extra, status)
+
+        async def answer(request: Request) -> Response:
+            return await run_in_threadpool(worked, await request.body())
+
+        return answer
+
+
 def _attempt(
     body: bytes, kind: type[Body], work: Callable[[Body], Any]
 ) -> tuple[int, dict[str, Any]]:
@@ -209,6 +313,8 @@ def _attempt(
         return CONFLICT, {"doubts": doubt.sentences}
     except StaleError:
         return CONFLICT, {"error": "The readings changed meanwhile: look again."}
+    except FieldError as error:
+        return UNUSABLE, {"error": str(error), "field": error.name}
     except InputError as error:
         return UNUSABLE, {"error": str(error)}
     except OSError as error:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.linalg import LinAlgError
 
 from oed.base.arrays import Array
 from oed.dataset.columns import column_name, parse_column
@@ -29,7 +28,13 @@ from pkm_studies.sessions.next_reading import Adviser, FittedReadings
 from pkm_studies.sessions.next_sentences import Advice
 
 #: what a fit of readings raises that make no sense
-FIT_ERRORS: Final = (InputError, AssemblyError, IdentificationError, LinAlgError)
+FIT_ERRORS: Final = (
+    InputError,
+    AssemblyError,
+    IdentificationError,
+    ValueError,
+    ArithmeticError,
+)
 #: fits that are remembered, by version of the file
 REMEMBERED: Final = 4
 #: keys of entries that are remembered, so that one sent twice is taken once
@@ -138,10 +143,11 @@ class MachineSession:
             sentences = [] if confirmed else self._doubts(after, values, entries)
             if sentences:
                 raise DoubtfulError(sentences)
-            self._write(version, after)
+            written = self.log.write(version, after)
             self._keys[key] = None
             if len(self._keys) > KEYS:
                 self._keys.pop(next(iter(self._keys)))
+            self._publish(self._state(written))
 
     def undo(self, version: str) -> None:
         """Take the last reading back. Raises StaleError, InputError without a reading."""
@@ -206,12 +212,12 @@ class MachineSession:
         try:
             fitted = self._fit(content)
             advice = self.adviser.advise_fitted(fitted)
+            pose = Pose(advice.series, advice.row)
+            if repeated and fitted is not None:
+                pose = self._last_pose(fitted)
+            series = rows.as_sent(self.measurement, pose.series, pose.row)
         except FIT_ERRORS as error:
             return SessionState(content, None, None, None, str(error))
-        pose = Pose(advice.series, advice.row)
-        if repeated and fitted is not None:
-            pose = self._last_pose(fitted)
-        series = rows.as_sent(self.measurement, pose.series, pose.row)
         pose = Pose(series, 0, pose.repeated)
         return SessionState(content, fitted, advice, pose)
 

@@ -13,6 +13,7 @@ from pkm_reports.page import text
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.results.stored_result import load_result
+from pkm_studies.study import SUFFIX
 
 #: folders deep, and results, that are looked for
 DEPTH: Final = 3
@@ -28,7 +29,6 @@ class Card:
 
     key     of its folder, for addresses
     place   its folder, relative to the shelf's
-    report  whether it has a report
     """
 
     key: str
@@ -39,7 +39,6 @@ class Card:
     readings: str
     accuracy: tuple[tuple[str, str, str], ...]
     doubts: tuple[str, ...]
-    report: bool
 
 
 class Shelf:
@@ -95,8 +94,7 @@ class Shelf:
             except InputError:
                 return None
             self._cards[key, stamp] = self._of_result(key, folder, result)
-        card = self._cards[key, stamp]
-        return dataclasses.replace(card, report=(folder / "report.html").is_file())
+        return self._cards[key, stamp]
 
     def _of_result(self, key: str, folder: Path, result: StudyResult) -> Card:
         written = (folder / RESULT).stat().st_mtime
@@ -110,7 +108,6 @@ class Shelf:
             readings=_readings(result),
             accuracy=_accuracy(result),
             doubts=tuple(text.cleaned(words) for words in trust.objections(result)),
-            report=False,
         )
 
 
@@ -138,3 +135,12 @@ def _accuracy(result: StudyResult) -> tuple[tuple[str, str, str], ...]:
         )
         for name, c in prediction.components.items()
     )
+
+
+def study_files(folder: Path) -> dict[str, Path]:
+    """The study files in a folder by key; links are left out."""
+    if not folder.is_dir():
+        return {}
+    paths = sorted(folder.glob(f"*{SUFFIX}"))[:MOST]
+    plain = [path for path in paths if path.is_file() and not path.is_symlink()]
+    return {files.digest(path.name.encode())[:DIGITS]: path for path in plain}

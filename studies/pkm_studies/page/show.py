@@ -66,7 +66,7 @@ def page_values(session: MachineSession, state: SessionState) -> dict[str, Any]:
         return values
     is_wanted = bool(np.isfinite(advice.limits).any())
     return values | {
-        "number": advice.readings + 1,
+        "number": 1 + (values["last"][0].number if values["last"] else 0),
         "stop": stop(advice),
         "finished": known.remaining(advice) == 0 and not advice.objections,
         "time_left": _time_left(state),
@@ -162,10 +162,9 @@ def _mounting(measurement: Measurement, setup: Setup, *, change: bool) -> list[s
         for name, value in info.numbers.items()
         if not name.startswith("teach_") and (value or not name.startswith("tool_"))
     }
-    words = text.named_quantities(numbers, 7)
-    steps = [
-        f"{verb} set-up {setup.name} ({text.cleaned(setup.instrument.about)}): {words}."
-    ]
+    words = f": {text.named_quantities(numbers, 7)}" if numbers else ""
+    about = text.cleaned(setup.instrument.about)
+    steps = [f"{verb} set-up {setup.name} ({about}){words}."]
     if setup.teach is not None:
         taught = describe.displayed_command(measurement.machine, np.array(setup.teach))
         steps.append(

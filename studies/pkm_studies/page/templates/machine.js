@@ -24,7 +24,7 @@ class LiveView extends SceneView {
 
 const live = {
   state: JSON.parse(document.getElementById('live-data').textContent),
-  view: null, key: null, asked: null, offer: 0, busy: false,
+  view: null, key: null, asked: null, offer: 0, taking: false, last: Promise.resolve(),
 
   node: name => document.getElementById(name === 'decide' ? 'decide-part' : name),
 
@@ -118,9 +118,13 @@ const live = {
     if (sentences.length) { document.getElementById('ask-no').focus(); box.scrollIntoView({block: 'nearest'}); }
   },
 
-  async request(path, values) {
-    if (live.busy) return null;
-    live.busy = true;
+  // One request after the other: an entry waits for an undo that is on its way.
+  request(path, values) {
+    live.last = live.last.then(() => live.ask_server(path, values));
+    return live.last;
+  },
+
+  async ask_server(path, values) {
     try {
       const answer = await send(path, values);
       live.online(true);
@@ -131,15 +135,18 @@ const live = {
       live.online(false);
       live.say('The server does not answer. Nothing is known to be taken: send it again.');
       return null;
-    } finally { live.busy = false; }
+    }
   },
 
   async take(confirmed) {
     const form = document.getElementById('entry');
+    if (live.taking) return;
     const entries = [...form.querySelectorAll('[name="value"]')].map(i => i.value);
     const empty = [...form.querySelectorAll('[name="value"]')].find(i => !i.value.trim());
     if (empty) { live.say('Type the reading first.'); empty.focus(); return; }
+    live.taking = true;
     const answer = await live.request('/reading', {version: form.dataset.version, key: live.key, entries, remark: form.elements.remark.value, confirmed});
+    live.taking = false;
     if (!answer) return;
     live.ask(answer.doubts || []);
     if (answer.status === 200) live.focus(false);
