@@ -5,7 +5,9 @@ The tests need a Chromium of the system, and are skipped where there is none.
 
 from __future__ import annotations
 
+import contextlib
 import http.client
+import itertools
 import os
 import random
 import re
@@ -13,6 +15,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -33,6 +36,8 @@ SWITCHES = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
 SIZES = {390: 844, 820: 1180, 1440: 900}
 #: processor time from an entry to the new state, s
 MOST_SECONDS = 0.8
+#: sudden ends of the server
+KILLS = 50
 needs_browser = pytest.mark.skipif(
     CHROMIUM is None, reason="no Chromium on this machine: install the package chromium"
 )
@@ -268,47 +273,48 @@ def started(study: Path, path: Path) -> tuple[subprocess.Popen[str], Client]:
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such signal")
 def test_nothing_is_lost_at_50_sudden_ends(page_study: Path, tmp_path: Path) -> None:
     """Killed at random moments: what was confirmed is in the file, once, and it is whole."""
-    rng, path, confirmed = random.Random(7), tmp_path / "poses.csv", []
-    sent = 0
-    for _ in range(50):
+    rng, path = random.Random(7), tmp_path / "poses.csv"
+    confirmed: dict[str, str] = {}
+    pace = 0.2  # of one reading on this computer, s
+    for k in range(KILLS):
         process, client = started(page_study, path)
-        end = time.monotonic() + rng.uniform(0.05, 0.8)
-        killer = subprocess.Popen(
-            [
-                "sh",
-                "-c",
-                f"sleep {max(end - time.monotonic(), 0.0):.3f}; kill -9 {process.pid}",
-            ]
-        )
-        try:
-            while True:
-                sent += 1
-                state = client.state()
-                expected = re.search(r"should read ([\d.]+)", state["parts"]["pose"])
-                assert expected is not None
-                value = f"{float(expected[1]):.4f}"
-                status, _ = client.post(
-                    "/reading", version=state["version"], key=str(sent),
-                    entries=[value], remark=f"entry {sent}", confirmed=True,
-                )  # fmt: skip
-                assert status == 200
-                confirmed.append((f"entry {sent}", value))
-        except (OSError, ValueError, http.client.HTTPException):
-            pass  # the server has ended
+        began = time.monotonic()
+        if k == 0:
+            confirmed |= read_once(client, f"entry {k}")
+            pace = time.monotonic() - began
+        delay = rng.uniform(0.1, 4.0) * pace
+        killer = threading.Timer(delay, process.kill)
+        killer.start()
+        with contextlib.suppress(OSError, ValueError, http.client.HTTPException):
+            for number in itertools.count(1):  # until the server has ended
+                confirmed |= read_once(client, f"entry {k}.{number}")
+        killer.join()
         process.communicate()
         assert process.returncode == -signal.SIGKILL
-        killer.wait()
         if path.exists():
-            table = rows(path)
-            remarks = [row["remark"] for row in table]
-            assert len(set(remarks)) == len(remarks)
-            written = {row["remark"]: row["length_mm"] for row in table}
-            for remark, value in confirmed:
-                assert float(written[remark]) == float(value)
-            assert [int(row["order"]) for row in table] == list(
-                range(1, len(table) + 1)
-            )
-        parts = [p for p in tmp_path.iterdir() if p.name.endswith(".part")]
-        assert len(parts) <= 1
+            check_file(path, confirmed)
+        assert len([p for p in tmp_path.iterdir() if p.name.endswith(".part")]) <= 1
     print(f"{len(confirmed)} readings confirmed, {len(rows(path))} in the file")
-    assert len(confirmed) > 20
+    assert len(confirmed) > KILLS // 3
+
+
+def read_once(client: Client, remark: str) -> dict[str, str]:
+    """Send the expected value; remark and value once the page has confirmed them."""
+    state = client.state()
+    expected = re.search(r"should read ([\d.]+)", state["parts"]["pose"])
+    assert expected is not None
+    values = {"version": state["version"], "key": remark, "remark": remark}
+    status, _ = client.post("/reading", entries=[expected[1]], confirmed=True, **values)
+    assert status == 200
+    return {remark: expected[1]}
+
+
+def check_file(path: Path, confirmed: dict[str, str]) -> None:
+    """Every confirmed reading is in the file once, in order, and no row is cut off."""
+    table = rows(path)
+    written = {row["remark"]: row["length_mm"] for row in table}
+    assert len(written) == len(table)
+    for remark, value in confirmed.items():
+        assert float(written[remark]) == float(value)
+    assert [int(row["order"]) for row in table] == list(range(1, len(table) + 1))
+    assert path.read_bytes().endswith(b"\n")
