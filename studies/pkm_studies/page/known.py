@@ -11,10 +11,10 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.design import candidates
-from oed.design.next_reading import Belief
 from oed.estimation.estimate import AT_PRIOR
 from pkm_reports.page import text
 from pkm_studies.page.session import MachineSession, SessionState
+from pkm_studies.sessions.next_effects import Outlook
 from pkm_studies.sessions.next_reading import Adviser, FittedReadings, reading_of
 from pkm_studies.sessions.next_sentences import Advice
 from pkm_studies.stages import describe
@@ -55,7 +55,7 @@ def accuracies(session: MachineSession, state: SessionState) -> list[ComponentRo
         return []
     machine = session.adviser.base.resolved.machine
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
-    low, high = _interval(advice.belief)
+    low, high = _interval(advice.outlook)
     course = _course(session.adviser, state.fitted, advice)
     rows = []
     for k, name in enumerate(advice.names):
@@ -82,16 +82,16 @@ def accuracies(session: MachineSession, state: SessionState) -> list[ComponentRo
     return rows
 
 
-def _interval(belief: Belief) -> tuple[Array, Array]:
+def _interval(outlook: Outlook) -> tuple[Array, Array]:
     """Ends (K,), (K,) of the rms error of one machine: a sum of squares of normals."""
-    rng = np.random.default_rng(0)
+    rng, belief = np.random.default_rng(0), outlook.now
     values, vectors = np.linalg.eigh(belief.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     squares = rng.standard_normal((DRAWS, len(values))) ** 2
     ends = []
-    for weight in belief.weights:
+    for weight, other in zip(belief.weights, outlook.others, strict=True):
         spread = np.linalg.eigvalsh(root.T @ weight @ root)
-        rms = np.sqrt(squares @ np.maximum(spread, 0.0))
+        rms = np.sqrt(squares @ np.maximum(spread, 0.0) + other)
         ends.append(np.quantile(rms, [TAIL, 1.0 - TAIL]))
     low, high = np.array(ends).T
     return low, high
@@ -101,19 +101,20 @@ def _course(adviser: Adviser, fitted: FittedReadings | None, advice: Advice) -> 
     """Rms (n + 1, K) before the first and after each reading, in the file's order."""
     if fitted is None:
         return advice.known[None]
-    measurement = fitted.state.measurement
-    taken = fitted.state.readings
-    pool = candidates.build(
-        measurement, taken.series, fitted.estimate.theta, "tolerance"
-    )
-    belief = adviser.prior(measurement, pool)
-    order = np.arange(len(pool))
+    measurement, taken = fitted.state.measurement, fitted.state.readings
+    outlook = advice.outlook
+    pool, belief = outlook.pool, outlook.before
+    if not outlook.taken:  # without effects, the pool has no readings taken
+        theta = fitted.estimate.theta
+        pool = candidates.build(measurement, taken.series, theta, "tolerance")
+        belief = adviser.prior(measurement, pool)
+    order = np.arange(advice.readings)
     if taken.covariates is not None:
         order = np.argsort(taken.covariates["row"].to_numpy(), kind="stable")
-    course = [np.sqrt(belief.variances)]
+    course = [outlook.accuracy(belief)]
     for k in order:
         belief = belief.after(pool.blocks[k])
-        course.append(np.sqrt(belief.variances))
+        course.append(outlook.accuracy(belief))
     return np.array(course)
 
 
@@ -144,7 +145,7 @@ def parameters(state: SessionState) -> list[ParameterRow]:
     """A row for each parameter, as the report has them."""
     if state.fitted is None:
         return []
-    measured, estimate = state.fitted
+    measured, estimate, _ = state.fitted
     series = measured.readings.series
     section = estimate_section(measured.measurement, series, estimate, None)
     shares = _shares(state.fitted)
@@ -215,13 +216,15 @@ def best_next(session: MachineSession, state: SessionState) -> list[NextOne]:
     if advice is None:
         return []
     machine = session.adviser.base.resolved.machine
-    variances = advice.belief.variances_after(advice.pool.blocks)
-    ratios = np.sqrt(variances / np.maximum(advice.belief.variances, 1e-300))
+    outlook = advice.outlook
+    variances = outlook.now.variances_after(outlook.blocks) + outlook.others
+    known = np.maximum(advice.known, 1e-150)
+    ratios = np.sqrt(variances) / known
     gains = 1.0 - np.exp(np.mean(np.log(np.maximum(ratios, 1e-300)), axis=1))
     rest = [int(k) for k in np.argsort(-gains, kind="stable") if k != advice.candidate]
     rows = []
     for k in [advice.candidate, *rest][:SHOWN]:
-        series, row = reading_of(advice.pool, k)
+        series, row = reading_of(outlook.pool, outlook.taken + k)
         command = describe.displayed_command(machine, series.reading_commands()[row])
         falls = _largest_falls(advice.names, ratios[k])
         rows.append(

@@ -80,7 +80,7 @@ class StudyForm:
 
     def instruments(self, machine: str) -> list[str]:
         """Instruments that can read a machine as it stands, the usual one first."""
-        first, others = template.default_instrument(machine, self.origin)
+        first, others = template.default_instrument(self._model(machine), self.origin)
         return [first, *others]
 
     def sizes(self, machine: str) -> list[SizeField]:

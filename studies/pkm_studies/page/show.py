@@ -227,7 +227,7 @@ def view(session: MachineSession, state: SessionState) -> PageView | None:
     series: tuple[Series, ...] = ()
     sections: dict[str, Any] = {}
     if state.fitted is not None:
-        measured, estimate = state.fitted
+        measured, estimate, _ = state.fitted
         series = measured.readings.series
         sections["estimate"] = estimate_section(
             measured.measurement, series, estimate, None
