@@ -29,7 +29,7 @@ def render(document: Document) -> bytes:
         images=document.images,
         view=view,
         script=_script(),
-        digest=_digest(),
+        digest=script_digest(),
     )
     return page.encode("utf-8")
 
@@ -55,7 +55,7 @@ def _script() -> str:
 
 
 @cache
-def _digest() -> str:
+def script_digest() -> str:
     """SHA-256 of the script element's text, as a content policy states it."""
     digest = hashlib.sha256(f"\n{_script()}\n".encode()).digest()
     return f"sha256-{base64.b64encode(digest).decode('ascii')}"

@@ -33,6 +33,7 @@ from pkm_studies.commands.plan import plan
 from pkm_studies.commands.report import report
 from pkm_studies.commands.run import run
 from pkm_studies.commands.schema import schema
+from pkm_studies.commands.serve import serve
 from pkm_studies.commands.simulate import simulate
 from pkm_studies.commands.verify import verify
 from pkm_studies.stages.outcome import BAD_INPUT, DONE
@@ -69,6 +70,7 @@ app.command()(certificate)
 app.command()(history)
 app.command()(campaign)
 app.command(name="next")(next_reading)
+app.command()(serve)
 INTERRUPTED = 130
 #: errors of the kernel about the input, by module; looked for only in loaded modules
 KERNEL_ERRORS = {

@@ -139,11 +139,11 @@ def write(
         text(study, start.name, model, instrument, tool, share, start.table)
         for share in SHARES
     )
-    draft = _first_sound(drafts, path, origin)
+    draft = first_sound(drafts, path, origin)
     return files.write_whole(path, draft)
 
 
-def _first_sound(drafts: Iterable[str], path: Path, origin: Origin) -> str:
+def first_sound(drafts: Iterable[str], path: Path, origin: Origin) -> str:
     """The first draft whose poses the machine can take, or whose fault is another.
 
     A user's machine may reach less than its ranges say. Raises InputError where it does

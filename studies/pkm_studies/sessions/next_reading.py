@@ -6,6 +6,7 @@ import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -48,6 +49,14 @@ ROUNDING = 1e-6
 PAUSE = 0.5
 
 
+class FittedReadings(NamedTuple):
+    """Readings of a file, checked, their fit, and effects that it allows."""
+
+    state: Measured
+    estimate: Estimate
+    effects: PlannedEffects | None
+
+
 class Adviser:
     """A study whose candidates, workspace and set-ups are resolved once.
 
@@ -82,9 +91,16 @@ class Adviser:
 
     def advise(self, readings: Path) -> Advice:
         """The advice after the readings of a file. Raises InputError as they are read."""
+        return self.advise_fitted(self.fit(readings))
+
+    def fit(self, readings: Path) -> FittedReadings | None:
+        """The readings of a file with their fit; None where it has only poses.
+
+        Raises InputError for readings that cannot be read or fitted.
+        """
         state = self._with_readings(readings)
         if state is None:
-            return self.advise_after(self.base.measurement, (), np.zeros(0))
+            return None
         taken = state.readings
         try:
             effects = effects_at(self.base, state.measurement, taken.series)
@@ -93,12 +109,20 @@ class Adviser:
             )
         except identification.IdentificationError as error:
             raise with_finding(state, error) from error
-        advice = self._advise(state.measurement, taken.series, estimate, effects)
+        return FittedReadings(state, estimate, effects)
+
+    def advise_fitted(self, fitted: FittedReadings | None) -> Advice:
+        """The advice after readings that are fitted; None: before the first one."""
+        if fitted is None:
+            return self.advise_after(self.base.measurement, (), np.zeros(0))
+        state, estimate, effects = fitted
+        series = state.readings.series
+        advice = self._advise(state.measurement, series, estimate, effects)
         checked = () if state.checked is None else state.checked.findings
         return dataclasses.replace(
             advice,
             findings=tuple(finding.sentence for finding in checked),
-            objections=_objections(state, taken.series, estimate),
+            objections=_objections(state, series, estimate),
         )
 
     def advise_after(
@@ -209,7 +233,7 @@ class Adviser:
         limits = outlook.limits(self.limits)
         plan, more = _plan(outlook.now, outlook.blocks, remaining, limits)
         after = outlook.now.after(outlook.blocks[plan[0]])
-        series, row = _reading(outlook.pool, outlook.taken + plan[0])
+        series, row = reading_of(outlook.pool, outlook.taken + plan[0])
         return Advice(
             names=self.maps.names,
             readings=count,
@@ -222,6 +246,7 @@ class Adviser:
             expected=measurement.readings([series.take(np.array([row]))], theta),
             more=more,
             planned=planned,
+            outlook=outlook,
         )
 
 
@@ -325,7 +350,7 @@ def _objections(
     return tuple(trust.section_objections(state.result.goodness, section))
 
 
-def _reading(pool: Candidates, index: int) -> tuple[Series, int]:
+def reading_of(pool: Candidates, index: int) -> tuple[Series, int]:
     """The series of a candidate, and its row there."""
     first = int(pool.members[index, 0])
     for series in pool.series:

@@ -10,6 +10,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.measurement.measurement import Series
+from pkm_studies.sessions.next_effects import Outlook
 from pkm_studies.stages import describe
 from pkm_studies.stages.headline import format_number
 
@@ -36,6 +37,7 @@ class Advice:
     candidate  number of the next reading among the candidates, which is in a row of a
                series; `expected` is what it should read, SI
     findings   what a check of the readings says
+    outlook    all candidates, and what is known, from which the next one is chosen
     objections  why nothing should rest on the readings so far
     """
 
@@ -50,6 +52,7 @@ class Advice:
     expected: Array
     more: int | None
     planned: int | None
+    outlook: Outlook
     findings: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
 
@@ -85,7 +88,7 @@ def sentences(adviser: Adviser, advice: Advice) -> list[str]:
             reached = advice.known[k] <= advice.limits[k]
             line += f"   wanted {wanted}: {'pass' if reached else 'not yet'}"
         lines.append(line)
-    return [*advice.findings, *lines, *_stop(advice), *_next(adviser, advice)]
+    return [*advice.findings, *lines, *stop(advice), *_next(adviser, advice)]
 
 
 def _next(adviser: Adviser, advice: Advice) -> list[str]:
@@ -113,7 +116,7 @@ def _values(numbers: dict[str, float]) -> str:
     return ", ".join(f"{key} = {value:.7g}" for key, value in numbers.items())
 
 
-def _stop(advice: Advice) -> list[str]:
+def stop(advice: Advice) -> list[str]:
     """Whether to stop now, and how far it is."""
     if advice.objections:
         return [f"Look for the cause before you go on: {'; '.join(advice.objections)}."]

@@ -1,0 +1,112 @@
+"""What speaks against a reading before it is taken: its range, its neighbours, all others."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from oed import checks
+from oed.base.arrays import Array
+from oed.checks import CheckFinding, Severity
+from oed.checks.ranges import predict_ranges
+from oed.measurement.measurement import Measurement, Series
+from oed.result import trust
+from pkm_studies.page import typed
+from pkm_studies.resolve.quantities import display_unit
+from pkm_studies.sessions.next_reading import Adviser, FittedReadings
+from pkm_studies.stages import describe
+from pkm_studies.stages.run_state import Stream
+
+#: half width of an interval in standard deviations: one good reading in ten thousand
+#: lies outside, as `oed.checks.ranges.FALSE_ALARM` says
+FACTOR: Final = 3.89
+#: degrees of freedom from which on the residuals say how large the noise is
+LEAST_DOF: Final = 5
+
+
+@dataclasses.dataclass(frozen=True)
+class ReadingInterval:
+    """Where the channels (k,) of the next reading should lie, SI."""
+
+    middle: Array
+    half: Array
+
+    def outside(self, y: Array) -> list[int]:
+        """Channels, by number, of values (k,) that lie outside."""
+        return [int(k) for k in np.flatnonzero(np.abs(y - self.middle) > self.half)]
+
+
+def interval(
+    adviser: Adviser, fitted: FittedReadings | None, series: Series, row: int
+) -> ReadingInterval:
+    """The interval of one reading, from the tolerances or from the readings so far."""
+    one = [series.take(np.array([row]))]
+    if fitted is None:
+        measurement = adviser.base.measurement
+        nothing = np.zeros(len(measurement.sigma(one)))
+        session = checks.session(measurement, one, nothing)
+        ranges = predict_ranges(session, adviser.base.rng(Stream.CHECKS))
+        return ReadingInterval(ranges.middle, ranges.factor * ranges.sd)
+    measurement, estimate = fitted.state.measurement, fitted.estimate
+    slopes = measurement.jacobian(one, estimate.theta)
+    variance = np.einsum("ij,jk,ik->i", slopes, estimate.covariance, slopes)
+    noise = measurement.sigma(one) * _noise_factor(fitted)
+    half = FACTOR * np.sqrt(np.maximum(variance, 0.0) + noise**2)
+    return ReadingInterval(measurement.readings(one, estimate.theta), half)
+
+
+def _noise_factor(fitted: FittedReadings) -> float:
+    """How much larger than stated the noise may be."""
+    if fitted.state.noise_is_a_guess:
+        return float(trust.GUESS)
+    estimate = fitted.estimate
+    if estimate.dof < LEAST_DOF:
+        return 1.0
+    return float(np.sqrt(max(estimate.chi2 / estimate.dof, 1.0)))
+
+
+def of_values(
+    measurement: Measurement,
+    setup: str,
+    expected: ReadingInterval,
+    y: Array,
+    entries: Sequence[str],
+) -> list[str]:
+    """Sentences on values (k,) of channels that lie outside their interval."""
+    channels = measurement.setups[setup].instrument.channels
+    sentences = []
+    for k in expected.outside(y):
+        channel = channels[k]
+        middle, half = float(expected.middle[k]), float(expected.half[k])
+        low = describe.displayed(middle - half, channel.unit)
+        high = describe.displayed(middle + half, channel.unit)
+        unit = display_unit(channel.unit)
+        words = f"{channel.name} should lie between {low:.7g} and {high:.7g} {unit}"
+        if len(entries) == len(channels):
+            slip = typed.slip(entries[k], low, high)
+            words += f"; {slip}" if slip else ""
+        sentences.append(f"{words}.")
+    return sentences
+
+
+def of_session(
+    before: FittedReadings | None, after: FittedReadings, row: int
+) -> Iterator[str]:
+    """What a check of all readings finds once a new one, in a row of the file, is in."""
+    known = {(f.kind, f.rows) for f in _findings(before)}
+    kinds = {f.kind for f in _findings(before)}
+    for finding in _findings(after):
+        if finding.severity >= Severity.REMARK:
+            continue
+        if row in finding.rows or (
+            finding.kind not in kinds and (finding.kind, finding.rows) not in known
+        ):
+            yield finding.sentence
+
+
+def _findings(fitted: FittedReadings | None) -> Sequence[CheckFinding]:
+    checked = None if fitted is None else fitted.state.checked
+    return () if checked is None else checked.findings

@@ -1,0 +1,241 @@
+"""Readings that arrive as lines: of a followed file, a folder, a serial line, a TCP port.
+
+A regular expression turns a line into numbers. Its groups have the names of columns, unit
+included, as in `(?P<length_mm>[-+0-9.]+)`. Without one, a followed file is a CSV whose
+header names the columns.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import functools
+import io
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+from oed.base import units
+from oed.dataset.columns import parse_column
+from pkm_studies.base.errors import InputError
+from pkm_studies.page import typed
+
+#: time between two looks at a file, and before a lost line is opened again, s
+PAUSE, AGAIN = 0.3, 2.0
+#: characters of a line, and bytes of a file of a folder
+LONGEST: Final = 2000
+MOST_BYTES: Final = 4_000_000
+BAUD: Final = 9600
+#: beginnings of sources that are no files
+TCP, SERIAL = "tcp://", "serial:"
+
+
+@dataclasses.dataclass(frozen=True)
+class Offer:
+    """Numbers that arrived, by stem, SI; `number` counts the lines that gave some."""
+
+    number: int
+    values: dict[str, float]
+
+
+class Feed:
+    """A source of lines, read in a thread of its own.
+
+    source   `tcp://HOST:PORT`, `serial:DEVICE[,BAUD]`, a file or a folder
+    pattern  regular expression with a group for each column; empty: a CSV
+    arrived  called with each offer
+
+    Raises InputError for a source or a pattern that cannot be used.
+    """
+
+    def __init__(
+        self, source: str, pattern: str, arrived: Callable[[Offer], None]
+    ) -> None:
+        self.source, self.arrived = source, arrived
+        self.pattern = _compiled(pattern)
+        is_line = source.startswith((TCP, SERIAL))
+        if self.pattern is None and is_line:
+            raise InputError(
+                "a line needs a pattern",
+                "as in --pattern '(?P<length_mm>[-+0-9.]+)'",
+                field="--from",
+                value=source,
+            )
+        self._lines = _opener(source, self.pattern is None)
+        self.number = 0
+        self.problem = ""
+
+    def start(self) -> None:
+        """Read from now on, until the process ends."""
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                for line in self._lines():
+                    self.problem = ""
+                    self.take_line(line)
+            except OSError as error:
+                self.problem = f"{self.source}: {error.strerror or error}"
+            time.sleep(AGAIN)
+
+    def take_line(self, line: str) -> None:
+        """Offer the numbers of a line, if it has all of them."""
+        values = _row_values(line) if self.pattern is None else self._match(line)
+        if values:
+            self.number += 1
+            self.arrived(Offer(self.number, values))
+
+    def _match(self, line: str) -> dict[str, float]:
+        match = None if self.pattern is None else self.pattern.search(line[:LONGEST])
+        return {} if match is None else _in_si(match.groupdict())
+
+
+def _compiled(pattern: str) -> re.Pattern[str] | None:
+    if not pattern:
+        return None
+    try:
+        compiled = re.compile(pattern)
+        for name in compiled.groupindex:
+            parse_column(name)
+    except (re.error, units.UnitError) as error:
+        raise InputError(
+            str(error),
+            "name groups as columns with their unit: (?P<length_mm>[-+0-9.]+)",
+            field="--pattern",
+            value=pattern,
+        ) from error
+    if not compiled.groupindex:
+        raise InputError(
+            "no group says which column a number belongs to",
+            "name groups as columns with their unit: (?P<length_mm>[-+0-9.]+)",
+            field="--pattern",
+            value=pattern,
+        )
+    return compiled
+
+
+def _in_si(cells: dict[str, str | None]) -> dict[str, float]:
+    """Numbers by stem, SI; none where a cell is no number."""
+    values = {}
+    for name, cell in cells.items():
+        try:
+            column = parse_column(name)
+            values[column.stem] = typed.read(cell or "", name) * column.factor
+        except (InputError, units.UnitError):
+            return {}
+    return values
+
+
+def _row_values(pair: str) -> dict[str, float]:
+    """Numbers of a CSV's row below its header; columns without a known unit are left out."""
+    rows = list(csv.reader(io.StringIO(pair), delimiter=";" if ";" in pair else ","))
+    if len(rows) != 2 or len(rows[0]) != len(rows[1]):
+        return {}
+    values: dict[str, float] = {}
+    for name, cell in zip(rows[0], rows[1], strict=True):
+        values |= _in_si({name.strip(): cell})
+    return values
+
+
+# -- sources ---------------------------------------------------------------------------
+
+
+def _opener(source: str, is_table: bool) -> Callable[[], Iterator[str]]:
+    """What opens a source, which may be lost and opened again. Raises InputError."""
+    if source.startswith(TCP):
+        return functools.partial(_tcp_lines, _tcp_address(source))
+    if source.startswith(SERIAL):
+        return functools.partial(_serial_lines, *_serial_port(source))
+    return functools.partial(_file_lines, _existing(source), is_table)
+
+
+def _existing(source: str) -> Path:
+    path = Path(source)
+    if not path.exists():
+        raise InputError(
+            "there is no such file or folder",
+            "check the name; lines are tcp://HOST:PORT or serial:DEVICE",
+            field="--from",
+            value=source,
+        )
+    return path
+
+
+def _file_lines(path: Path, is_table: bool) -> Iterator[str]:
+    """Lines that are added to a file, or that files new in a folder hold.
+
+    Of a table, each row with its header above it.
+    """
+    lengths = {file: file.stat().st_size for file in _files(path)}
+    while True:
+        for file in _files(path):
+            size = file.stat().st_size
+            before = lengths.get(file, 0)
+            if size == before:
+                continue
+            with file.open("rb") as stream:
+                data = stream.read(MOST_BYTES)
+            start = before if size > before else 0
+            whole = data.rfind(b"\n") + 1
+            lengths[file] = max(whole, start)
+            header = data.decode("utf-8", "replace").partition("\n")[0].lstrip("\ufeff")
+            for line in data[start:whole].decode("utf-8", "replace").splitlines():
+                if not is_table:
+                    yield line
+                elif line.strip() and line.strip() != header.strip():
+                    yield f"{header.strip()}\n{line}"
+        time.sleep(PAUSE)
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_dir():
+        return sorted(p for p in path.iterdir() if p.is_file() and p.name[:1] != ".")
+    return [path] if path.exists() else []
+
+
+def _tcp_address(source: str) -> tuple[str, int]:
+    host, _, port = source.removeprefix(TCP).rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(
+            "no address", "as in tcp://192.168.0.7:5000", field="--from", value=source
+        )
+    return host, int(port)
+
+
+def _tcp_lines(address: tuple[str, int]) -> Iterator[str]:
+    with socket.create_connection(address, timeout=10.0) as connection:
+        connection.settimeout(None)
+        with connection.makefile("rb") as stream:
+            while data := stream.readline(LONGEST):
+                yield data.decode("utf-8", "replace").strip()
+
+
+def _serial_port(source: str) -> tuple[str, int]:
+    device, _, baud = source.removeprefix(SERIAL).partition(",")
+    if not device or (baud and not baud.isdigit()):
+        raise InputError(
+            "no device", "as in serial:/dev/ttyUSB0,9600", field="--from", value=source
+        )
+    try:
+        import serial  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "serial lines need the package pyserial",
+            "pip install 'pkm-oed[serial]'",
+            field="--from",
+            value=source,
+        ) from error
+    return device, int(baud or BAUD)
+
+
+def _serial_lines(device: str, baud: int) -> Iterator[str]:
+    import serial
+
+    with serial.Serial(device, baud) as port:
+        while data := port.read_until(b"\n", LONGEST):
+            yield data.decode("utf-8", "replace").strip()

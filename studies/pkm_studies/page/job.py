@@ -1,0 +1,98 @@
+"""Work that takes longer than a reading: a command of `oed` in a process of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from pkm_studies.base.errors import InputError
+
+#: lines of output that are kept
+MOST_LINES: Final = 200
+#: characters of a line
+LONGEST: Final = 1000
+
+
+@dataclasses.dataclass(frozen=True)
+class CommandState:
+    """What a job does: its name, the stage it is at, and its output at the end.
+
+    code  exit code; None while it runs, and before the first job
+    """
+
+    name: str = ""
+    stage: str = ""
+    code: int | None = None
+    lines: tuple[str, ...] = ()
+
+    @property
+    def runs(self) -> bool:
+        """Whether a job is at work."""
+        return bool(self.name) and self.code is None
+
+
+class BackgroundCommand:
+    """One command at a time, in the background."""
+
+    def __init__(self) -> None:
+        self.state = CommandState()
+        self._process: subprocess.Popen[str] | None = None
+        self._lock = threading.Lock()
+
+    def start(self, name: str, arguments: Sequence[str | Path]) -> None:
+        """Start `oed` with arguments. Raises InputError while another command runs."""
+        with self._lock:
+            if self.state.runs:
+                raise InputError(f"{self.state.name} is at work", "wait for its end")
+            command = [
+                sys.executable,
+                "-m",
+                "pkm_studies.commands.cli",
+                *map(str, arguments),
+            ]
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+                encoding="utf-8",
+                errors="replace",
+            )
+            self.state = CommandState(name, "starts")
+        follow = threading.Thread(
+            target=self._follow, args=(self._process,), daemon=True
+        )
+        follow.start()
+
+    def stop(self) -> None:
+        """End the process, if one runs, and wait for it."""
+        process = self._process
+        if process is not None and process.poll() is None:
+            process.terminate()
+            process.wait()
+
+    def _follow(self, process: subprocess.Popen[str]) -> None:
+        """Take up stages from its errors' stream, then what it printed."""
+        stages = threading.Thread(target=self._stages, args=(process,), daemon=True)
+        stages.start()
+        with process:
+            lines = [line.rstrip()[:LONGEST] for line in process.stdout or ()]
+            stages.join()
+        code = process.wait()
+        if code and not lines:
+            lines = [self.state.stage]
+        self.state = dataclasses.replace(
+            self.state, code=code, lines=tuple(lines[-MOST_LINES:])
+        )
+
+    def _stages(self, process: subprocess.Popen[str]) -> None:
+        for line in process.stderr or ():
+            if line.strip():
+                stage = line.strip()[:LONGEST]
+                self.state = dataclasses.replace(self.state, stage=stage)

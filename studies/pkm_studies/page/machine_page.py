@@ -1,0 +1,242 @@
+"""All that the page of one machine can be asked for, apart from the web: plain values."""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from oed.dataset.columns import column_name, parse_column
+from pkm_studies.base.errors import InputError
+from pkm_studies.page import render, rows, show
+from pkm_studies.page.feed import Feed, Offer
+from pkm_studies.page.job import BackgroundCommand
+from pkm_studies.page.readings_log import StaleError
+from pkm_studies.page.session import DoubtfulError, MachineSession
+from pkm_studies.page.shelf import Shelf
+
+#: time between two looks at the readings file, s
+PAUSE: Final = 0.5
+#: commands that evaluate the readings, by the word on the button
+FITS: Final = ("identify", "diagnose")
+
+
+class ReadingEntry(msgspec.Struct, forbid_unknown_fields=True):
+    """A reading as the page sends it."""
+
+    version: str
+    key: str
+    entries: list[str]
+    remark: str = ""
+    confirmed: bool = False
+
+
+class Change(msgspec.Struct, forbid_unknown_fields=True):
+    """Another change of the readings as the page sends it."""
+
+    version: str
+    text: str = ""
+    again: bool = False
+
+
+class ResultChoice(msgspec.Struct, forbid_unknown_fields=True):
+    """What to do with a result: a word of a list, and keys of results."""
+
+    word: str = ""
+    keys: list[str] = []
+
+
+class MachinePage:
+    """A session with its background job, its line of readings and its results.
+
+    study   file of the study, for commands; its text where no file has it
+    folder  where readings and results lie
+    """
+
+    def __init__(self, session: MachineSession, study: Path, folder: Path) -> None:
+        self.session, self.study, self.folder = session, study, folder
+        self.job = BackgroundCommand()
+        self.shelf = Shelf(folder)
+        self.feed: Feed | None = None
+        self.take_at_once = False
+        self.offer: Offer | None = None
+        self.doubt = ""
+        self._counter = itertools.count(1)
+        self._shown: tuple[object, dict[str, Any]] = (None, {})
+        self._lock = threading.Lock()
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """End the background command and the watch."""
+        self._stopped.set()
+        self.job.stop()
+
+    # -- state -------------------------------------------------------------------------
+
+    def token(self) -> str:
+        """Changes with everything that pages show."""
+        state = self.session.state
+        repeated = state.pose is not None and state.pose.repeated
+        offer = 0 if self.offer is None else self.offer.number
+        job = self.job.state
+        problem = "" if self.feed is None else self.feed.problem
+        parts = [
+            state.content.version, repeated, state.problem, offer, self.doubt,
+            job.name, job.stage, job.code, problem,
+        ]  # fmt: skip
+        return "|".join(map(str, parts))
+
+    def state(self) -> dict[str, Any]:
+        """Everything that pages show: parts as HTML, view, and what arrived by line."""
+        with self._lock:
+            state = self.session.state
+            if self._shown[0] is not state:
+                values = show.page_values(self.session, state)
+                view = render.plain(show.view(self.session, state))
+                self._shown = (state, {"values": values, "view": view})
+            values = self._shown[1]["values"] | self._job_values()
+        return {
+            "token": self.token(),
+            "version": state.content.version,
+            "parts": render.parts(values),
+            "view": self._shown[1]["view"],
+            "offer": self._offered(),
+            "doubt": self.doubt,
+        }
+
+    def _job_values(self) -> dict[str, Any]:
+        machine = self.session.measurement.machine.name
+        cards = [card for card in self.shelf.cards() if card.machine == machine]
+        return {
+            "job": self.job.state,
+            "cards": cards,
+            "feed": "" if self.feed is None else self.feed.source,
+            "feed_problem": "" if self.feed is None else self.feed.problem,
+            "formats": format_names(),
+        }
+
+    def _offered(self) -> dict[str, Any] | None:
+        """Texts for the entries from the line, as far as its columns fit the pose."""
+        state, offer = self.session.state, self.offer
+        if offer is None or state.pose is None:
+            return None
+        columns = rows.entry_columns(self.session.measurement, state.pose.series.setup)
+        texts = []
+        for c in columns:
+            if c.name not in offer.values:
+                return None
+            factor = parse_column(column_name(c.name, c.unit)).factor
+            texts.append(f"{offer.values[c.name] / factor:.10g}")
+        return {"number": offer.number, "entries": texts}
+
+    # -- changes -----------------------------------------------------------------------
+
+    def take(self, entry: ReadingEntry) -> None:
+        """Take a reading. Raises as `MachineSession.take`."""
+        self.session.take(
+            entry.version,
+            entry.key,
+            entry.entries,
+            entry.remark,
+            confirmed=entry.confirmed,
+        )
+        self.offer, self.doubt = None, ""
+
+    def arrived(self, offer: Offer) -> None:
+        """Numbers from the line: shown in the entries, or taken at once where wanted."""
+        self.offer, self.doubt = offer, ""
+        offered = self._offered()
+        if not self.take_at_once or offered is None:
+            return
+        entry = ReadingEntry(
+            version=self.session.state.content.version,
+            key=f"line {next(self._counter)}",
+            entries=offered["entries"],
+        )
+        try:
+            self.take(entry)
+        except (DoubtfulError, StaleError, InputError, OSError) as error:
+            self.doubt = str(error) or "The file changed meanwhile."
+
+    def fit(self, word: str) -> None:
+        """Evaluate the readings in the background. Raises InputError."""
+        if word not in FITS:
+            raise InputError("no such evaluation", "load the page again", value=word)
+        if self.session.state.fitted is None:
+            raise InputError("there is no reading yet", "take one first")
+        day = datetime.date.today().isoformat()
+        out = self.folder / f"measured-{day}"
+        readings = self.session.log.path
+        self.job.start(word, [word, self.study, "--readings", readings, "--out", out])
+
+    def plan_acceptance(self, key: str) -> None:
+        """Plan the acceptance test of a result in the background. Raises InputError."""
+        folder = self.shelf.folder(key)
+        self.job.start("acceptance test", ["verify", folder])
+
+    def compensation(self, key: str, word: str) -> dict[str, Any]:
+        """What a controller reads: files by name, and what they hold. Raises InputError."""
+        return compensation_files(self.shelf.folder(key), word)
+
+    def watch(self) -> None:
+        """Look at the readings file twice a second, in a thread, until it stops."""
+
+        def look() -> None:
+            while not self._stopped.wait(PAUSE):
+                try:
+                    self.session.refresh()
+                except (InputError, OSError):
+                    continue
+
+        threading.Thread(target=look, daemon=True).start()
+
+
+def format_names() -> list[str]:
+    """Formats of controllers that the catalogue has; no file of a user's."""
+    from pkm_studies.catalogue import catalogue
+
+    return [entry.name for entry in catalogue.listing("formats")]
+
+
+def compensation_files(folder: Path, word: str) -> dict[str, Any]:
+    """Files of a format for the result in a folder, written there as by the command."""
+    from pkm_studies.compensation import export
+
+    if word not in format_names():
+        raise InputError("no such format", "choose one of the list", value=word)
+    try:
+        written = export.export_folder(folder, word)
+    except export.BadFitError as error:
+        raise InputError(str(error), "look for the cause first") from error
+    texts = {path.name: path.read_text(encoding="utf-8") for path in written.paths}
+    return {"files": texts, "sentences": list(written.sentences)}
+
+
+def comparison(folders: list[Path]) -> str:
+    """The report of two results side by side, as HTML. Raises InputError."""
+    from pkm_studies.results import stored_result
+
+    if len(folders) != 2:
+        raise InputError("two results are compared", "choose two")
+    with tempfile.TemporaryDirectory(prefix="oed-") as place:
+        paths = stored_result.write_comparison(folders, Path(place))
+        page = next(path for path in paths if path.suffix == ".html")
+        return page.read_text(encoding="utf-8")
+
+
+def stored_report(folder: Path) -> str:
+    """The report of a result, as HTML: the folder's, else one that is made now."""
+    from pkm_reports import write_report
+    from pkm_studies.results.stored_result import load_result
+
+    path = folder / "report.html"
+    if path.is_file() and not path.is_symlink():
+        return path.read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory(prefix="oed-") as place:
+        (page,) = write_report(load_result(folder), Path(place), pdf=False)
+        return page.read_text(encoding="utf-8")

@@ -1,0 +1,245 @@
+"""Rows of a readings file for one reading at a pose: labels, command, values, time."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import io
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from oed import dataset
+from oed.base.arrays import Array
+from oed.dataset import dialect
+from oed.dataset.columns import column_name, parse_column
+from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import Coordinate
+from pkm_studies.page.readings_log import REMARK, UNDONE, FileContent
+
+#: decimals of a command, mm or deg: those that a controller takes
+DECIMALS: Final = 4
+#: characters of a remark
+LONGEST_REMARK: Final = 200
+TIME: Final = "time_s"
+#: the comment that says when time_s is zero
+STARTED: Final = "time_s counts from"
+_STARTED: Final = re.compile(rf"# {STARTED} (\S+)")
+
+
+def as_sent(measurement: Measurement, series: Series, row: int) -> Series:
+    """The reading of a series' row alone, at commands of `DECIMALS` decimals.
+
+    What is shown, driven to and written is then one pose. Raises AssemblyError.
+    """
+    one = series.take(np.array([row]))
+    if np.isnan(one.command).any():
+        return one
+    setup = measurement.setups[series.setup]
+    poses = list(one.index[0])
+    if setup.instrument.reference == "run":
+        poses.reverse()  # the reference is the first pose of its run
+    elif setup.teach is not None:
+        poses = poses[:1]
+    coordinates = measurement.machine.workspace(setup.tool)
+    command = np.array(
+        [
+            [_rounded(v, c) for v, c in zip(one.command[k], coordinates, strict=True)]
+            for k in poses
+        ]
+    )
+    return measurement.series(series.setup, command, [str(one.run[0])] * len(command))
+
+
+def _rounded(value: float, coordinate: Coordinate) -> float:
+    """A command with `DECIMALS` decimals in the unit of its column, within its range."""
+    factor = parse_column(column_name(coordinate.name, coordinate.unit)).factor
+    step = 10.0**-DECIMALS
+    number = round(value / factor, DECIMALS)
+    if number * factor > coordinate.upper:
+        number = round(number - step, DECIMALS)
+    elif number * factor < coordinate.lower:
+        number = round(number + step, DECIMALS)
+    return number * factor
+
+
+def entry_columns(measurement: Measurement, setup: str) -> list[Coordinate]:
+    """What a person enters for a reading: the channels, or joints that are recorded."""
+    mounted = measurement.setups[setup]
+    if mounted.instrument.implied is not None:
+        return list(measurement.machine.joints)
+    return [Coordinate(c.name, c.unit) for c in mounted.instrument.channels]
+
+
+def reading_rows(
+    measurement: Measurement,
+    series: Series,
+    row: int,
+    values: Sequence[float],
+    content: FileContent,
+) -> list[dict[str, str]]:
+    """Rows for a reading of a series' row; values in the units of its columns.
+
+    A reading that is relative to a reference of its run has the reference's row before
+    it, unless a run of the file begins at that pose.
+    """
+    one = series.take(np.array([row]))
+    setup = measurement.setups[series.setup]
+    empty = np.full(len(setup.instrument.channels), np.nan)
+    planned = dataset.to_csv(dataset.from_series([one], empty, measurement))
+    rows = list(csv.DictReader(io.StringIO(planned, newline="")))
+    columns = entry_columns(measurement, series.setup)
+    for c, value in zip(columns, values, strict=True):
+        rows[-1][column_name(c.name, c.unit)] = f"{value:.15g}"
+    if len(rows) == 1:
+        return [rows[0] | {"order": str(_next_order(content, rows[0]))}]
+    run = _run_from(content, rows[0])
+    if run is not None:
+        reading = rows[1] | {"run": run}
+        return [reading | {"order": str(_next_order(content, reading))}]
+    label = _free_run(content, rows[0])
+    reference = {k: v for k, v in rows[0].items() if v}
+    return [
+        reference | {"run": label, "order": "1"},
+        rows[1] | {"run": label, "order": "2"},
+    ]
+
+
+def needs_reference(
+    content: FileContent, series: Series, row: int, measurement: Measurement
+) -> bool:
+    """Whether the instrument is to be zeroed at the reference before a reading."""
+    empty = [0.0] * len(entry_columns(measurement, series.setup))
+    return len(reading_rows(measurement, series, row, empty, content)) > 1
+
+
+def last_reading(content: FileContent, measurement: Measurement) -> int | None:
+    """The last row of the table (from 1) that has a reading; None where none has."""
+    for k in range(len(content.rows) - 1, 0, -1):
+        if reading_cells(content, k, measurement):
+            return k
+    return None
+
+
+def reading_cells(
+    content: FileContent, row: int, measurement: Measurement
+) -> dict[str, str]:
+    """The cells of a row that hold its reading, by column; none where it has none."""
+    cells = content.cells(row)
+    setup = cells.get("setup", "").strip()
+    if setup not in measurement.setups:
+        return {}
+    stems = {c.name for c in entry_columns(measurement, setup)}
+    filled = {name: cell for name, cell in cells.items() if cell.strip()}
+    return {name: cell for name, cell in filled.items() if _stem(name) in stems}
+
+
+def without_reading(
+    content: FileContent, row: int, measurement: Measurement
+) -> FileContent:
+    """The content with a row's reading moved into its remark."""
+    values = reading_cells(content, row, measurement)
+    words = ", ".join(f"{name} = {value}" for name, value in values.items())
+    before = content.cells(row).get(REMARK, "")
+    remark = "; ".join(part for part in (before, f"{UNDONE}: {words}") if part)
+    return content.with_cells(row, {**dict.fromkeys(values, ""), REMARK: remark})
+
+
+def clean_remark(text: str) -> str:
+    """A remark on one line, printable, of limited length."""
+    printable = "".join(c if c.isprintable() else " " for c in text)
+    return " ".join(printable.split())[:LONGEST_REMARK]
+
+
+def with_clock(content: FileContent, measurement: Measurement) -> FileContent:
+    """With a comment that starts the session's clock, where nothing was read before."""
+    fresh = last_reading(content, measurement) is None and TIME not in content.header
+    if not fresh or _STARTED.search(content.above):
+        return content
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    above = content.above + dialect.commented([f"{STARTED} {now}"])
+    return FileContent(content.version, above, content.separator, content.rows)
+
+
+def time_cell(content: FileContent) -> Mapping[str, str]:
+    """The time of a reading that is taken now; nothing where no clock was started."""
+    started = _STARTED.search(content.above)
+    if started is None:
+        return {}
+    try:
+        zero = datetime.datetime.fromisoformat(started[1])
+    except ValueError:
+        return {}
+    seconds = (datetime.datetime.now(datetime.UTC) - zero).total_seconds()
+    return {TIME: f"{max(seconds, 0.0):.1f}"}
+
+
+def times(content: FileContent) -> Array:
+    """Times (n,) of all rows that have one, s, ascending."""
+    cells = [content.cells(k).get(TIME, "") for k in range(1, len(content.rows))]
+    values = [float(cell.replace(",", ".")) for cell in cells if _is_number(cell)]
+    return np.sort(np.array(values))
+
+
+def _is_number(cell: str) -> bool:
+    return re.fullmatch(r"\d+([.,]\d+)?", cell.strip()) is not None
+
+
+def _stem(name: str) -> str:
+    try:
+        return parse_column(name).stem
+    except ValueError:
+        return name
+
+
+def _labels(content: FileContent, k: int) -> tuple[str, str]:
+    cells = content.cells(k)
+    return cells.get("setup", "").strip(), cells.get("run", "").strip()
+
+
+def _next_order(content: FileContent, row: Mapping[str, str]) -> int:
+    """The order after the last one of a row's run."""
+    label = (row["setup"], row["run"])
+    rows = [k for k in range(1, len(content.rows)) if _labels(content, k) == label]
+    orders = [content.cells(k).get("order", "") for k in rows]
+    return 1 + max((int(o) for o in orders if o.strip().isdigit()), default=0)
+
+
+def _run_from(content: FileContent, reference: Mapping[str, str]) -> str | None:
+    """A run of the file that begins at a reference's pose."""
+    pose = {
+        _stem(name): float(cell) * parse_column(name).factor
+        for name, cell in reference.items()
+        if cell and name not in ("setup", "run", "order")
+    }
+    begun: set[tuple[str, str]] = set()
+    for k in range(1, len(content.rows)):
+        label = _labels(content, k)
+        if label[0] != reference["setup"] or label in begun:
+            continue
+        begun.add(label)
+        if _is_at(content.cells(k), pose):
+            return label[1]
+    return None
+
+
+def _is_at(cells: Mapping[str, str], pose: Mapping[str, float]) -> bool:
+    known = {}
+    for name, cell in cells.items():
+        if _stem(name) in pose and cell.strip():
+            number = float(cell.replace(",", "."))
+            known[_stem(name)] = number * parse_column(name).factor
+    return known.keys() == pose.keys() and all(
+        abs(known[stem] - value) < 1e-9 for stem, value in pose.items()
+    )
+
+
+def _free_run(content: FileContent, row: Mapping[str, str]) -> str:
+    used = {_labels(content, k) for k in range(1, len(content.rows))}
+    name, number = row["run"], 1
+    while (row["setup"], name) in used:
+        number += 1
+        name = f"{row['run']} ({number})"
+    return name

@@ -1,0 +1,346 @@
+"""The web side of the page: addresses, answers, events; nothing else knows of the web."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import msgspec
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response, StreamingResponse
+from starlette.routing import Route
+from starlette.types import Receive, Scope, Send
+
+from pkm_studies.base.errors import InputError
+from pkm_studies.page import machine_page, render
+from pkm_studies.page.machine_page import (
+    Change,
+    MachinePage,
+    ReadingEntry,
+    ResultChoice,
+)
+from pkm_studies.page.new_study import FieldError, NewStudy, StudyForm
+from pkm_studies.page.readings_log import StaleError
+from pkm_studies.page.session import DoubtfulError
+from pkm_studies.page.shelf import Shelf, study_files
+
+#: time between two looks for news, and from one sign of life to the next, s
+PAUSE, ALIVE = 0.1, 15.0
+#: pages that may listen at once
+LISTENERS: Final = 32
+#: status of an answer: in doubt or out of date; not usable; too many
+CONFLICT, UNUSABLE, TOO_MANY = 409, 422, 429
+
+#: machine of a new form
+FIRST: Final = "hexapod_ups"
+
+Body = TypeVar("Body")
+
+
+class Switch:
+    """The application of a page; in a folder of studies, one of them may be opened.
+
+    start  makes the page of a study's file
+    """
+
+    def __init__(
+        self,
+        page: MachinePage | None,
+        shelf: Shelf,
+        start: Callable[[Path], MachinePage] | None = None,
+    ) -> None:
+        self.page, self.shelf, self.start = page, shelf, start
+        self.app = self._application()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer by the application of now."""
+        await self.app(scope, receive, send)
+
+    def open(self, study: Path) -> None:
+        """Go on with the page of a study. Raises InputError for one without advice."""
+        if self.start is None:
+            raise InputError("no study is opened here", "serve a folder")
+        before, self.page = self.page, self.start(study)
+        if before is not None:
+            before.stop()
+        self.app = self._application()
+
+    def _application(self) -> Starlette:
+        results = ResultAddresses(self.shelf, self if self.start is not None else None)
+        first = [Route("/", results.show)]
+        if self.page is not None:
+            first = MachineAddresses(self.page).routes
+        handlers = {404: _absent, 405: _absent}
+        return Starlette(routes=[*first, *results.routes], exception_handlers=handlers)
+
+
+class MachineAddresses:
+    """Addresses of the measuring page."""
+
+    def __init__(self, page: MachinePage) -> None:
+        self.page = page
+        self.listeners = threading.BoundedSemaphore(LISTENERS)
+        self.routes = [
+            Route("/", self.show),
+            Route("/state", self.state),
+            Route("/events", self.events),
+            Route("/readings.csv", self.readings),
+            *(
+                Route(f"/{name}", self._change(kind, work), methods=["POST"])
+                for name, kind, work in self._changes()
+            ),
+        ]
+
+    def _changes(self) -> list[tuple[str, Any, Callable[[Any], Any]]]:
+        page, session = self.page, self.page.session
+        return [
+            ("reading", ReadingEntry, page.take),
+            ("undo", Change, lambda c: session.undo(c.version)),
+            ("remark", Change, lambda c: session.remark(c.version, c.text)),
+            ("repeat", Change, lambda c: session.repeat(c.version, again=c.again)),
+            ("fit", ResultChoice, lambda c: page.fit(c.word)),
+            (
+                "acceptance",
+                ResultChoice,
+                lambda c: page.plan_acceptance("".join(c.keys[:1])),
+            ),
+        ]
+
+    def show(self, _: Request) -> Response:
+        """The whole page."""
+        page = self.page
+        study = page.session.adviser.base.study
+        html, headers = render.document(
+            "machine",
+            study=study.name,
+            title=study.title or study.name,
+            file=page.session.log.path.name,
+            state=page.state(),
+            data=render.encoded_state(page.state()),
+        )
+        return HTMLResponse(html, headers=headers)
+
+    def state(self, _: Request) -> Response:
+        """The state of the session."""
+        return _answer(self.page.state())
+
+    def readings(self, _: Request) -> Response:
+        """The readings file as it is on the disk."""
+        path = self.page.session.log.path
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError:
+            return _answer({"error": "There is no reading yet."}, UNUSABLE)
+        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in path.name)
+        kind = {"Content-Disposition": f'attachment; filename="{name}"'}
+        return Response(data, media_type="text/csv", headers=kind)
+
+    async def events(self, _: Request) -> Response:
+        """A line whenever the state has changed."""
+        if not self.listeners.acquire(blocking=False):
+            return _answer({"error": "Too many pages are open."}, TOO_MANY)
+        return StreamingResponse(self._news(), media_type="text/event-stream")
+
+    async def _news(self) -> AsyncIterator[str]:
+        try:
+            before, silent = "", 0.0
+            while True:
+                token = self.page.token()
+                if token != before:
+                    before, silent = token, 0.0
+                    yield "data: changed\n\n"
+                elif silent >= ALIVE:
+                    silent = 0.0
+                    yield ": alive\n\n"
+                await asyncio.sleep(PAUSE)
+                silent += PAUSE
+        finally:
+            self.listeners.release()
+
+    def _change(
+        self, kind: type[Body], work: Callable[[Body], Any]
+    ) -> Callable[[Request], Any]:
+        """An address that changes the session, and answers with the new state."""
+
+        async def answer(request: Request) -> Response:
+            body = await request.body()
+            return await run_in_threadpool(self._changed, body, kind, work)
+
+        return answer
+
+    def _changed(
+        self, body: bytes, kind: type[Body], work: Callable[[Body], Any]
+    ) -> Response:
+        status, extra = _attempt(body, kind, work)
+        return _answer(self.page.state() | extra, status)
+
+
+class ResultAddresses:
+    """Addresses of stored results: cards, reports, two side by side, files to send."""
+
+    def __init__(self, shelf: Shelf, switch: Switch | None = None) -> None:
+        self.shelf, self.switch = shelf, switch
+        self.routes = [
+            *([] if switch is None else StudyAddresses(shelf.root, switch).routes),
+            Route("/results", self.show),
+            Route("/results/{key}/report", self.report),
+            Route("/results/{first}/beside/{second}", self.side_by_side),
+            Route("/compensation", self.compensation, methods=["POST"]),
+        ]
+
+    def show(self, _: Request) -> Response:
+        """All results as cards."""
+        html, headers = render.document(
+            "results",
+            cards=self.shelf.cards(),
+            folder=self.shelf.root.resolve().name,
+            formats=machine_page.format_names(),
+            studies=self._studies(),
+        )
+        return HTMLResponse(html, headers=headers)
+
+    def _studies(self) -> list[tuple[str, str]] | None:
+        """Keys and names of the studies that can be opened here; None where none can."""
+        if self.switch is None:
+            return None
+        known = study_files(self.shelf.root)
+        return [(key, path.name) for key, path in known.items()]
+
+    def report(self, request: Request) -> Response:
+        """The report of a result, apart from everything else."""
+        key = request.path_params["key"]
+        return _stored(lambda: machine_page.stored_report(self.shelf.folder(key)))
+
+    def side_by_side(self, request: Request) -> Response:
+        """Two results side by side."""
+        keys = [request.path_params[name] for name in ("first", "second")]
+        return _stored(
+            lambda: machine_page.comparison([self.shelf.folder(key) for key in keys])
+        )
+
+    async def compensation(self, request: Request) -> Response:
+        """The files of a controller's format for a result."""
+        body = await request.body()
+        return await run_in_threadpool(self._compensation, body)
+
+    def _compensation(self, body: bytes) -> Response:
+        answer: dict[str, Any] = {}
+
+        def write(choice: ResultChoice) -> None:
+            folder = self.shelf.folder("".join(choice.keys[:1]))
+            answer.update(machine_page.compensation_files(folder, choice.word))
+
+        status, extra = _attempt(body, ResultChoice, write)
+        return _answer(answer | extra, status)
+
+
+class StudyAddresses:
+    """Addresses of a folder of studies: a form for a new one, and one to go on with."""
+
+    def __init__(self, folder: Path, switch: Switch) -> None:
+        self.folder, self.switch, self.form = folder, switch, StudyForm(folder)
+        self.routes = [
+            Route("/new", self.show),
+            Route("/new", self._answering(NewStudy, self._write), methods=["POST"]),
+            Route("/new/draw", self._answering(NewStudy, self._draw), methods=["POST"]),
+            Route("/open", self._answering(ResultChoice, self._open), methods=["POST"]),
+        ]
+
+    def show(self, request: Request) -> Response:
+        """The form, for the machine of the query."""
+        names = self.form.machines()
+        machine = request.query_params.get("machine", FIRST)
+        if machine not in names:
+            return Response("There is no such machine.\n", 404, media_type="text/plain")
+        html, headers = render.document(
+            "new",
+            folder=self.folder.resolve().name,
+            machines=names,
+            machine=machine,
+            families=[name for name in names if self.form.sizes(name)],
+            sizes=self.form.sizes(machine),
+            instruments=self.form.instruments(machine),
+            components=self.form.components(machine),
+        )
+        return HTMLResponse(html, headers=headers)
+
+    def _draw(self, form: NewStudy) -> dict[str, Any]:
+        return {"view": render.plain(self.form.drawing(form))}
+
+    def _write(self, form: NewStudy) -> dict[str, Any]:
+        path = self.form.write(form)
+        self.switch.open(path)
+        return {"file": path.name}
+
+    def _open(self, choice: ResultChoice) -> dict[str, Any]:
+        known = study_files(self.folder)
+        key = "".join(choice.keys[:1])
+        if key not in known:
+            raise InputError("there is no such study", "load the page again")
+        self.switch.open(known[key])
+        return {}
+
+    def _answering(
+        self, kind: type[Body], work: Callable[[Body], dict[str, Any]]
+    ) -> Callable[[Request], Any]:
+        def worked(body: bytes) -> Response:
+            answer: dict[str, Any] = {}
+            status, extra = _attempt(
+                body, kind, lambda value: answer.update(work(value))
+            )
+            return _answer(answer | extra, status)
+
+        async def answer(request: Request) -> Response:
+            return await run_in_threadpool(worked, await request.body())
+
+        return answer
+
+
+def _attempt(
+    body: bytes, kind: type[Body], work: Callable[[Body], Any]
+) -> tuple[int, dict[str, Any]]:
+    """Status and further keys of the answer to a change."""
+    try:
+        work(msgspec.json.decode(body, type=kind))
+    except msgspec.DecodeError as error:
+        return 400, {"error": f"This is no request of the page: {error}."}
+    except DoubtfulError as doubt:
+        return CONFLICT, {"doubts": doubt.sentences}
+    except StaleError:
+        return CONFLICT, {"error": "The readings changed meanwhile: look again."}
+    except FieldError as error:
+        return UNUSABLE, {"error": str(error), "field": error.name}
+    except InputError as error:
+        return UNUSABLE, {"error": str(error)}
+    except OSError as error:
+        words = error.strerror or type(error).__name__
+        return UNUSABLE, {"error": f"The disk refuses: {words}. Nothing was taken."}
+    return 200, {}
+
+
+def _answer(values: dict[str, Any], status: int = 200) -> Response:
+    data = msgspec.json.encode(values).replace(
+        b"<", b"\\u003c"
+    )  # no page, whoever opens it
+    return Response(data, status_code=status, media_type="application/json")
+
+
+def _stored(make: Callable[[], str]) -> Response:
+    """A stored page in a place of its own, or the error in its place."""
+    try:
+        html = make()
+    except InputError as error:
+        return Response(f"{error}\n", status_code=404, media_type="text/plain")
+    policy = {"Content-Security-Policy": render.report_policy()}
+    return HTMLResponse(html, headers=policy)
+
+
+async def _absent(_: Request, __: Exception) -> Response:
+    return Response(
+        "There is no such page.\n", status_code=404, media_type="text/plain"
+    )

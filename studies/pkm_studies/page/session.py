@@ -1,0 +1,309 @@
+"""One session at a machine: its readings file, the advice after it, and every change.
+
+All pages of a server share one session. Its adviser is that of `oed next`, so that page
+and command decide alike.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.dataset.columns import column_name, parse_column
+from oed.estimation.identification import IdentificationError
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
+from pkm_studies.base.errors import InputError
+from pkm_studies.page import doubts, rows, typed
+from pkm_studies.page.readings_log import REMARK, FileContent, ReadingsLog, StaleError
+from pkm_studies.sessions.next_reading import Adviser, FittedReadings
+from pkm_studies.sessions.next_sentences import Advice
+
+#: what a fit of readings raises that make no sense
+FIT_ERRORS: Final = (
+    InputError,
+    AssemblyError,
+    IdentificationError,
+    ValueError,
+    ArithmeticError,
+)
+#: fits that are remembered, by version of the file
+REMEMBERED: Final = 4
+#: keys of entries that are remembered, so that one sent twice is taken once
+KEYS: Final = 1000
+
+
+class DoubtfulError(Exception):
+    """A reading that is asked about before it is taken: `sentences` say why."""
+
+    def __init__(self, sentences: Sequence[str]) -> None:
+        self.sentences = list(sentences)
+        super().__init__(" ".join(sentences))
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose:
+    """Where the next reading is to be taken.
+
+    series, row  as the controller is sent it
+    repeated     whether it is the last reading's pose again
+    """
+
+    series: Series
+    row: int
+    repeated: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class SessionState:
+    """What all pages show.
+
+    content  the readings file
+    fitted   its readings; None before the first one
+    advice   after them; None where they cannot be used: `problem` says why
+    pose     of the next reading; None likewise
+    """
+
+    content: FileContent
+    fitted: FittedReadings | None
+    advice: Advice | None
+    pose: Pose | None
+    problem: str = ""
+
+
+class MachineSession:
+    """A study's adviser with a readings file. Its methods may be called by any thread.
+
+    changed  called with the version of each new state
+    """
+
+    def __init__(
+        self,
+        adviser: Adviser,
+        path: Path,
+        changed: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.adviser = adviser
+        self.log = ReadingsLog(path)
+        self.changed = changed
+        self._lock = threading.RLock()
+        self._fits: dict[str, FittedReadings | None] = {}
+        self._keys: dict[str, None] = {}
+        self.state = self._state(self.log.read())
+
+    @property
+    def measurement(self) -> Measurement:
+        """The machine with all set-ups of the study."""
+        resolved = self.adviser.base.resolved
+        return resolved.measurement_with(resolved.setups)
+
+    # -- what changes ------------------------------------------------------------------
+
+    def take(
+        self,
+        version: str,
+        key: str,
+        entries: Sequence[str],
+        remark: str,
+        *,
+        confirmed: bool,
+    ) -> None:
+        """Take a reading at the present pose; on return it is on the disk.
+
+        key        of the entry: one that is sent again is taken once
+        entries    what was typed, a text a column
+        confirmed  whether doubts were shown before
+
+        Raises StaleError, DoubtfulError, and InputError for what is no reading.
+        """
+        with self._lock:
+            if key in self._keys:
+                return
+            pose, content = self._pose(), self._based_on(version)
+            measurement = self.measurement
+            columns = rows.entry_columns(measurement, pose.series.setup)
+            if len(entries) != len(columns):
+                raise InputError("not as many numbers as columns", "type all of them")
+            names = [column_name(c.name, c.unit) for c in columns]
+            values = [typed.read(e, n) for e, n in zip(entries, names, strict=True)]
+            content = rows.with_clock(content, measurement)
+            new = rows.reading_rows(measurement, pose.series, pose.row, values, content)
+            new[-1] |= rows.time_cell(content)
+            if remark:
+                new[-1][REMARK] = rows.clean_remark(remark)
+            after = content.with_rows(new)
+            sentences = [] if confirmed else self._doubts(after, values, entries)
+            if sentences:
+                raise DoubtfulError(sentences)
+            written = self.log.write(version, after)
+            self._keys[key] = None
+            if len(self._keys) > KEYS:
+                self._keys.pop(next(iter(self._keys)))
+            self._publish(self._state(written))
+
+    def undo(self, version: str) -> None:
+        """Take the last reading back. Raises StaleError, InputError without a reading."""
+        with self._lock:
+            content = self._based_on(version)
+            row = self._last(content)
+            self._write(version, rows.without_reading(content, row, self.measurement))
+
+    def remark(self, version: str, text: str) -> None:
+        """Write a remark beside the last reading. Raises as `undo`."""
+        with self._lock:
+            content = self._based_on(version)
+            row = self._last(content)
+            self._write(
+                version, content.with_cells(row, {REMARK: rows.clean_remark(text)})
+            )
+
+    def repeat(self, version: str, *, again: bool) -> None:
+        """Read the last reading's pose again, or go on with the advice."""
+        with self._lock:
+            content = self._based_on(version)
+            if again:
+                self._last(content)
+            self._publish(self._state(content, repeated=again))
+
+    def refresh(self) -> None:
+        """Take up what others wrote into the file."""
+        with self._lock:
+            content = self.log.read()
+            if content.version != self.state.content.version:
+                self._publish(self._state(content))
+
+    # -- what follows ------------------------------------------------------------------
+
+    def _based_on(self, version: str) -> FileContent:
+        self.refresh()
+        if self.state.content.version != version:
+            raise StaleError
+        return self.state.content
+
+    def _pose(self) -> Pose:
+        if self.state.pose is None:
+            raise InputError(
+                self.state.problem or "there is no next reading", "mend the file"
+            )
+        return self.state.pose
+
+    def _last(self, content: FileContent) -> int:
+        row = rows.last_reading(content, self.measurement)
+        if row is None:
+            raise InputError("there is no reading yet", "take one first")
+        return row
+
+    def _write(self, version: str, content: FileContent) -> None:
+        self._publish(self._state(self.log.write(version, content)))
+
+    def _publish(self, state: SessionState) -> None:
+        self.state = state
+        self.changed(state.content.version)
+
+    def _state(self, content: FileContent, *, repeated: bool = False) -> SessionState:
+        try:
+            fitted = self._fit(content)
+            advice = self.adviser.advise_fitted(fitted)
+            pose = Pose(advice.series, advice.row)
+            if repeated and fitted is not None:
+                pose = self._last_pose(fitted)
+            series = rows.as_sent(self.measurement, pose.series, pose.row)
+        except FIT_ERRORS as error:
+            return SessionState(content, None, None, None, str(error))
+        pose = Pose(series, 0, pose.repeated)
+        return SessionState(content, fitted, advice, pose)
+
+    def _last_pose(self, fitted: FittedReadings) -> Pose:
+        """The pose of the reading that is last in the file."""
+        data = fitted.state.resolved.dataset
+        if data is None:
+            raise LookupError("readings without a dataset")
+        place = int(np.argmax(data.covariates["row"].to_numpy()))
+        for series in data.series:
+            if place < len(series):
+                return Pose(series, place, repeated=True)
+            place -= len(series)
+        raise IndexError(place)
+
+    def _fit(self, content: FileContent) -> FittedReadings | None:
+        """The fit of a content, as `oed next` makes it from a file of that content."""
+        if content.version not in self._fits:
+            self._fits[content.version] = self._fit_of_text(content)
+            if len(self._fits) > REMEMBERED:
+                self._fits.pop(next(iter(self._fits)))
+        return self._fits[content.version]
+
+    def _fit_of_text(self, content: FileContent) -> FittedReadings | None:
+        if len(content.rows) < 2:
+            return None
+        with tempfile.TemporaryDirectory(prefix="oed-") as folder:
+            path = Path(folder) / self.log.path.name
+            path.write_text(content.text, encoding="utf-8", newline="")
+            try:
+                return self.adviser.fit(path)
+            except InputError as error:
+                raise InputError(
+                    error.problem,
+                    error.remedy,
+                    file=error.file.replace(folder + os.sep, ""),
+                    field=error.field,
+                    value=error.value,
+                ) from error
+
+    def _doubts(
+        self, after: FileContent, values: Sequence[float], entries: Sequence[str]
+    ) -> list[str]:
+        """What speaks against the content's last reading."""
+        pose, fitted = self._pose(), self.state.fitted
+        series, row, y = self._as_read(pose, values)
+        expected = doubts.interval(self.adviser, fitted, series, row)
+        measurement = self.measurement
+        sentences = doubts.of_values(measurement, series.setup, expected, y, entries)
+        if sentences:
+            return sentences
+        try:
+            refitted = self._fit_of_text(after)
+        except FIT_ERRORS as error:
+            return [f"With this reading: {error}"]
+        if refitted is None:
+            return []
+        return list(doubts.of_session(fitted, refitted, self._row_in_file(after)))
+
+    def _as_read(
+        self, pose: Pose, values: Sequence[float]
+    ) -> tuple[Series, int, Array]:
+        """The pose and the channels' values (k,), SI; joints where these are recorded."""
+        measurement = self.measurement
+        setup = measurement.setups[pose.series.setup]
+        columns = rows.entry_columns(measurement, setup.name)
+        si = np.array(
+            [
+                value * parse_column(column_name(c.name, c.unit)).factor
+                for c, value in zip(columns, values, strict=True)
+            ]
+        )
+        if setup.instrument.implied is None:
+            return pose.series, pose.row, si
+        try:
+            series = measurement.series_from_joints(setup.name, si[None], ["entry"])
+        except AssemblyError as error:
+            raise InputError(
+                f"the machine has no pose with these joints: {error}", "read them again"
+            ) from error
+        return (
+            series,
+            0,
+            np.full(len(setup.instrument.channels), setup.instrument.implied),
+        )
+
+    def _row_in_file(self, content: FileContent) -> int:
+        """Number of the last row as a spreadsheet counts, comments included."""
+        return len(content.rows) + content.above.count("\n")

@@ -1,0 +1,146 @@
+"""The results below a folder, each under a key that is no path."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from oed.result import StudyResult, trust
+from pkm_reports.page import text
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
+from pkm_studies.results.stored_result import load_result
+from pkm_studies.study import SUFFIX
+
+#: folders deep, and results, that are looked for
+DEPTH: Final = 3
+MOST: Final = 200
+RESULT: Final = "result.json"
+#: hexadecimal digits of a key
+DIGITS: Final = 12
+
+
+@dataclasses.dataclass(frozen=True)
+class Card:
+    """A result in short: accuracy before and after by component, and what speaks against it.
+
+    key     of its folder, for addresses
+    place   its folder, relative to the shelf's
+    """
+
+    key: str
+    place: str
+    title: str
+    machine: str
+    written: str
+    readings: str
+    accuracy: tuple[tuple[str, str, str], ...]
+    doubts: tuple[str, ...]
+
+
+class Shelf:
+    """Folders with results below one folder; links to places outside are left out."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._cards: dict[tuple[str, int], Card] = {}
+
+    def folders(self) -> dict[str, Path]:
+        """Folders with a result by key, the newest first."""
+        ordered = sorted(
+            self._search(self.root, DEPTH),
+            key=lambda folder: (folder / RESULT).stat().st_mtime,
+            reverse=True,
+        )
+        return {self._key(folder): folder for folder in ordered[:MOST]}
+
+    def folder(self, key: str) -> Path:
+        """The folder of a key. Raises InputError for one that no folder has."""
+        folders = self.folders()
+        if key not in folders:
+            raise InputError("there is no such result", "load the page again")
+        return folders[key]
+
+    def cards(self) -> list[Card]:
+        """A card for each result that can be read."""
+        return [
+            card
+            for key, folder in self.folders().items()
+            if (card := self._card(key, folder)) is not None
+        ]
+
+    def _search(self, folder: Path, depth: int) -> Iterator[Path]:
+        if (folder / RESULT).is_file():
+            yield folder
+        if not depth or not folder.is_dir():
+            return
+        for entry in sorted(folder.iterdir()):
+            hidden = entry.name.startswith(".")
+            if entry.is_dir() and not entry.is_symlink() and not hidden:
+                yield from self._search(entry, depth - 1)
+
+    def _key(self, folder: Path) -> str:
+        place = folder.relative_to(self.root).as_posix()
+        return files.digest(place.encode())[:DIGITS]
+
+    def _card(self, key: str, folder: Path) -> Card | None:
+        stamp = (folder / RESULT).stat().st_mtime_ns
+        if (key, stamp) not in self._cards:
+            try:
+                result = load_result(folder)
+            except InputError:
+                return None
+            self._cards[key, stamp] = self._of_result(key, folder, result)
+        return self._cards[key, stamp]
+
+    def _of_result(self, key: str, folder: Path, result: StudyResult) -> Card:
+        written = (folder / RESULT).stat().st_mtime
+        day = datetime.datetime.fromtimestamp(written).isoformat(" ", "minutes")
+        return Card(
+            key=key,
+            place=folder.relative_to(self.root).as_posix(),
+            title=text.cleaned(result.title),
+            machine=text.cleaned(result.machine.name),
+            written=day,
+            readings=_readings(result),
+            accuracy=_accuracy(result),
+            doubts=tuple(text.cleaned(words) for words in trust.objections(result)),
+        )
+
+
+def _readings(result: StudyResult) -> str:
+    if result.estimate is not None:
+        return text.count(len(result.estimate.residuals), "value") + " fitted"
+    if result.design is not None:
+        return text.count(len(result.design.poses), "reading") + " planned"
+    return "no readings"
+
+
+def _accuracy(result: StudyResult) -> tuple[tuple[str, str, str], ...]:
+    """Rms of each component before and after, in the unit of its column."""
+    prediction = result.prediction
+    corrected = result.corrected
+    if corrected is not None and corrected.prediction is not None:
+        prediction = corrected.prediction
+    if prediction is None:
+        return ()
+    return tuple(
+        (
+            text.cleaned(name),
+            text.quantity(c.before.rms, c.before.unit),
+            text.quantity(c.after.rms, c.after.unit),
+        )
+        for name, c in prediction.components.items()
+    )
+
+
+def study_files(folder: Path) -> dict[str, Path]:
+    """The study files in a folder by key; links are left out."""
+    if not folder.is_dir():
+        return {}
+    paths = sorted(folder.glob(f"*{SUFFIX}"))[:MOST]
+    plain = [path for path in paths if path.is_file() and not path.is_symlink()]
+    return {files.digest(path.name.encode())[:DIGITS]: path for path in plain}

@@ -1,0 +1,99 @@
+"""Studies from the page's form, and results as cards: what is written, what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import report_fixture
+from page_server import Client, served
+
+from pkm_studies.page import serve
+from pkm_studies.page.new_study import FieldError, NewStudy, StudyForm
+from pkm_studies.study import load
+
+
+def form(**values: Any) -> NewStudy:
+    return NewStudy(machine="delta", instrument="pose_tracker_position", **values)
+
+
+def test_the_file_has_what_the_form_says(tmp_path: Path) -> None:
+    """Sizes, time and wanted accuracy stand in the study that the command reads."""
+    sizes = {"arm_mm": "350.0", "angle_deg": "[210, 330, 90]", "lean_deg": ""}
+    page = StudyForm(tmp_path)
+    path = page.write(
+        form(name="mine", sizes=sizes, minutes="60", wanted={"z_um": "40", "x_um": ""})
+    )
+    assert path == tmp_path / "mine.study.toml"
+    study = load(path)
+    assert study.machine.geometry["arm_mm"] == 350.0
+    assert study.prediction is not None
+    assert study.prediction.wanted == {"z_um": 40}
+    assert study.design is not None
+    assert study.design.size is not None
+    shown = {field.key: field.value for field in page.sizes("delta")}
+    assert float(shown["arm_mm"]) == pytest.approx(345.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "field"),
+    [
+        ({"sizes": {"arm_mm": "long"}}, "geometry.arm_mm"),
+        ({"sizes": {"arm_mm": "-1"}}, "geometry.arm_mm"),
+        ({"sizes": {"arm_mm": "1\n[setup]"}}, "geometry.arm_mm"),
+        ({"sizes": {"arm_mm": '"x"'}}, "geometry.arm_mm"),
+        ({"sizes": {"angle_deg": "[1, 2]"}}, "geometry.angle_deg"),
+        ({"sizes": {"leg_mm": "1"}}, "geometry.leg_mm"),
+        ({"name": "../outside"}, "name"),
+        ({"minutes": "1"}, "minutes"),
+        ({"minutes": "soon"}, "minutes"),
+        ({"wanted": {"z_um": "-3"}}, "wanted.z_um"),
+        ({"wanted": {"q_um": "3"}}, "wanted.q_um"),
+    ],
+)
+def test_an_error_stands_at_its_field(
+    tmp_path: Path, values: dict[str, Any], field: str
+) -> None:
+    with pytest.raises(FieldError) as error:
+        StudyForm(tmp_path).write(form(**values))
+    assert error.value.name == field
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_of_the_user_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "mine.study.toml").write_text("of the user", encoding="utf-8")
+    with pytest.raises(FieldError) as error:
+        StudyForm(tmp_path).write(form(name="mine"))
+    assert error.value.name == "name"
+    assert (tmp_path / "mine.study.toml").read_text("utf-8") == "of the user"
+
+
+def test_no_file_of_code_is_a_machine(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("raise SystemExit('ran')\n", encoding="utf-8")
+    with pytest.raises(FieldError):
+        StudyForm(tmp_path).drawing(NewStudy(machine="mine.py"))
+
+
+def test_results_of_a_folder_are_cards(tmp_path: Path) -> None:
+    """Two results, one of them in a folder outside that a link names: it stays out."""
+    shelf, outside = tmp_path / "shelf", tmp_path / "outside"
+    result = msgspec.json.encode(report_fixture.result_of(report_fixture.bare()))
+    for folder in (shelf / "a", outside):
+        folder.mkdir(parents=True)
+        (folder / "result.json").write_bytes(result)
+    (shelf / "link").symlink_to(outside)
+    with served(shelf, serve.PageOptions()) as (opened, port):
+        assert opened is None
+        client = Client(port)
+        text = client.ask("GET", "/results")[1].decode()
+        assert text.count("<article") == 1
+        key = text.partition('data-result="')[2].partition('"')[0]
+        status, report, heads = client.ask("GET", f"/results/{key}/report")
+        assert status == 200
+        assert b"<h1>" in report
+        assert heads["content-security-policy"].startswith("sandbox allow-scripts")
+        assert client.post("/compensation", keys=[key], word="../evil.py:run")[0] == 422
+        assert client.post("/open", keys=["x"])[0] == 422
+        assert [p.name for p in (shelf / "a").iterdir()] == ["result.json"]
