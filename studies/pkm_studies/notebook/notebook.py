@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -161,6 +161,7 @@ def identify(
     estimate_noise: bool | None = None,
     start: Mapping[str, float] | None = None,
     stages: Sequence[Sequence[str]] | None = None,
+    effects: str | Sequence[str] | None = None,
 ) -> EstimateView:
     """Fit the parameters by least squares with tolerance priors.
 
@@ -169,6 +170,8 @@ def identify(
     start           parameters, SI, where the fit begins; the others begin at nominal
     stages          patterns of the parameters freed in turn (`[["dq*"], ["*"]]`); as
                     [identify] stages says by default
+    effects         what may act beside the geometry: "catalogue", "none", or names; as
+                    [identify] effects says by default
 
     Raises IdentificationError where the fit fails, and ValueError for a start that
     names no parameter.
@@ -182,6 +185,12 @@ def identify(
     True
     """
     state = readings.state
+    if effects is not None:
+        table = msgspec.structs.replace(
+            state.study.identify, effects=_effects_value(effects)
+        )
+        study = msgspec.structs.replace(state.study, identify=table)
+        state = state.replace(study=study)
     if estimate_noise is not None:
         noise = msgspec.structs.replace(state.study.noise, estimate=estimate_noise)
         study = msgspec.structs.replace(state.study, noise=noise)
@@ -192,6 +201,17 @@ def identify(
         state = state.replace(resolved=resolved)
     theta = None if start is None else _start_of(state.measurement, start)
     return EstimateView(fit_steps.fit_parameters(state, theta))
+
+
+def _effects_value(
+    effects: str | Sequence[str],
+) -> Literal["none", "catalogue"] | list[str]:
+    """Effects as [identify] has them; a single name is a list of one."""
+    if effects == "none":
+        return "none"
+    if effects == "catalogue":
+        return "catalogue"
+    return [effects] if isinstance(effects, str) else list(effects)
 
 
 def _start_of(measurement: Measurement, start: Mapping[str, float]) -> Array:
