@@ -51,8 +51,9 @@ def contradicted_law(estimate: Estimate) -> list[str]:
     return [
         "what single channels and neighbouring readings have in common moves the"
         f" parameters {np.sqrt(check.ratio):.1f} times as far as noise would (probability"
-        f" {check.probability:.2g}): the model may lack an effect. The readings have their"
-        " stated weights, as in least squares, and all standard deviations are those of a"
+        f" {check.probability:.2g}): the model may lack an effect; `oed diagnose` looks"
+        ' for it, and effects = "catalogue" in [identify] allows for it. The readings have'
+        " their stated weights, as in least squares, and all standard deviations are those of a"
         f" noise {check.widening:.1f} times the stated one"
     ]
 
