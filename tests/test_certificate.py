@@ -266,7 +266,7 @@ def test_conformity_of_the_machine(folder: Path, oed: Run) -> None:
 
 
 def test_verdicts_follow_the_stated_rule(folder: Path) -> None:
-    wide = certified(folder, "z_um = 1000.0\nx_um = 0.001\n")
+    wide = certified(folder, "z_um = 1e300\nx_um = 0.001\n")
     assert wide.verdicts == ["pass", "fail"]
     state(folder, "z_um = 1000.0\n", HEAD.replace("decision = 0.95\n", ""))
     assert certify.certify_folder(folder)[0].verdicts == [""]
@@ -288,6 +288,9 @@ def test_what_is_not_stated_is_asked_for(folder: Path, oed: Run) -> None:
         ('country = "CH"', 'country = "Switzerland"', "customer.country"),
         ('end = "2026-03-02"', 'end = "2026-02-28"', "end"),
         ('begin = "2026-03-01"', 'begin = "1. 3. 26"', "begin"),
+        ('country = "CH"', 'country = "Switzerland"', "two capitals, such as DE"),
+        ('city = "Ulm"', 'city = "\\u0007"', "no certificate can hold"),
+        ("temperature_C = 20.5", "temperature_C = 293.65", "temperature_C"),
     ):
         state(folder, head=HEAD.replace(old, new))
         code, _, error = oed("certificate", folder)
@@ -295,6 +298,10 @@ def test_what_is_not_stated_is_asked_for(folder: Path, oed: Run) -> None:
     state(folder, "beta_um = 3.0\n")
     code, _, error = oed("certificate", folder)
     assert (code, "tolerance.beta_um" in error) == (2, True), error
+    nowhere = folder / "nowhere" / "head.toml"
+    code, _, error = oed("certificate", folder, "--head", nowhere)
+    assert (code, "no such certificate file" in error) == (2, True), error
+    assert not nowhere.parent.exists()
 
 
 def test_warnings_of_the_fit_are_stated(folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -173,6 +174,7 @@ def test_a_study_takes_the_fleet(fleet: Path, oed: Run) -> None:
 
 def test_what_does_not_fit_is_refused(fleet: Path, oed: Run) -> None:
     oed("run", third(fleet, 'from = ["m1"]'), "--out", fleet / "third", "--quiet")
+    shutil.copytree(fleet / "m1", fleet / "copy")
     larger = STUDY.replace(
         'model = "linear_delta"',
         'model = "linear_delta"\nnominal = {{ radius_mm = 130.0 }}',
@@ -180,6 +182,9 @@ def test_what_does_not_fit_is_refused(fleet: Path, oed: Run) -> None:
     for prior, text, words in (
         ('from = ["absent"]', STUDY, "there is no folder"),
         ('from = ["m1", "m1"]', STUDY, "named twice"),
+        ('from = ["m1", "copy"]', STUDY, "readings are those of 'm1'"),
+        ('from = ["no"]', STUDY, "would replace the one"),
+        ('earlier = "no"', STUDY, "would replace the one"),
         ('from = ["m1", "third"]', STUDY, "would count twice"),
         ('from = ["m1"]\nearlier = "m2"', STUDY, "keep one"),
         ('from = ["m1"]', larger, "another size"),
@@ -190,5 +195,5 @@ def test_what_does_not_fit_is_refused(fleet: Path, oed: Run) -> None:
         ),
     ):
         code, _, error = oed("run", third(fleet, prior, text), "--out", fleet / "no")
-        assert (code, "prior.from" in error, words in error) == (2, True, True), error
+        assert (code, "prior." in error, words in error) == (2, True, True), error
     assert parse(STUDY.format(seed=1), fleet / "x.study.toml").prior.from_ == []

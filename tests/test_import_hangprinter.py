@@ -53,6 +53,9 @@ def test_the_real_machine_comes_in_and_its_lines_close(
         ("D2350", "D2350 I0:0:2000", "four lines"),
         ("A0:-1620:-150", "A0:-1620", "x, y and z"),
         ("W2.0", "E20", "does not know this word"),
+        ("D2350", "D1e300", "x, y and z, in mm"),
+        ("M669 K6", "G20\nM669 K6", "in inches"),
+        ("M669 A0", "if true\n  M669 A0", "stands under"),
     ],
 )
 def test_other_machines_are_refused(
@@ -60,3 +63,23 @@ def test_other_machines_are_refused(
 ) -> None:
     with pytest.raises(InputError, match=problem):
         taken(CONFIG.replace(before, after), shared_data, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [("A,B,C,D\n1,2,3,4\n", "has the columns A, B, C, D too"), ("F1,F2\n1,2\n", "F1")],
+)
+def test_a_table_that_would_not_be_read_is_refused(
+    content: str, problem: str, tmp_path: Path
+) -> None:
+    for name, text in (
+        ("config.g", CONFIG.lower()),
+        ("motors.csv", "A,B,C,D\n0,0,0,0\n"),
+        ("more.csv", content),
+    ):
+        (tmp_path / name).write_text(text)
+    paths = [tmp_path / name for name in ("config.g", "motors.csv", "more.csv")]
+    with pytest.raises(InputError, match=problem):
+        session.import_files("hangprinter", paths, tmp_path / "out", name="h")
+    _, imported = session.import_files("hangprinter", paths[:2], tmp_path / "out")
+    assert not [s for s in imported.statements if "places" in s]

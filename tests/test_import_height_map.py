@@ -12,6 +12,8 @@ from test_import_rrf import FILES, TILT_CONFIG
 import oed
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers import session
+from pkm_studies.importers.bed_mesh import BedMesh, distinct
+from pkm_studies.importers.probed_point import ProbedPoint
 
 HEAD = (
     "RepRapFirmware height map file v2 generated at 2024-05-01 10:00, deviation 0.1\n"
@@ -115,6 +117,11 @@ def test_a_map_alone_calibrates_a_bed_that_leans(tmp_path: Path) -> None:
         ("20,30,5,3", "20,30,5,4", "3 rows of heights"),
         ("20,30,5,3", "20,30,6,3", "5 heights"),
         ("0.250", "x", "x is no number"),
+        ("0.250", "nan", "nan is no number"),
+        ("0.250", "1e400", "1e400 is no number"),
+        ("20,30,5,3", "20,30,nan,3", "nan is no number"),
+        ("20,30,5,3", "0,30,5,3", "no grid"),
+        ("-40,41", "-40,30", "beyond its xmax"),
         ("xspacing", "step", "not known"),
     ],
 )
@@ -130,3 +137,13 @@ def test_a_broken_map_is_refused(
 def test_a_map_of_other_axes_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="its axes are XZ"):
         mesh_rows(HEAD + NEWEST.replace("X,Y", "X,Z") + ROWS, tmp_path)
+
+
+def test_meshes_of_names_alike_have_set_ups_of_their_own() -> None:
+    names = ("warm bed", "warm_bed", "ä", "ö")
+    meshes = [
+        BedMesh(name, (ProbedPoint(0.0, 0.0, 0.1 * k),)) for k, name in enumerate(names)
+    ]
+    chosen, _ = distinct(meshes)
+    setups = [mesh.setup for mesh in chosen]
+    assert setups == ["mesh_warm_bed", "mesh_warm_bed_2", "mesh", "mesh_2"]

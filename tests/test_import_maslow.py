@@ -98,6 +98,12 @@ def test_belts_calibrate_the_anchors_as_scipy_does(tmp_path: Path) -> None:
         (YAML.replace("blX: 0", "blX: 12"), None, "lower left anchor"),
         (YAML, "ok\n", "no belts"),
         (YAML, "CLBM:[{bl:1.0, br:2.0, tr:3.0},]\n", "four belts"),
+        (YAML.replace("tlX: -20.0", "tlX: nan"), None, "no number"),
+        (YAML.replace("tlY: 2000.0", "tlY: 2e300"), None, "no number"),
+        (YAML, log(belts())[:-40], "the line is cut off"),
+        (YAML, log(belts() / 1000.0), "do not meet"),
+        (YAML, log(-belts()), "do not meet"),
+        (YAML, log(belts()[:, [1, 0, 2, 3]]), "do not meet"),
     ],
 )
 def test_what_is_missing_or_wrong_is_refused(
@@ -106,3 +112,12 @@ def test_what_is_missing_or_wrong_is_refused(
     files = {"m.yaml": yaml, "log.txt": log(belts()) if text is None else text}
     with pytest.raises(InputError, match=problem):
         taken(files, tmp_path)
+
+
+@pytest.mark.parametrize("option", ["machine", "column_map", "mesh"])
+def test_an_option_that_is_not_read_is_refused(option: str, tmp_path: Path) -> None:
+    given = {"machine": "delta", "column_map": tmp_path / "no", "mesh": "readings"}
+    with pytest.raises(InputError, match="need no --m"):
+        session.import_files(
+            "maslow", [tmp_path / "m.yaml"], tmp_path, **{option: given[option]}
+        )

@@ -61,7 +61,9 @@ def test_readings_see_what_the_description_lets_them_see(
     tilted = {p.name[4] for p in machine.parameters if p.name.startswith("tilt")}
     turns = [f"turn{i}{k}" for i in sorted(tilted) for k in "xyz"]
     kinematics = Kinematics(machine)
-    x, q = kinematics.inverse(commands(machine, rng, 40))
+    # half as many readings again as parameters
+    count = -(-3 * len(machine.parameters) // (2 * len(machine.command)))
+    x, q = kinematics.inverse(commands(machine, rng, count))
     ours = kinematics.slopes.over_parameters(x, q, machine.nominal)
     theirs = [
         new_families.slopes(name, joints, pose, stems + turns)

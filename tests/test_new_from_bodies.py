@@ -196,6 +196,16 @@ def test_what_was_written_comes_back_as_the_same_machine(
         ),
         ('<joint type="ball"/>', '<joint type="slide"/>', "does not move along"),
         ("</mujoco>", "", "this is no XML file"),
+        ('pos="0 0 1"', 'pos="0 0 nan"', "'0 0 nan' is no place"),
+        ('pos="0 0 1"', 'pos="0 0 1e300"', "is no place"),
+        ('pos="0 0 1"', 'pos="0 0"', "'0 0' are not 3 numbers"),
+        ('axis="0 1 0" range', 'axis="0 0 0" range', "has no direction"),
+        ('quat="1 0 0 0"', 'quat="0 0 0 0"', "has no direction"),
+        ('quat="1 0 0 0"', 'axisangle="0 0 0 1"', "has no direction"),
+        ('quat="1 0 0 0"', 'xyaxes="1 0 0 2 0 0"', "are no two axes"),
+        ('ref="10"', 'ref="ten"', "'ten' are no numbers"),
+        ('eulerseq="XYZ"', 'eulerseq="XYW"', "no order of axes"),
+        ('name="hip1"', 'name="hip0"', "have the name 'hip0'"),
     ],
 )
 def test_what_is_no_machine_of_a_family_is_refused(
@@ -216,3 +226,33 @@ def test_a_urdf_needs_its_loops(oed: Run, tmp_path: Path) -> None:
     code, _, err = oed("new", "mine", "--machine", "robot.urdf")
     assert code == 2
     assert "URDF has no loops" in err
+
+
+LOOPS = "loop,link_a,a_x_m,a_y_m,a_z_m,link_b,b_x_m,b_y_m,b_z_m\n"
+
+
+@pytest.mark.usefixtures("own_folder")
+@pytest.mark.parametrize(
+    ("urdf", "loops", "words"),
+    [
+        ("", None, "there is no such table of loops"),
+        ("", "1,a,0,0,0,b,0,,0\n", "are no numbers"),
+        ("", "1,a,0,0,0,b,0,nan,0\n", "no place"),
+        ('<origin xyz="0 0"/>', "", "are not 3 numbers"),
+        ('<axis xyz="0 0 0"/>', "", "has no direction"),
+        ('</joint><joint><parent link="a"/>', "", "no child"),
+        ('</joint><joint type="fixed"><parent link="a"/><child link="b"/>', "", "two"),
+        ('</joint><joint type="fixed"><parent link="b"/><child link="a"/>', "", "own"),
+        ('</joint><joint type="fixed"><parent link="c"/><child link="a"/>', "", "c"),
+    ],
+)
+def test_a_broken_urdf_is_refused(
+    urdf: str, loops: str | None, words: str, oed: Run, tmp_path: Path
+) -> None:
+    links = '<link name="a"/><link name="b"/>'
+    joint = '<joint name="j" type="revolute"><parent link="a"/><child link="b"/>'
+    (tmp_path / "r.urdf").write_text(f"<robot>{links}{joint}{urdf}</joint></robot>")
+    if loops is not None:
+        (tmp_path / "l.csv").write_text(LOOPS + loops)
+    code, _, err = oed("new", "mine", "--machine", "r.urdf", "--loops", "l.csv")
+    assert (code, words in err) == (2, True), err

@@ -260,6 +260,10 @@ def test_two_sessions_together_are_as_one_file_of_both(
     assert oed(*options, "first", "--readings", "s1.csv")[0] == 0
     after = ("--readings", "s2.csv", "--after", "first")
     assert oed(*options, "second", *after)[0] == 0
+    for again in ("s1.csv", "s2.csv"):
+        after = ("--readings", again, "--after", "second")
+        code, _, err = oed(*options, "third", *after)
+        assert (code, "would count twice" in err) == (2, True)
     one, first, second = (
         json.loads((tmp_path / name / "result.json").read_text())
         for name in ("one", "first", "second")

@@ -41,7 +41,7 @@ def rms_within(
     normal = rng.standard_normal((DRAWS, root.shape[1]))
     squares = np.einsum("dk,kl,dl->d", normal, spread.T @ spread, normal, optimize=True)
     squares += 2.0 * (normal @ (spread.T @ known)) + known @ known
-    return float(np.mean(squares <= len(known) * largest**2))
+    return float(np.mean(np.sqrt(squares / len(known)) <= largest))
 
 
 def measured_rms_within(

@@ -75,12 +75,14 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
         return np.asarray(-values - log_prior)
 
     if prior.dimensions == 1:
-        return _only_law(problem, compressed, cost)
+        return _only_law(problem, compressed, cost, np.zeros(0))
     mode = find_mode(cost, prior.starts()[:, 1:], FARTHEST)
     mode = polish(cost, mode, FARTHEST)
     proposal = split_student(cost, mode, signed(root_about(cost, mode)))
     points = proposal.points(POINTS)
     points = points[np.abs(points).max(axis=1) < FARTHEST]
+    if not len(points):  # the mode is in a corner, as where rows are copies of others
+        return _only_law(problem, compressed, cost, mode)
     log_weights = -cost(points) - proposal.log_density(points)
     total = float(special.logsumexp(log_weights))
     rows = _systematic(points, np.exp(log_weights - total))
@@ -93,10 +95,10 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
 
 
 def _only_law(
-    problem: GapProblem, columns: Array, cost: Callable[[Array], Array]
+    problem: GapProblem, columns: Array, cost: Callable[[Array], Array], mode: Array
 ) -> LawPosterior:
-    """The posterior where all is stated but the common factor: one law."""
-    points = np.zeros((EACH, 0))
+    """The posterior where one law is possible: all but its common factor is stated."""
+    points = np.tile(mode, (EACH, 1))
     return LawPosterior(
         columns=columns,
         mode=_laws(problem, points[:1])[0],

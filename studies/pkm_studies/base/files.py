@@ -76,6 +76,26 @@ def read_text(path: Path, *, limit: int, what: str) -> str:
     Raises InputError, before reading where the file is too large.
     """
     file = str(path)
+    content = read_bytes(path, limit=limit, what=what)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"the file is no UTF-8 text (byte {error.start + 1})",
+            f"save the {what} as UTF-8",
+            file=file,
+        ) from None
+    if not text.strip():
+        raise InputError("the file is empty", f"write a {what} into it", file=file)
+    return text
+
+
+def read_bytes(path: Path, *, limit: int, what: str) -> bytes:
+    """Content of a regular file of at most `limit` bytes.
+
+    Raises InputError, before reading where the file is too large.
+    """
+    file = str(path)
     if not path.exists():
         remedy = "check the name and the folder you are in"
         raise InputError(f"there is no such {what}", remedy, file=file)
@@ -91,17 +111,7 @@ def read_text(path: Path, *, limit: int, what: str) -> str:
         )
         problem = f"{_megabytes(size):.1f} MB is too large for a {what}"
         raise InputError(problem, remedy, file=file)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            f"the file is no UTF-8 text (byte {error.start + 1})",
-            f"save the {what} as UTF-8",
-            file=file,
-        ) from None
-    if not text.strip():
-        raise InputError("the file is empty", f"write a {what} into it", file=file)
-    return text
+    return path.read_bytes()
 
 
 def _megabytes(size: int) -> float:

@@ -23,11 +23,30 @@ def load_for(
 ) -> tuple[Study, Path]:
     """The study, and the folder of its results: `out`, else one of the study's name.
 
-    Raises InputError where the folder cannot be written.
+    Raises InputError where the folder cannot be written, or has a result that the study
+    rests on.
     """
     from pkm_studies.base import files
 
     loaded = load(path, allow_code)
     folder = out or Path("out") / f"{loaded.name}{suffix}"
     files.check_writable(folder)
+    _check_apart(loaded, folder)
     return loaded, folder
+
+
+def _check_apart(study: Study, folder: Path) -> None:
+    """Raises InputError where the study takes its prior from the folder of its results."""
+    from pkm_studies.base.errors import InputError
+
+    named = {"earlier": [study.prior.earlier or ""], "from": study.prior.from_}
+    for key, names in named.items():
+        for name in filter(None, names):
+            if (study.folder / name).resolve() == folder.resolve():
+                raise InputError(
+                    "the result would replace the one that its prior is taken from",
+                    "give another --out",
+                    file=str(study.path),
+                    field=f"prior.{key}",
+                    value=name,
+                )

@@ -144,7 +144,7 @@ def export(
     if reason is not None:
         raise InputError(
             f"{controller.name} cannot drive {content.machine.name}: {reason}",
-            "take csv or json, or a format of your own: path/to/file.py:attribute",
+            "take c, csv or json, or a format of your own: path/to/file.py:attribute",
             value=f"--to {controller.name}",
         )
     content = dataclasses.replace(

@@ -63,6 +63,7 @@ class BallbarImporter:
 
     name = "ballbar"
     about = "ball-bar traces (CSV): angle or time against deviation, both directions"
+    unused = ("--mesh",)
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """All runs of all files. Raises InputError."""

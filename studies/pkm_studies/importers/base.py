@@ -73,6 +73,14 @@ class Importer(Protocol):
         ...
 
 
+def unused_options(importer: Importer) -> tuple[str, ...]:
+    """Options of `oed import` that the importer does not read.
+
+    It states them as `unused`; one of another package may state none.
+    """
+    return getattr(importer, "unused", ())
+
+
 def readings_name(name: str) -> str:
     """Name of the readings file that goes with the study `name`."""
     return f"{name}.readings.csv"

@@ -112,8 +112,17 @@ def distinct(meshes: Sequence[BedMesh]) -> tuple[list[BedMesh], list[str]]:
                 f"The mesh {mesh.name} is a copy of {copied[0].name}: not read."
             )
         else:
-            chosen.append(mesh)
+            chosen.append(_renamed(mesh, [one.setup for one in chosen]))
     return chosen, sentences
+
+
+def _renamed(mesh: BedMesh, setups: Collection[str]) -> BedMesh:
+    """The mesh, with a number behind its name where another set-up has that name."""
+    number, renamed = 1, mesh
+    while renamed.setup in setups:
+        number += 1
+        renamed = dataclasses.replace(mesh, name=f"{mesh.name} {number}")
+    return renamed
 
 
 def explanations(meshes: Collection[BedMesh], geometry: str) -> list[str]:

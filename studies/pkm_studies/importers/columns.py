@@ -42,6 +42,7 @@ class ColumnsImporter:
 
     name = "columns"
     about = "any CSV, by a column map"
+    unused = ("--mesh",)
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Machine, instrument and columns of the map. Raises InputError."""

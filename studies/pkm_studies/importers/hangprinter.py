@@ -23,6 +23,7 @@ from pkm_studies.importers import gcode, words
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.column_map import Model, imported_study
 from pkm_studies.importers.gcode import Command
+from pkm_studies.importers.rrf_sequence import execution_order
 from pkm_studies.importers.words import (
     HARMLESS,
     READ,
@@ -59,7 +60,13 @@ M666: Final[dict[str, Word]] = {
     **same(costs("lines of the model do not stretch"), "WSGX"),
     **same(HARMLESS, "AFJT"),
 }
-WORDS: Final[WordTable] = {"M669": M669, "M666": M666}
+WORDS: Final[WordTable] = {
+    "M669": M669,
+    "M666": M666,
+    "G20": {"": refused("the numbers are in inches", "give them in mm")},
+}
+#: mm; no anchor is farther away
+LARGEST: Final = 1e6
 NOISE: Final = {
     "assumed": True,
     **{f"read_{axis}_mm": 1.0 for axis in "xyz"},
@@ -74,15 +81,19 @@ class HangprinterImporter:
     about = (
         "Hangprinter: config.g (M669, M666), CSV of motors A, B, C, D, CSV of x, y, z"
     )
+    unused = ("--machine", "--map", "--mesh")
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry, motors and places. Raises InputError."""
         tables = [csv_table.read(path) for path in request.files if _is_csv(path)]
-        lines = gcode.read([path for path in request.files if not _is_csv(path)])
+        texts = gcode.read([path for path in request.files if not _is_csv(path)])
+        order = execution_order(texts, WORDS)
+        lines = order.lines
         anchors = gcode.merged(lines, "M669", "give config.g with M669 and M666")
         spools = gcode.merged(lines, "M666", "give config.g with M669 and M666")
-        accounts = gcode.account_of(lines, WORDS).sentences()
+        accounts = [*order.notes, *gcode.account_of(lines, WORDS).sentences()]
         _check_built_in(spools)
+        _check_tables(tables, request.files)
         motors, places = _motors(tables), _places(tables)
         if len(places) > len(motors):
             problem = f"{len(places)} places, but {len(motors)} poses of the motors"
@@ -102,7 +113,7 @@ class HangprinterImporter:
         )
         statements = [
             f"Readings: four lines at {len(motors)} poses as set-up lines.",
-            f"Readings: {len(places)} places of the first poses as set-up camera.",
+            *_camera_sentences(places),
             *accounts,
         ]
         return ImportedSession(
@@ -153,15 +164,38 @@ def _nominal(anchors: Command, spools: Command) -> dict[str, float]:
         place = _numbers(anchors, motor)
         if len(place) == 1:  # the upper anchor of three-number versions: its height
             place = [0.0, 0.0, *place]
-        if len(place) != len("xyz"):
-            raise anchors.line.error(
-                "an anchor has x, y and z", "give the full command", f"M669 {motor}"
-            )
+        if len(place) != len("xyz") or np.abs(place).max() > LARGEST:
+            problem = "an anchor has x, y and z, in mm"
+            raise anchors.line.error(problem, "give the full command", f"M669 {motor}")
         for axis, value in zip("xyz", place, strict=True):
             nominal[f"anchor{i}{axis}_mm"] = value
         nominal[f"radius{i}_mm"] = radii[i - 1]
         nominal[f"line{i}_mm"] = round(float(np.linalg.norm(place)), 6)
     return nominal
+
+
+def _camera_sentences(places: Array) -> list[str]:
+    if not len(places):
+        return []
+    return [f"Readings: {len(places)} places of the first poses as set-up camera."]
+
+
+def _check_tables(tables: Sequence[CsvTable], paths: Sequence[Path]) -> None:
+    """Refuse tables that are neither, and two of one kind. Raises InputError."""
+    files = [str(path) for path in paths if _is_csv(path)]
+    kinds: dict[str, str] = {}
+    for table, file in zip(tables, files, strict=True):
+        header = set(table.header)
+        kind = next((k for k in (MOTORS, "xyz") if set(k) <= header), "")
+        if not kind or kind in kinds:
+            raise InputError(
+                f"{kinds[kind]} has the columns {', '.join(kind)} too"
+                if kind
+                else f"its columns are {', '.join(table.header)}",
+                "give one CSV with A, B, C, D, and one with x, y, z at most",
+                file=file,
+            )
+        kinds[kind] = file
 
 
 def _motors(tables: Sequence[CsvTable]) -> Array:

@@ -57,6 +57,7 @@ class KlipperImporter:
 
     name = "klipper"
     about = "Klipper printer.cfg of a delta, with the readings of DELTA_CALIBRATE"
+    unused = ("--machine", "--map")
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry, heights and distances. Raises InputError."""

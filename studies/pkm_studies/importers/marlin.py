@@ -97,6 +97,7 @@ class MarlinImporter:
 
     name = "marlin"
     about = "Marlin delta: log with M665, M666 (M503) and G30, G29 or G33"
+    unused = ("--machine", "--map")
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry and probed points. Raises InputError."""

@@ -54,6 +54,10 @@ FIXED: Final = (
 #: share of the smaller side of the frame that the prediction spans about its middle
 REACH: Final = 0.25
 GROUP: Final = "Maslow"
+#: mm; no anchor is farther away
+LARGEST: Final = 1e6
+#: share of the larger side by which belts between rough anchors may fail to meet
+OPEN: Final = 0.1
 LENGTHS: Final = costs("the lengths of the log have it already")
 ANCHORS: Final[dict[str, Word]] = {
     **same(READ, (f"{corner}{axis}" for corner in CORNERS for axis in "XY")),
@@ -89,6 +93,7 @@ class MaslowImporter:
 
     name = "maslow"
     about = "Maslow: maslow.yaml, and a log with the belts of its calibration (CLBM)"
+    unused = ("--machine", "--map", "--mesh")
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Anchors and belt lengths. Raises InputError."""
@@ -97,6 +102,7 @@ class MaslowImporter:
         accounts = account(written, _other_keys(lines), WORDS).sentences()
         anchors = _anchors(written, lines)
         belts, notes = _belts(lines)
+        _check_closing(belts, anchors, lines)
         table = MachineTable(
             model=MODEL,
             fixed=list(FIXED),
@@ -148,9 +154,8 @@ def _written(lines: Sequence[TextLine]) -> Iterator[WrittenWord]:
                 problem: str,
                 remedy: str,
                 line: TextLine = line,
-                name: str = match[1],
             ) -> InputError:
-                return line.error(problem, remedy, f"Maslow_{name}")
+                return line.error(problem, remedy)
 
             yield WrittenWord(GROUP, match[1], match[2], line.number, error)
 
@@ -172,9 +177,12 @@ def _anchors(written: Sequence[WrittenWord], lines: Sequence[TextLine]) -> np.nd
         if ANCHORS.get(word.key) is not READ:
             continue
         try:
-            values[word.key] = float(word.text)
+            number = float(word.text)
         except ValueError:
-            raise word.error("this is no number", "correct the value") from None
+            number = np.nan
+        if not abs(number) <= LARGEST:
+            raise word.error("this is no number of mm", "correct the value")
+        values[word.key] = number
         if word.key in FRAME and values[word.key] != FRAME[word.key]:
             problem = (
                 "the frame's origin is not the lower left anchor, x not the lower side"
@@ -200,7 +208,11 @@ def _belts(lines: Sequence[TextLine]) -> tuple[list[dict[str, float]], list[str]
     for line in lines:
         if MARK not in line.text:
             continue
-        for text in WAYPOINT.findall(line.text.partition(MARK)[2]):
+        content = line.text.partition(MARK)[2]
+        if "]" not in content:
+            problem = "the line is cut off"
+            raise line.error(problem, "give the whole line, up to its bracket ]")
+        for text in WAYPOINT.findall(content):
             lengths = {
                 corner: gcode.finite(value, line)
                 for corner, value in BELT.findall(text)
@@ -221,6 +233,30 @@ def _belts(lines: Sequence[TextLine]) -> tuple[list[dict[str, float]], list[str]
         repeated = count - len(waypoints)
         notes.append(f"Not read: {repeated} waypoints that the log prints again.")
     return list(waypoints.values()), notes
+
+
+def _check_closing(
+    belts: Sequence[dict[str, float]], anchors: np.ndarray, lines: Sequence[TextLine]
+) -> None:
+    """Refuse belts that meet nowhere near one point. Raises InputError.
+
+    Differences of (x - X_i)^2 + (y - Y_i)^2 = L_i^2 are linear in the sled's place.
+    """
+    lengths = np.array([[belt[corner] for corner in CORNERS] for belt in belts])
+    squares = (anchors**2).sum(axis=1) - lengths**2
+    slopes = 2.0 * (anchors - anchors.mean(axis=0))
+    sides = (squares - squares.mean(axis=1, keepdims=True)).T
+    places = np.linalg.lstsq(slopes, sides, rcond=None)[0].T
+    errors = np.linalg.norm(places[:, None] - anchors, axis=2) - lengths
+    size = np.ptp(anchors, axis=0).max()
+    if (lengths <= 0.0).any() or np.median(np.abs(errors).max(axis=1)) > OPEN * size:
+        corners = ", ".join(f"{c} {v:g}" for c, v in belts[0].items())
+        raise InputError(
+            f"belts such as {corners} mm do not meet between these anchors",
+            "give the anchors of the machine that wrote the log, all in mm",
+            file=gcode.files_of(lines),
+            field=MARK.rstrip(":"),
+        )
 
 
 def _row(order: int, lengths: dict[str, float]) -> Row:

@@ -54,6 +54,7 @@ class RrfImporter:
     about = (
         "RepRapFirmware delta: config.g (M665, M666), bed.g, log of G32, heightmap.csv"
     )
+    unused = ("--machine", "--map")
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry and probed points. Raises InputError."""

@@ -7,6 +7,7 @@ nozzle over the trigger height, at the places of the probe; a node that was not 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,6 +23,10 @@ from pkm_studies.importers.probed_point import ProbedPoint
 
 HEADING: Final = re.compile(r"RepRapFirmware height map file v(\d+)")
 LIMIT: Final = 4_000_000
+#: mm; no place and no height is beyond it
+LARGEST: Final = 1e4
+#: mm; numbers of the grid are rounded by as much
+ROUNDING: Final = 0.02
 #: names of the numbers of the grid, as versions write them
 GRIDS: Final = (
     ("xmin", "xmax", "ymin", "ymax", "radius", "spacing", "xnum", "ynum"),
@@ -72,6 +77,9 @@ def height_map(path: Path, offset: tuple[float, float]) -> BedMesh:
             points.append(
                 ProbedPoint(float(across) - offset[0], float(along) - offset[1], height)
             )
+    for places, axis in ((x, "x"), (y, "y")):
+        if places[-1] > grid[f"{axis}max"] + ROUNDING:
+            raise _error(path, 3, f"its nodes go beyond its {axis}max")
     left_out = len(x) * len(y) - len(points)
     return BedMesh(path.stem, tuple(points), left_out, NOT_PROBED)
 
@@ -94,14 +102,20 @@ def _grid(lines: Sequence[str], path: Path) -> dict[str, float]:
             grid.setdefault(f"{axis}{stem}", grid.get(f"{stem}{k}", np.nan))
         if "spacing" in grid:
             grid[f"{axis}spacing"] = grid["spacing"]
+        step, number = (grid[f"{axis}{stem}"] for stem in ("spacing", "num"))
+        if step <= 0.0 or number < 1 or number % 1:
+            raise _error(path, 3, f"{number:g} nodes {step:g} mm apart are no grid")
     return grid
 
 
 def _number(cell: str, path: Path, line: int) -> float:
     try:
-        return float(cell)
+        number = float(cell)
     except ValueError:
-        raise _error(path, line, f"{cell} is no number") from None
+        number = math.nan
+    if not abs(number) <= LARGEST:
+        raise _error(path, line, f"{cell} is no number of a height map")
+    return number
 
 
 def _error(path: Path, line: int, problem: str) -> InputError:

@@ -15,7 +15,7 @@ from pkm_studies.base.errors import InputError
 from pkm_studies.importers import gcode
 from pkm_studies.importers.gcode import Command, TextLine
 from pkm_studies.importers.rrf_words import WORDS
-from pkm_studies.importers.words import Use, cost_sentence
+from pkm_studies.importers.words import Use, WordTable, cost_sentence
 
 #: a line that begins with a command, and one that is nothing else, in any letters
 CODE = re.compile(r"\s*(?:[Nn]\d+\s+)?[GgMm]\d")
@@ -60,13 +60,18 @@ class ExecutionOrder:
         return [*self.settings, *self.probing]
 
 
-def execution_order(lines: Sequence[TextLine]) -> ExecutionOrder:
-    """The lines of all files in order, their commands in capitals. Raises InputError."""
+def execution_order(
+    lines: Sequence[TextLine], words: WordTable = WORDS
+) -> ExecutionOrder:
+    """The lines of all files in order, their commands in capitals. Raises InputError.
+
+    words  of the commands, for what is part of the geometry
+    """
     files: dict[str, list[TextLine]] = {}
     for line in lines:
         files.setdefault(line.file, []).append(capitals(line))
     code = {name: content for name, content in files.items() if _is_code(name)}
-    notes = [_conditions(content) for content in code.values()]
+    notes = [_conditions(content, words) for content in code.values()]
     stored = {name: content for name, content in code.items() if _is_override(name)}
     probing = {
         name for name, content in files.items() if _has_points(content)
@@ -147,7 +152,7 @@ def _unread(configuration: Sequence[TextLine]) -> str:
     return cost_sentence({"M501": reads[-1].line.number}, NO_OVERRIDE)
 
 
-def _conditions(lines: Sequence[TextLine]) -> str:
+def _conditions(lines: Sequence[TextLine], words: WordTable) -> str:
     """A sentence on conditions and loops. Raises InputError for those of the geometry."""
     blocks: dict[str, int] = {}
     opening: list[TextLine] = []
@@ -156,7 +161,7 @@ def _conditions(lines: Sequence[TextLine]) -> str:
             continue
         opening = [o for o in opening if _indent(o) < _indent(line)]
         if opening:
-            _check_harmless(line, opening[-1])
+            _check_harmless(line, opening[-1], words)
         match = BLOCK.match(line.text)
         if match:
             opening.append(line)
@@ -169,10 +174,10 @@ def _conditions(lines: Sequence[TextLine]) -> str:
     )
 
 
-def _check_harmless(line: TextLine, opening: TextLine) -> None:
+def _check_harmless(line: TextLine, opening: TextLine, words: WordTable) -> None:
     """Refuse a command that is part of the geometry. Raises InputError."""
     for command in gcode.commands([line]):
-        if command.name == "M501" or any(_read_words(command)):
+        if command.name == "M501" or any(_read_words(command, words)):
             text = opening.text.strip()
             raise line.error(
                 f"it stands under {text!r} of line {opening.number}: {CONDITION}",
@@ -181,9 +186,9 @@ def _check_harmless(line: TextLine, opening: TextLine) -> None:
             )
 
 
-def _read_words(command: Command) -> Iterator[str]:
+def _read_words(command: Command, words: WordTable) -> Iterator[str]:
     """Letters of a command that are read."""
-    table = WORDS.get(command.name, {})
+    table = words.get(command.name, {})
     for letter in command.words:
         word = table.get(letter)
         if word is not None and word.use is Use.READ:

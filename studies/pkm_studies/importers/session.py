@@ -32,6 +32,12 @@ def import_files(
     Raises InputError, also where one of the files to write exists already.
     """
     importer = registry.importer(kind)
+    stated = {"--machine": machine is not None, "--map": column_map is not None}
+    stated["--mesh"] = mesh != "hold-out"
+    for option in base.unused_options(importer):
+        if stated[option]:
+            problem = f"files of the kind {kind} need no {option}"
+            raise InputError(problem, "leave it out", field=option)
     files.check_writable(out)
     title = study_name(name or paths[0].name.split(".")[0])
     request = ImportRequest(

@@ -66,6 +66,7 @@ class TrackerImporter:
 
     name = "tracker"
     about = "tracker or CMM points (CSV), with their frame laid onto the machine's"
+    unused = ("--mesh",)
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Poses and points, in the machine's frame. Raises InputError."""

@@ -36,6 +36,7 @@ def fleet_knowledge(
     nominal = machine.nominal[at]
     tolerance = np.array([machine.parameters[k].tolerance for k in at])
     machines = []
+    results: dict[str, StudyResult] = {}
     folders = [study.folder / name for name in study.prior.from_]
     for i, name in enumerate(study.prior.from_):
         here = place.item(i)
@@ -44,6 +45,11 @@ def fleet_knowledge(
             raise here.error("this result is named twice", "name it once", name)
         result = load_result(folder)
         _check(result, machine, free, here, name)
+        for other, earlier in results.items():
+            if _are_same(result, earlier):
+                problem = f"its readings are those of {other!r}"
+                raise here.error(problem, "name each machine once", name)
+        results[name] = result
         machines.append(_information(result, free, nominal, tolerance, here, name))
     prior = fleet_prior(machines)
     covariance = prior.covariance * np.outer(tolerance, tolerance)
@@ -64,7 +70,7 @@ def _check(
     if result.machine.earlier or result.machine.fleet:
         raise place.error(
             "its prior is that of other sessions, whose readings would count twice",
-            "name results whose prior are tolerances",
+            "name results whose prior is their tolerances",
             name,
         )
     if "[[prior.correlated]]" in result.study_text:
@@ -83,6 +89,14 @@ def _check(
             problem = f"{parameter} was not free there"
             remedy = "identify it there, or hold it here: [machine] fixed"
             raise place.error(problem, remedy, name)
+
+
+def _are_same(result: StudyResult, other: StudyResult) -> bool:
+    """Whether two results rest on the same readings: noise is not equal twice."""
+    first, second = result.estimate, other.estimate
+    if first is None or second is None:
+        return False
+    return first.residuals_before == second.residuals_before
 
 
 def _information(

@@ -34,6 +34,7 @@ class ToolPoints:
         self._machine = kinematics.machine
         self._tool = np.array(tool)
         self._workspace = kinematics.machine.workspace(self._tool.tolist())
+        self._samples: dict[tuple[float, ...], tuple[Array, Array]] = {}
 
     def points(self, command: Array) -> Array:
         """Tool points (n, 3) at commands (n, n_dof), m; NaN where out of reach."""
@@ -93,6 +94,17 @@ class ToolPoints:
         home = self._machine.home_command.copy()
         for k, coordinate in enumerate(self._machine.command):
             home[k] = fixed.get(coordinate.name, home[k])
+        key = (*home, *free)
+        if key not in self._samples:
+            self._samples[key] = self._sampled(home, free)
+        samples, tips = self._samples[key]
+        if not len(samples):
+            return np.tile(home, (len(points), 1))
+        _, nearest = KDTree(tips).query(points)
+        return np.asarray(samples[nearest])
+
+    def _sampled(self, home: Array, free: list[int]) -> tuple[Array, Array]:
+        """Commands (n, n_dof) over the workspace that are reached, and tool points."""
         samples = np.tile(home, (SAMPLES, 1))
         lower, upper = ranges(self._machine, self._tool.tolist())
         from scipy.stats import qmc  # takes a second to import
@@ -101,10 +113,7 @@ class ToolPoints:
         samples[:, free] = lower[free] + shares * (upper - lower)[free]
         tips = self.points(samples)
         reached = np.isfinite(tips).all(axis=1)
-        if not reached.any():
-            return np.tile(home, (len(points), 1))
-        _, nearest = KDTree(tips[reached]).query(points)
-        return np.asarray(samples[reached][nearest])
+        return samples[reached], tips[reached]
 
     def _slope(self, command: Array, free: list[int]) -> Array:
         """d tool point / d free coordinates (n, 3, k), by central differences."""

@@ -37,7 +37,9 @@ def with_sessions(
             field="--after",
             value=str(after),
         )
-    sessions = [*_stored(after, state.resolved.machine.name), latest]
+    earlier = _stored(after, state.resolved.machine.name)
+    _check_further(earlier, latest, after)
+    sessions = [*earlier, latest]
     resolved = state.resolved
     every = resolved.measurement_with(resolved.setups)
     data, restarted = sources.from_sessions(sessions, every)
@@ -80,6 +82,33 @@ def _stored(folder: Path, machine: str) -> list[list[Path]]:
             value=str(folder),
         )
     return [sessions[number] for number in sorted(sessions)]
+
+
+def _check_further(
+    earlier: Sequence[Sequence[Path]], latest: Sequence[Path], folder: Path
+) -> None:
+    """Raises InputError where the readings are those of an earlier session."""
+    rows = _rows(latest)
+    for number, paths in enumerate(earlier, start=1):
+        if rows and rows <= _rows(paths):
+            raise InputError(
+                f"these readings are those of its session {number}: they would count"
+                " twice",
+                "give the readings of a further session",
+                file=", ".join(map(str, latest)),
+                field="--after",
+                value=str(folder),
+            )
+
+
+def _rows(paths: Sequence[Path]) -> set[str]:
+    """The lines of readings files, whatever their ends, without comments and headers."""
+    lines = set()
+    for path in filter(Path.is_file, paths):
+        text = dialect.decode(path.read_bytes())
+        rows = [line.strip() for line in text.splitlines()]
+        lines |= set([row for row in rows if row and not row.startswith("#")][1:])
+    return lines
 
 
 def _texts(sessions: Sequence[Sequence[Path]]) -> dict[str, str]:

@@ -30,7 +30,11 @@ TYPES = {
     "null": "nothing",
 }
 #: patterns of the tables, as words
-PATTERNS = {"^[A-Za-z0-9][A-Za-z0-9_-]*$": "letters, digits, _ and - only"}
+#: what a pattern stands for
+PATTERNS = {
+    "^[A-Za-z0-9][A-Za-z0-9_-]*$": "letters, digits, _ and - only",
+    "^([A-Z][A-Z])?$": "two capitals, such as DE,",
+}
 
 
 def decode(kind: type[T], data: object, place: Place) -> T:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 from scipy import special
 
@@ -11,6 +12,7 @@ from kernel.gap_lines import BOW, planted, readings
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
 from oed.gap.cause.search import Search
+from oed.gap.data import laws
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.noise.law import stated_law
@@ -50,3 +52,12 @@ def test_laws_are_drawn_where_a_likely_gap_rests_on_few() -> None:
         posteriors: dict = {}
         searching._add_scarce(posteriors, problem, several)
         assert len(posteriors) == count
+
+
+def test_a_law_in_a_corner_is_the_only_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As where all rows are copies of others: no law is drawn about the mode."""
+    problem = planted(readings(4), BOW, {"leg 1": 1.0}, turns=2.0)
+    monkeypatch.setattr(laws, "FARTHEST", 0.0)
+    posterior = laws.posterior(problem, np.zeros((len(problem.residual), 0)))
+    assert np.isfinite(posterior.log_evidence)
+    assert (posterior.draws == posterior.draws[0]).all()

@@ -31,9 +31,9 @@ Write = Callable[[Compensation], Texts]
 Joints = Callable[[Texts, Compensation], Array]
 #: what the modules can take
 NEEDS = (
-    "genhexkins and tripodkins need 6 or 3 struts between fixed points,"
-    " lineardeltakins and rotarydeltakins towers or cranks 120 degrees apart, the first of"
-    " them at 90 or 270 degrees from x"
+    "genhexkins and tripodkins need 6 or 3 struts between fixed points, pentakins a"
+    " pentapod, the deltas' modules limbs 120 degrees apart, the first of them at 90 or"
+    " 270 degrees from x"
 )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,11 @@ from pkm_studies.importers.bodies.tree import (
     BodyTree,
     of_quaternion,
     turn,
+)
+from pkm_studies.importers.bodies.xml_file import (
+    read_direction,
+    read_numbers,
+    read_root,
 )
 
 #: sections and elements of bodies that say nothing of the geometry
@@ -49,22 +55,13 @@ JOINTS = {"hinge": HINGE, "slide": SLIDE, "ball": BALL, "free": FREE}
 #: sites at the tool point, the first that there is
 TOOLS = ("tool_point", "tool", "tcp")
 REMEDY = "save the model from MuJoCo (mj_saveLastXML), which writes plain bodies"
+ORIGIN = "0 0 0"
 
 
 def read(path: Path) -> BodyTree:
     """The tree of an MJCF file. Raises InputError for what it does not read."""
     place = Place(str(path))
-    try:
-        root = ET.parse(path).getroot()
-    except (ET.ParseError, OSError) as error:
-        raise place.error(
-            f"this is no XML file: {error}", "give an MJCF file"
-        ) from None
-    if root.tag != "mujoco":
-        raise place.error(
-            f"its root is <{root.tag}>", "give MJCF, whose root is <mujoco>"
-        )
-    return _Reader(root, place).tree()
+    return _Reader(read_root(path, "mujoco", "MJCF"), place).tree()
 
 
 class _Reader:
@@ -77,6 +74,8 @@ class _Reader:
         degrees = settings.get("angle", "degree") == "degree"
         self.angle = math.radians(1.0) if degrees else 1.0
         self.order = settings.get("eulerseq", "xyz")
+        if len(self.order) != 3 or set(self.order.lower()) - set("xyz"):
+            raise place.error(f"eulerseq {self.order!r} is no order of axes", REMEDY)
         if settings.get("coordinate", "local") != "local":
             raise place.error("coordinates are global", REMEDY)
         self.defaults: dict[str, dict[str, str]] = {}
@@ -129,12 +128,14 @@ class _Reader:
                 self._body(child, name, child.get("childclass", style))
             elif child.tag == "site":
                 label = child.get("name", "")
-                self.sites[label] = (name, self._numbers(child.get("pos"), "0 0 0"))
+                self._check_name("site", label, self.sites)
+                self.sites[label] = (name, self._numbers(child.get("pos", ORIGIN)))
             elif child.tag not in ("joint", "freejoint"):
                 self._leave(child)
 
     def _body(self, element: ET.Element, parent: str, style: str) -> None:
         name = element.get("name") or f"body{len(self.bodies) + 1}"
+        self._check_name("body", name, self.bodies)
         if element.get("mocap") == "true":
             raise self.place.error(f"body {name} is a mocap body", "leave it out")
         joints = [
@@ -142,7 +143,7 @@ class _Reader:
             for child in element
             if child.tag in ("joint", "freejoint")
         ]
-        place = self._numbers(element.get("pos"), "0 0 0")
+        place = self._numbers(element.get("pos", ORIGIN))
         rotation = self._rotation(element, name)
         self.bodies[name] = Body(name, parent, place, rotation, tuple(joints))
         self._children(element, name, style)
@@ -158,14 +159,13 @@ class _Reader:
         name = stated.get("name", f"a joint of {body}")
         if kind is None:
             raise self.place.error(f"{name} is no joint of MJCF", REMEDY)
-        axis = self._numbers(stated.get("axis"), "0 0 1")
         unit = self.angle if kind == HINGE else 1.0
         return BodyJoint(
             name=name,
             kind=kind,
-            axis=axis / np.linalg.norm(axis),
-            at=self._numbers(stated.get("pos"), "0 0 0"),
-            value=unit * float(stated.get("ref", "0")),
+            axis=self._direction(stated.get("axis", "0 0 1"), 3),
+            at=self._numbers(stated.get("pos", ORIGIN)),
+            value=unit * float(self._numbers(stated.get("ref", "0"), 1)[0]),
         )
 
     def _rotation(self, element: ET.Element, name: str) -> Array:
@@ -173,22 +173,26 @@ class _Reader:
         if not given:
             return np.eye(3)
         key = given[0]
-        numbers = self._numbers(element.get(key), "")
+        text = element.get(key, "")
         if len(given) > 1 or key == "zaxis":
             raise self.place.error(
                 f"body {name} is turned by {', '.join(given)}", REMEDY
             )
         if key == "quat":
-            return of_quaternion(numbers)
+            return of_quaternion(self._direction(text, 4))
         if key == "axisangle":
-            return turn(numbers[:3], self.angle * numbers[3])
+            numbers = self._numbers(text, 4)
+            axis = self._direction(" ".join(text.split()[:3]), 3)
+            return turn(axis, self.angle * numbers[3])
         if key == "xyaxes":
-            x = numbers[:3] / np.linalg.norm(numbers[:3])
-            y = numbers[3:] - (numbers[3:] @ x) * x
-            y = y / np.linalg.norm(y)
-            return np.column_stack([x, y, np.cross(x, y)])
+            numbers = self._numbers(text, 6)
+            z = np.cross(numbers[:3], numbers[3:])
+            if not z.any():
+                raise self.place.error(f"{text!r} are no two axes", REMEDY)
+            x, z = (v / np.linalg.norm(v) for v in (numbers[:3], z))
+            return np.column_stack([x, np.cross(z, x), z])
         rotation = np.eye(3)
-        for letter, number in zip(self.order, numbers, strict=True):
+        for letter, number in zip(self.order, self._numbers(text), strict=True):
             step = turn(np.eye(3)["xyz".index(letter.lower())], self.angle * number)
             rotation = rotation @ step if letter.islower() else step @ rotation
         return rotation
@@ -207,7 +211,7 @@ class _Reader:
                 raise self.place.error(
                     f"a connection names body {name!r}", "name one of the file"
                 )
-        anchor = self._numbers(element.get("anchor"), "")
+        anchor = self._numbers(element.get("anchor", ""))
         return BodyLoop(names[0], anchor, names[1], np.full(3, np.nan))
 
     def _site(self, name: str) -> tuple[str, Array]:
@@ -217,12 +221,18 @@ class _Reader:
             )
         return self.sites[name]
 
-    def _numbers(self, text: str | None, default: str) -> Array:
-        words = (default if text is None else text).split()
-        try:
-            return np.array([float(word) for word in words])
-        except ValueError:
-            raise self.place.error(f"{text!r} are no numbers", REMEDY) from None
+    def _numbers(self, text: str, count: int = 3) -> Array:
+        return read_numbers(text, count, self.place, REMEDY)
+
+    def _direction(self, text: str, count: int) -> Array:
+        return read_direction(text, count, self.place, REMEDY)
+
+    def _check_name(self, kind: str, name: str, known: Collection[str]) -> None:
+        if name and name in known:
+            raise self.place.error(
+                f"two of its elements <{kind}> have the name {name!r}",
+                "give each a name of its own",
+            )
 
 
 def _closed(bodies: dict[str, Body], loops: list[BodyLoop]) -> list[BodyLoop]:

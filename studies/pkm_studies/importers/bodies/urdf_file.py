@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
+from pkm_studies.base import files
 from pkm_studies.base.errors import Place
 from pkm_studies.importers.bodies.tree import (
     BALL,
@@ -22,6 +23,12 @@ from pkm_studies.importers.bodies.tree import (
     BodyTree,
     turn,
 )
+from pkm_studies.importers.bodies.xml_file import (
+    LIMIT,
+    read_direction,
+    read_numbers,
+    read_root,
+)
 
 JOINTS = {
     "revolute": HINGE,
@@ -30,6 +37,7 @@ JOINTS = {
     "floating": FREE,
     "spherical": BALL,
 }
+REMEDY = "correct it as URDF has it"
 HEAD = "loop, link_a, a_x_m, a_y_m, a_z_m, link_b, b_x_m, b_y_m, b_z_m"
 
 
@@ -38,23 +46,21 @@ def read(path: Path, loops: Path | None) -> BodyTree:
     place = Place(str(path))
     if loops is None:
         raise place.error("URDF has no loops", f"give --loops TABLE.csv: {HEAD}")
-    try:
-        root = ET.parse(path).getroot()
-    except (ET.ParseError, OSError) as error:
-        raise place.error(f"this is no XML file: {error}", "give a URDF file") from None
-    if root.tag != "robot":
-        raise place.error(
-            f"its root is <{root.tag}>", "give URDF, whose root is <robot>"
-        )
+    root = read_root(path, "robot", "URDF")
     bodies: dict[str, Body] = {}
-    children = {e.find("child").get("link") for e in root.findall("joint")}  # type: ignore[union-attr]
+    ends = [joint.find("child") for joint in root.findall("joint")]
+    children = {end.get("link") for end in ends if end is not None}
     for link in root.findall("link"):
         name = link.get("name", "")
         if name not in children:
             bodies[name] = Body(name, WORLD, np.zeros(3), np.eye(3), ())
     for joint in root.findall("joint"):
         body = _body(joint, place)
+        if body.name in bodies:
+            problem = f"two joints lead to link {body.name!r}"
+            raise place.error(problem, "give each link one parent")
         bodies[body.name] = body
+    _check_parents(bodies, place)
     ignored = {e.tag for e in root if e.tag not in ("link", "joint")} | {"inertial"}
     return BodyTree(bodies, _loops(loops, bodies), {}, tuple(sorted(ignored)))
 
@@ -67,7 +73,10 @@ def _body(element: ET.Element, place: Place) -> Body:
         problem = f"joint {name} has no parent, no child, or mimics another"
         raise place.error(problem, "give each joint both links and its own motion")
     parent, child = (end.get("link", "") for end in ends if end is not None)
-    at, angles = _numbers(element, "origin", "xyz"), _numbers(element, "origin", "rpy")
+    at, angles = (
+        read_numbers(_text(element, "origin", key), 3, place, REMEDY)
+        for key in ("xyz", "rpy")
+    )
     rotation = np.eye(3)
     for k in (2, 1, 0):
         rotation = rotation @ turn(np.eye(3)[k], angles[k])
@@ -75,38 +84,41 @@ def _body(element: ET.Element, place: Place) -> Body:
         return Body(child, parent, at, rotation, ())
     if kind not in JOINTS:
         raise place.error(f"joint {name} is {kind}", f"use {', '.join(JOINTS)}")
-    axis = _numbers(element, "axis", "xyz", "1 0 0")
-    joint = BodyJoint(name, JOINTS[kind], axis / np.linalg.norm(axis), np.zeros(3))
+    axis = read_direction(_text(element, "axis", "xyz", "1 0 0"), 3, place, REMEDY)
+    joint = BodyJoint(name, JOINTS[kind], axis, np.zeros(3))
     return Body(child, parent, at, rotation, (joint,))
 
 
-def _numbers(
-    element: ET.Element, tag: str, attribute: str, default: str = "0 0 0"
-) -> Array:
+def _check_parents(bodies: dict[str, Body], place: Place) -> None:
+    """Raises InputError unless each link leads to the base."""
+    for name in bodies:
+        above, link = {name}, bodies[name].parent
+        while link != WORLD:
+            if link not in bodies:
+                problem = f"link {link!r} is a parent, but no <link>"
+                raise place.error(problem, "name links of the file")
+            if link in above:
+                problem = f"link {link!r} is its own parent"
+                raise place.error(problem, "make the links a tree, from the base on")
+            above.add(link)
+            link = bodies[link].parent
+
+
+def _text(element: ET.Element, tag: str, attribute: str, default: str = "0 0 0") -> str:
     child = element.find(tag)
-    text = default if child is None else child.get(attribute, default)
-    return np.array([float(word) for word in text.split()])
+    return default if child is None else child.get(attribute, default)
 
 
 def _loops(path: Path, bodies: dict[str, Body]) -> tuple[BodyLoop, ...]:
     place, loops = Place(str(path)), []
-    try:
-        with path.open(encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
-    except OSError as error:
-        raise place.error(
-            f"it cannot be read: {error}", "give the loops' table"
-        ) from None
-    for row in rows:
+    text = files.read_text(path, limit=LIMIT, what="table of loops")
+    for row in csv.DictReader(text.splitlines()):
         ends: list[tuple[str, Array]] = []
         for side in "ab":
             name = row.get(f"link_{side}", "")
-            try:
-                point = np.array([float(row[f"{side}_{k}_m"]) for k in "xyz"])
-            except (KeyError, ValueError, TypeError):
-                raise place.error(
-                    "a row has no place", f"the columns are {HEAD}"
-                ) from None
+            cells = [row.get(f"{side}_{k}_m") or "none" for k in "xyz"]
+            remedy = f"the columns are {HEAD}"
+            point = read_numbers(" ".join(cells), 3, place, remedy)
             if name not in bodies:
                 raise place.error(
                     f"there is no link {name!r}", "name links of the URDF"

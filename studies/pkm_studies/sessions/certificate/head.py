@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,7 +26,10 @@ from pkm_studies.study.tables.base import Positive, StudyTable
 FILE = "certificate.toml"
 LIMIT = 1_000_000
 Country = Annotated[str, msgspec.Meta(pattern="^([A-Z][A-Z])?$")]
-Temperature = Annotated[float, msgspec.Meta(gt=-273.15)]
+#: deg C at a machine: what is beyond was read in another unit
+Temperature = Annotated[float, msgspec.Meta(gt=-100, lt=200)]
+#: what XML cannot hold
+CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ufffe\uffff]")
 #: probability from which a conformity is stated
 Rule = Annotated[float, msgspec.Meta(gt=0.5, lt=1)]
 
@@ -145,7 +149,7 @@ def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
     Where the file is absent, it is written with empty texts to fill in.
     """
     place = Place(str(path))
-    if not path.exists():
+    if not path.exists() and path.parent.is_dir():
         files.write_whole(path, TEMPLATE)
         raise place.error(
             "a certificate states what no calibration knows: laboratory, customer,"
@@ -189,6 +193,10 @@ def _check(file: HeadFile, place: Place) -> None:
     for at, table in _tables(file, place):
         for field in msgspec.structs.fields(table):
             value = getattr(table, field.name)
+            if isinstance(value, str) and CONTROL.search(value):
+                raise at.key(field.encode_name).error(
+                    "a character that no certificate can hold", "remove it", value
+                )
             if field.required and isinstance(value, str) and not value.strip():
                 raise at.key(field.encode_name).error(
                     "empty", "a certificate has to state it: fill it in"
