@@ -46,7 +46,7 @@ def unseen_mistakes(
         return []
     limit = plain.penalised + UNSEEN
     by_kind: dict[str, list[str]] = {}
-    for trial in _trials(Given(exact)):
+    for trial in _trials(Given(exact, with_amounts=False)):
         if _fits(exact, trial, limit):
             words = trial.words(trial.amounts, trial.amounts)
             by_kind.setdefault(trial.kind, []).append(words)

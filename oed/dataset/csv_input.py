@@ -151,7 +151,7 @@ def _setup_readings(
     taken = np.isfinite(values).all(axis=1) & ~reference
     series = None
     if taken.any():
-        used = _with_references(list(frame["run"]), taken, reference)
+        used = _with_references(frame["run"], taken, reference)
         series = _series(merged, measurement, name, rows[used])
         sigma = _sigma(frame[taken], instrument)
         series = dataclasses.replace(series, sigma=sigma)
@@ -211,10 +211,9 @@ def _check_runs_have_readings(
         raise merged.error(problem, remedy, int(rows[k]), "run")
 
 
-def _with_references(run: Sequence[str], taken: Mask, reference: Mask) -> Index:
+def _with_references(run: pd.Series, taken: Mask, reference: Mask) -> Index:
     """Rows with a reading, and the references of runs that have readings."""
-    read = {label for label, is_taken in zip(run, taken, strict=True) if is_taken}
-    in_use = np.array([label in read for label in run])
+    in_use = run.isin(run[taken].unique()).to_numpy()
     return np.flatnonzero(taken | (reference & in_use))
 
 

@@ -48,7 +48,9 @@ class SplitText:
 
     def rows(self) -> Iterator[Row]:
         """Numbered rows that are not blank. Raises csv.Error."""
-        lines = io.StringIO(self.text, newline="")
+        # a StringIO would have four bytes a character
+        content = io.BytesIO(self.text.encode("utf-8"))
+        lines = io.TextIOWrapper(content, encoding="utf-8", newline="")
         reader = csv.reader(lines, delimiter=self.separator, strict=True)
         for number, cells in enumerate(reader, start=1 + self.comments):
             if any(cell.strip() for cell in cells):

@@ -43,7 +43,7 @@ def join(sessions: Sequence[Sequence[ReadingsFile]]) -> JoinedSessions:
             delay = end + BETWEEN - start
             restarted.append(number)
         renamed = [_as_later(one, runs, number, delay) for one in tables]
-        runs |= {key for one in renamed for key in _runs(one.frame)}
+        runs |= {key for one in renamed for key in _distinct_runs(one.frame)}
         end = max(end, last + delay)
         joined += renamed
     return JoinedSessions(tuple(joined), tuple(restarted))
@@ -57,20 +57,23 @@ def _extent(tables: Sequence[ReadingsFile]) -> tuple[float, float]:
     return float(known.min(initial=np.inf)), float(known.max(initial=-np.inf))
 
 
-def _runs(frame: pd.DataFrame) -> list[tuple[str, str]]:
-    """Set-up and run of each row."""
-    return list(zip(frame["setup"], frame["run"], strict=True))
+def _distinct_runs(frame: pd.DataFrame) -> set[tuple[str, str]]:
+    """Set-up and run of the rows."""
+    distinct = frame[["setup", "run"]].drop_duplicates()
+    return set(zip(distinct["setup"], distinct["run"], strict=True))
 
 
 def _as_later(
     one: ReadingsFile, runs: set[tuple[str, str]], number: int, delay: float
 ) -> ReadingsFile:
     """A table of a later session; `runs` are those of earlier ones."""
-    names = [
-        f"{run} (session {number})" if (setup, run) in runs else run
-        for setup, run in _runs(one.frame)
-    ]
-    frame = one.frame.assign(run=names)
+    frame = one.frame
+    if runs & _distinct_runs(frame):
+        names = [
+            f"{run} (session {number})" if (setup, run) in runs else run
+            for setup, run in zip(frame["setup"], frame["run"], strict=True)
+        ]
+        frame = frame.assign(run=names)
     if "time" in frame:
         frame = frame.assign(time=frame["time"] + delay)
     return dataclasses.replace(one, frame=frame)

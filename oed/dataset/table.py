@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import csv
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from oed.base import csv_text, units
-from oed.base.arrays import Array
-from oed.dataset import dialect
+from oed.base import units
+from oed.base.arrays import Array, Index
+from oed.dataset import dialect, table_cells
 from oed.dataset.columns import (
     LABELS,
     REQUIRED,
@@ -40,8 +40,6 @@ HEADER_REMEDY: Final = (
     " as z_mm,length_mm"
 )
 ENCODING_REMEDY: Final = "save it as CSV in UTF-8"
-#: size of a number in a cell beyond which it is a slip
-LARGEST: Final = 1e12
 
 
 def read(
@@ -56,15 +54,12 @@ def read(
     the first problem, OSError where the file is not there.
     """
     split = dialect.split(_text(path))
-    rows = _rows(split, str(path), expected or {})
-    if not rows:
-        problem = "there is no header below the comments"
-        raise ReadingsError(problem, HEADER_REMEDY, file=str(path))
+    rows = _rows(split, str(path))
     return from_rows(rows, str(path), expected, split.separator, poses)
 
 
 def from_rows(
-    rows: Sequence[Row],
+    rows: Iterable[Row],
     file: str,
     expected: Mapping[str, str] | None = None,
     separator: str = ",",
@@ -74,25 +69,26 @@ def from_rows(
 
     Numbers may have decimal commas where `separator` is another sign.
     """
-    columns = _header(rows[0], file, expected or {})
-    body = rows[1:]
-    if not body:
+    rows = iter(rows)
+    header = next(rows, None)
+    if header is None:
+        problem = "there is no header below the comments"
+        raise ReadingsError(problem, HEADER_REMEDY, file=file)
+    columns = _header(header, file, expected or {})
+    names = [cell.strip() for cell in header[1]]
+    places = {stem: names.index(column.name) for stem, column in columns.items()}
+
+    def convert(stem: str, text: Sequence[str], numbers: Index) -> Array:
+        points = dialect.with_decimal_points(text, separator)
+        remedy = cell_remedy(stem, poses)
+        return table_cells.numbers_of(columns[stem], points, numbers, file, remedy)
+
+    cells = table_cells.by_column(rows, places, convert)
+    if not len(cells.rows):
         raise ReadingsError(
             "there are no readings below the header", "add one row a reading", file=file
         )
-    numbers = np.array([number for number, _ in body])
-    frame = pd.DataFrame({FILE: file, ROW: numbers})
-    names = [cell.strip() for cell in rows[0][1]]
-    for stem, column in columns.items():
-        k = names.index(column.name)
-        text = [csv_text.plain(cells[k].strip()) for _, cells in body]
-        is_label = stem in LABELS
-        points = dialect.with_decimal_points(text, separator)
-        if is_label:
-            frame[stem] = text
-            continue
-        remedy = cell_remedy(stem, poses)
-        frame[stem] = _numbers(column, points, numbers, file, remedy)
+    frame = pd.DataFrame({FILE: file, ROW: cells.rows, **cells.columns})
     table = ReadingsFile(file, frame, columns)
     check_rows(table)
     frame["order"] = frame["order"].astype(np.int64)
@@ -132,36 +128,33 @@ def too_many(count: int, what: str, file: str) -> ReadingsError:
     )
 
 
-def _rows(split: SplitText, file: str, expected: Mapping[str, str]) -> list[Row]:
+def _rows(split: SplitText, file: str) -> Iterator[Row]:
     """Numbered rows of cells, blank ones left out. Raises ReadingsError if ragged."""
-    rows: list[Row] = []
+    names: list[str] = []
+    count = 0
     try:
         for number, cells in split.rows():
-            if len(rows) > MOST_READINGS:
+            if count > MOST_READINGS:
                 raise too_many(split.text.count("\n") - 1, "rows", file)
-            if rows:
-                rows.append((number, _in_columns(cells, rows[0][1], number, file)))
-            else:
-                _header((number, cells), file, expected)
-                rows.append((number, cells))
+            if not count:
+                names = [name.strip() for name in cells]
+            elif len(cells) != len(names) or "" in names:
+                cells = _in_columns(cells, names, number, file)
+            yield number, cells
+            count += 1
     except csv.Error:
-        raise ReadingsError(
-            "the lines are no CSV",
-            HEADER_REMEDY,
-            file=file,
-            row=len(rows) + 1 + split.comments,
-        ) from None
-    return rows
+        row = count + 1 + split.comments
+        problem = "the lines are no CSV"
+        raise ReadingsError(problem, HEADER_REMEDY, file=file, row=row) from None
 
 
 def _in_columns(
-    cells: Sequence[str], header: Sequence[str], number: int, file: str
+    cells: Sequence[str], names: Sequence[str], number: int, file: str
 ) -> Sequence[str]:
     """One cell a column. Only remarks may be missing at the end, or empty cells follow.
 
     Raises ReadingsError.
     """
-    names = [name.strip() for name in header]
     missing, surplus = names[len(cells) :], cells[len(names) :]
     if any(cell.strip() for cell in surplus) or not all(
         map(dialect.is_unread, missing)
@@ -256,44 +249,3 @@ def cell_remedy(stem: str, poses: Sequence[Sequence[str]]) -> str:
                 f"write the number: each row of a set-up has all of {', '.join(group)}"
             )
     return "correct the number, or leave the cell empty where none was read"
-
-
-def _numbers(
-    column: ReadingsColumn,
-    text: Sequence[str],
-    rows: np.ndarray,
-    file: str,
-    remedy: str,
-) -> Array:
-    """SI values (n,) of a column, NaN where the cell is empty. Raises ReadingsError."""
-    cells = pd.Series(text, dtype=object)
-    parsed = pd.to_numeric(cells, errors="coerce")
-    values = parsed.to_numpy(dtype=float, na_value=np.nan)
-    filled = (cells != "").to_numpy()
-    bad = np.flatnonzero(filled & ~np.isfinite(values))
-    if bad.size:
-        k = int(bad[0])
-        if "," in text[k] and "." in text[k]:
-            remedy = "write one decimal sign, and no sign between thousands"
-        elif "," in text[k]:
-            remedy = "write decimals with a point"
-        raise ReadingsError(
-            "not a finite number",
-            remedy,
-            file=file,
-            row=int(rows[k]),
-            column=column.name,
-            value=text[k],
-        )
-    huge = np.flatnonzero(filled & (np.abs(values) > LARGEST))
-    if huge.size:
-        k = int(huge[0])
-        raise ReadingsError(
-            "no number of a session is so large",
-            remedy,
-            file=file,
-            row=int(rows[k]),
-            column=column.name,
-            value=text[k],
-        )
-    return np.asarray(values * column.factor)

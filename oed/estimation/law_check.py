@@ -24,7 +24,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from oed.base.arrays import Array
 from oed.noise.factor import Errors, LinearFactor
@@ -114,4 +114,4 @@ def _of_sum(total: float, expected: Array) -> tuple[float, float]:
         return 0.0, 1.0
     dof = 2.0 * mean**2 / spread
     ratio = total / mean
-    return ratio, float(stats.chi2.sf(ratio * dof, dof))
+    return ratio, float(special.chdtrc(dof, ratio * dof))

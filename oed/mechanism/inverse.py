@@ -138,6 +138,13 @@ class InverseKinematics:
 
     def modes(self, z: Array, command: Array, p: Array, tool: Array) -> Array:
         """Signs (n, 2 + nq) of the mode; 0 where the machine does not define one."""
+        parts = [
+            self._modes(z[rows], command[rows], _at(p, rows), tool)
+            for rows in newton.blocks(len(z))
+        ]
+        return np.concatenate([np.empty((0, 2 + len(self.machine.joints))), *parts])
+
+    def _modes(self, z: Array, command: Array, p: Array, tool: Array) -> Array:
         nx = len(self.machine.pose)
         by_x, slope, by_joint = self._mode(z[:, :nx], z[:, nx:], p, command, tool)
         square = by_x.shape[1] == by_x.shape[2]

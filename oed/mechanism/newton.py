@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -17,6 +17,8 @@ MAX_ITERATIONS = 30
 MAX_STEP = 0.2
 #: Longest step of a large machine, over its lever
 LARGE_STEP = 0.1
+#: rows of which the slopes are in memory together: a multiple of a batch's largest chunk
+BLOCK = 8192
 
 #: values (n, k) and slopes (n, k, k) of the rows of z, and which rows they are
 Equations = Callable[[Array, Index], list[Array]]
@@ -39,7 +41,27 @@ def solve(
     Returns z, and the mask (n,) of the rows that failed.
     """
     failed = np.zeros(z.shape[0], dtype=bool)
-    active = np.arange(z.shape[0])
+    for active in blocks(len(z)):
+        _solve_block(equations, z, failed, active, step_tolerance, limited, longest)
+    return z, failed
+
+
+def blocks(count: int) -> Iterator[Index]:
+    """Numbers of rows in blocks whose slopes are in memory together."""
+    for first in range(0, count, BLOCK):
+        yield np.arange(first, min(first + BLOCK, count))
+
+
+def _solve_block(
+    equations: Equations,
+    z: Array,
+    failed: Mask,
+    active: Index,
+    step_tolerance: float,
+    limited: int | None,
+    longest: float,
+) -> None:
+    """Solve for the active rows of z, in place, and mark those that failed."""
     for _ in range(MAX_ITERATIONS):
         value, slope = equations(z[active], active)
         step = solve_linear(slope, value[..., None])[..., 0]
@@ -53,7 +75,6 @@ def solve(
         if not active.size:
             break
     failed[active] = True
-    return z, failed
 
 
 def longest_step(lever: float) -> float:

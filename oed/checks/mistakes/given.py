@@ -25,13 +25,15 @@ Use = tuple[str, tuple[str, ...]]
 class Given:
     """A session whose mistakes are looked for; its measurement has all set-ups.
 
-    near  parts near whose ends others are looked for
+    near          parts near whose ends others are looked for
+    with_amounts  whether mistakes of an amount in the commands are looked for
 
     Raises AssemblyError where the nominal machine cannot be read.
     """
 
     session: SessionReadings
     near: tuple[Scope, ...] = ()
+    with_amounts: bool = True
 
     @functools.cached_property
     def predicted(self) -> Array:

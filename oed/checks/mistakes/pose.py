@@ -47,6 +47,8 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
             for scope in given.scopes:
                 words = f"{sentence}{scope.within}"
                 yield moved_trial(given, "pose", scope, words, moved, table)
+    if not given.with_amounts:
+        return
     for k, coordinate in enumerate(measurement.machine.command):
         for searched in searched_amounts(coordinate):
             yield from _displaced(given, k, searched)

@@ -34,7 +34,9 @@ ROUNDS, DIFFERENCE, CLOSE = 12, 1e-5, 1e-10
 def trials(given: Given) -> Iterator[MistakeTrial]:
     """Each coordinate displaced in the file, a set-up and a run, with each that follows."""
     command = given.session.measurement.machine.command
-    if len(command) > MOST_COMMANDS or not np.isfinite(given.length).any():
+    if not given.with_amounts or len(command) > MOST_COMMANDS:
+        return
+    if not np.isfinite(given.length).any():
         return
     straight = [k for k, c in enumerate(command) if not turns_freely(c.lower, c.upper)]
     for k in straight:

@@ -10,7 +10,7 @@ import pytest
 from oed.checks.blind import unseen_mistakes
 from oed.checks.check import CheckedSession, _exchanged, check_session
 from oed.checks.findings import Severity
-from oed.checks.mistakes import Alternatives
+from oed.checks.mistakes import Alternatives, Given, trials
 from oed.checks.outliers import find_outliers
 from oed.checks.session import SessionReadings
 
@@ -99,3 +99,19 @@ def test_a_mirrored_head_passes_unnoticed() -> None:
     psi, legs = sentences
     assert psi == "the sign of psi_deg is reversed"
     assert legs.endswith("1 to 3 are 1, 3, 2")
+
+
+def test_mistakes_without_amounts_are_all_there_alone() -> None:
+    """Only those that need an amount of the commands are left out."""
+    every, fewer = (
+        list(trials(Given(of_one_bar(), with_amounts=wanted)))
+        for wanted in (True, False)
+    )
+    names, without = (
+        [(t.kind, t.scope.name, len(t.amounts)) for t in some]
+        for some in (every, fewer)
+    )
+    commands = {"pose", "teach"}
+    of_amounts = [name for name in names if name[0] in commands and name[2] > 0]
+    assert of_amounts
+    assert without == [name for name in names if name not in of_amounts]

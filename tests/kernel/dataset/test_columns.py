@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import tracemalloc
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from oed.base.units import UnitError
-from oed.dataset import checks, columns, csv_input, csv_output, data, dialect, table
+from oed.dataset import (
+    checks,
+    columns,
+    csv_input,
+    csv_output,
+    data,
+    dialect,
+    table,
+    table_cells,
+)
 from oed.dataset.csv_input import with_stretch
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table_checks import check_rows
@@ -180,6 +192,33 @@ def test_a_table_has_two_hundred_columns_at_most() -> None:
             continue
         with pytest.raises(ReadingsError, match="201 columns are too many"):
             table.from_rows(numbered, "x.csv")
+
+
+def test_blocks_of_rows_make_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [["a", str(k % 2), str(k), f"{k}.5", "", "2"] for k in range(1, 8)]
+    whole = read(*rows).frame
+    monkeypatch.setattr(table_cells, "BLOCK", 3)
+    pd.testing.assert_frame_equal(read(*rows).frame, whole)
+    rows[1][5], rows[6][3], rows[6][5] = "late", "first", "last"
+    with pytest.raises(ReadingsError, match="row 8, column z_mm = first"):
+        read(*rows)  # of the first column, though an earlier block has another
+
+
+def test_memory_is_that_of_the_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(table_cells, "BLOCK", 500)
+    path = tmp_path / "long.csv"
+    lines = [f"a,circle,{k},{k / 7:.6f},1,{k / 9:.6f}\n" for k in range(8_000)]
+    path.write_text(",".join(HEADER) + "\n" + "".join(lines), encoding="utf-8")
+    tracemalloc.start()
+    try:
+        frame = table.read(path).frame
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert len(frame) == len(lines)
+    assert peak < 10 * path.stat().st_size
 
 
 def test_cables_that_stretch_are_longer_than_paid_out() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from oed.base.arrays import Array, Index
+from oed.mechanism import newton
 from oed.mechanism.newton import solve_linear
 
 #: x + y, x - y; its inverse by hand is half of itself
@@ -30,3 +32,16 @@ def test_a_pose_without_numbers_beside_a_singular_one_has_none() -> None:
     solutions = solve_linear(matrices, np.stack([RIGHT] * 3))
     assert np.isfinite(solutions[0]).all()
     assert np.isnan(solutions[1:]).all()
+
+
+def test_blocks_of_systems_are_solved_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Square roots, of which one fails, in blocks of two."""
+    goal = np.array([0.01, 0.04, -1.0, 0.09, 0.16])
+
+    def equations(z: Array, rows: Index) -> list[Array]:
+        return [z**2 - goal[rows, None], 2.0 * z[..., None]]
+
+    monkeypatch.setattr(newton, "BLOCK", 2)
+    roots, failed = newton.solve(equations, np.full((5, 1), 0.3))
+    assert failed.tolist() == [False, False, True, False, False]
+    assert roots[~failed, 0] == pytest.approx([0.1, 0.2, 0.3, 0.4])
