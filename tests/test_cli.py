@@ -163,7 +163,7 @@ def test_run_prints_headline_claims_and_files(oed: Run, tmp_path: Path) -> None:
     study = write(tmp_path / "p.study.toml", PLAN)
     code, out, err = oed("run", study)
     assert (code, err) == (0, "")
-    assert "Claim rank: met" in out
+    assert "Claims: 1 of 1 met." in out
     assert "18 of 21" in out
     assert (
         json.loads((tmp_path / "out/small/result.json").read_text())["identifiability"][

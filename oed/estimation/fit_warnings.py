@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from oed.base import text, units
@@ -11,6 +13,8 @@ from oed.result.trust import FAR, GUESS, chi2_is_large
 
 #: standard deviations from a bound within which an estimate is near it
 NEAR = 2.0
+#: parameters that a warning names, the widest first
+MOST_NAMED = 6
 
 
 def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
@@ -88,7 +92,7 @@ def _wide_parameters(
     Those whose prior is the posterior of an earlier session are well known, whatever
     the readings add.
     """
-    phrases = []
+    phrases = {}
     rows = zip(measurement.parameters, estimate.sd, estimate.shrinkage, strict=True)
     for parameter, sd, shrinkage in rows:
         if above < shrinkage <= below and parameter.expected is None:
@@ -96,8 +100,18 @@ def _wide_parameters(
             suffix = "" if unit == "1" else f" {unit}"
             value = f"{units.number(sd, unit):.2g}{suffix}"
             share = text.percent(shrinkage)
-            phrases.append(f"{parameter.name} (sd {value}, {share} of its tolerance)")
-    return phrases
+            phrase = f"{parameter.name} (sd {value}, {share} of its tolerance)"
+            phrases[phrase] = float(shrinkage)
+    return _widest(phrases)
+
+
+def _widest(phrases: Mapping[str, float]) -> list[str]:
+    """The phrases as they stand; of many, those of the largest values, and their number."""
+    if len(phrases) <= MOST_NAMED + 1:
+        return list(phrases)
+    widest = sorted(phrases, key=lambda phrase: -phrases[phrase])[:MOST_NAMED]
+    more = len(phrases) - len(widest)
+    return [*widest, f"and {more} more, which the table of parameters marks"]
 
 
 def _far_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:

@@ -28,7 +28,7 @@ def setups(setups: Sequence[SetupInfo]) -> list[Block]:
         TableColumn("Set-up"),
         wide_column("Instrument"),
         wide_column("Settings"),
-        TableColumn("Noise (1 sigma)"),
+        wide_column("Noise (1 sigma)"),
         wide_column("Unknowns and tolerances"),
     ]
     rows = [

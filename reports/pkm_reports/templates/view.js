@@ -62,9 +62,10 @@ class SceneView {
     const titles = ['No.', ...(several ? ['Set-up'] : []), ...(runs ? ['Run'] : []), 'Command', ...(fitted ? ['Residual'] : [])];
     const head = element('tr', {}, ...titles.map(t => element('th', {scope: 'col'}, t)));
     const rows = this.data.readings.map((r, k) => {
-      const residual = r.residuals.map(e => `${digits(e.after)} ${e.unit}`).join(', ');
-      const cells = [...(several ? [r.setup] : []), ...(runs ? [r.run] : []), r.words, ...(fitted ? [residual] : [])];
-      return element('tr', {'data-reading': k}, element('td', {}, String(k + 1)), ...cells.map(c => element('td', {}, c)));
+      const residual = r.residuals.map(e => `${digits(e.after)}\u00a0${e.unit}`).join(', ');
+      const before = [String(k + 1), ...(several ? [r.setup] : []), ...(runs ? [r.run] : [])];
+      const plain = c => element('td', {}, c), wrapped = c => element('td', {class: 'command'}, c);
+      return element('tr', {'data-reading': k}, ...before.map(plain), ...[r.words, ...(fitted ? [residual] : [])].map(wrapped));
     });
     document.getElementById('reading-list').append(element('table', {class: 'dense'}, element('thead', {}, head), element('tbody', {}, ...rows)));
     for (const row of document.querySelectorAll('tr[data-reading]')) {

@@ -14,6 +14,9 @@ OUTPUT = "standard output"
 #: errors of writing: full disk, quota, largest file, device, closed stream
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 
+#: columns of a table where there is no terminal
+WIDTH = 120
+
 
 def set_up() -> None:
     """Replace characters that the terminal's encoding lacks, as σ in cp1252, by ?.
@@ -39,6 +42,26 @@ def _fill_closed_streams() -> None:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
+
+
+def terminal() -> Any:
+    """The terminal for tables and long lines, WIDTH columns wide where there is none."""
+    from rich.console import Console
+
+    return Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+
+
+def table_lines(table: Any) -> list[str]:
+    """A table of the rich package as the lines that the terminal shows."""
+    output = terminal()
+    with output.capture() as captured:
+        output.print(table, markup=False)
+    return [line for line in captured.get().splitlines() if line.strip()]
+
+
+def height(line: str, width: int) -> int:
+    """Lines of the terminal that a printed line takes."""
+    return max(1, -(-len(line) // width))
 
 
 def print_error(line: str) -> None:

@@ -13,6 +13,7 @@ from pkm_studies.commands.options import (
     Quiet,
     Seed,
     StudyPath,
+    Verbose,
 )
 from pkm_studies.commands.study_file import load_for
 from pkm_studies.stages.outcome import report_outcome
@@ -37,6 +38,7 @@ def diagnose(
     ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
     allow_code: AllowCode = False,
 ) -> int:
     """Find what causes the gap between model and machine: which effect, and where."""
@@ -50,4 +52,4 @@ def diagnose(
         result = pipeline.diagnose(
             loaded, given, folder, after=after, seed=seed, progress=progress
         )
-    return report_outcome(result, folder, quiet)
+    return report_outcome(result, folder, quiet, verbose=verbose)

@@ -13,6 +13,7 @@ from pkm_studies.commands.options import (
     Quiet,
     Seed,
     StudyPath,
+    Verbose,
 )
 from pkm_studies.commands.study_file import load_for
 from pkm_studies.stages.outcome import report_outcome
@@ -34,6 +35,7 @@ def identify(
     ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
     allow_code: AllowCode = False,
 ) -> int:
     """Identify the machine from readings."""
@@ -51,4 +53,4 @@ def identify(
             readings=[readings],
             effects=effects.replace(",", " ").split() if effects else (),
         )
-    return report_outcome(result, folder, quiet)
+    return report_outcome(result, folder, quiet, verbose=verbose)

@@ -41,3 +41,7 @@ Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the stud
 Quiet = Annotated[
     bool, typer.Option("--quiet", help="Print only errors and failing claims.")
 ]
+Verbose = Annotated[
+    bool,
+    typer.Option("--verbose", help="Print every sentence and claim, not 25 lines."),
+]

@@ -12,6 +12,7 @@ from pkm_studies.commands.options import (
     Quiet,
     Seed,
     StudyPath,
+    Verbose,
 )
 from pkm_studies.commands.study_file import load_for
 from pkm_studies.stages.outcome import report_outcome
@@ -32,6 +33,7 @@ def plan(
     ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
     allow_code: AllowCode = False,
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
@@ -44,6 +46,7 @@ def plan(
         result = pipeline.plan(
             loaded, folder, after=after, seed=seed, progress=progress
         )
+    lines = []
     if not quiet and result.plan is not None:
-        display.print_plan(result.plan)
-    return report_outcome(result, folder, quiet)
+        lines = display.plan_lines(result.plan, verbose=verbose)
+    return report_outcome(result, folder, quiet, verbose=verbose, above=lines)

@@ -12,6 +12,7 @@ from pkm_studies.commands.options import (
     Quiet,
     Seed,
     StudyPath,
+    Verbose,
 )
 from pkm_studies.commands.study_file import load_for
 from pkm_studies.stages.outcome import report_outcome
@@ -25,6 +26,7 @@ def run(
     ] = None,
     seed: Seed = None,
     quiet: Quiet = False,
+    verbose: Verbose = False,
     allow_code: AllowCode = False,
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
@@ -35,4 +37,4 @@ def run(
 
     with display.progress(quiet=quiet) as progress:
         result = pipeline.run(loaded, folder, seed=seed, progress=progress)
-    return report_outcome(result, folder, quiet)
+    return report_outcome(result, folder, quiet, verbose=verbose)

@@ -4,28 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from pkm_studies.base import console
 from pkm_studies.base.progress import Progress, Silent
 
 if TYPE_CHECKING:
     from oed.result import PlanSection, StageRecord
 
-#: columns of a plan's table; texts are left-aligned, numbers right-aligned
-TEXT_COLUMNS = ("Measurement", "Set-ups", "Accuracy afterwards")
-COLUMNS = (
-    "Stage",
-    "Measurement",
-    "Set-ups",
-    "Readings",
-    "Lost",
-    "Min",
-    "Rank",
-    "Accuracy afterwards",
-)
-#: width of the table where there is no terminal
-WIDTH = 120
+#: columns of a plan's table, before those of the accuracy; numbers are right-aligned
+TEXT_COLUMNS = ("Measurement", "Set-ups")
+COLUMNS = ("No.", *TEXT_COLUMNS, "Readings", "Lost", "Min", "Rank")
 
 
 class Lines(Silent):
@@ -84,32 +74,39 @@ def _rich_bar() -> Any:
     return Progress(*columns, console=Console(stderr=True), transient=True)
 
 
-def print_plan(plan: PlanSection) -> None:
-    """Print the plan as a table, with its remarks, on stdout."""
-    from rich.console import Console
+def plan_lines(plan: PlanSection, *, verbose: bool) -> list[str]:
+    """The plan as a table, with its remarks; `verbose`: other sequences as well."""
+    from rich import box
     from rich.table import Table
 
     budget = plan.budget_min or plan.cost
-    table = Table(title=f"Plan: {plan.cost:.0f} of {budget:.0f} min")
-    for name in COLUMNS:
-        table.add_column(name, justify="left" if name in TEXT_COLUMNS else "right")
+    accuracies = list(dict.fromkeys(key for s in plan.stages for key in s.accuracy))
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    for name in (*COLUMNS, *map(_heading, accuracies)):
+        side: Any = "left" if name in TEXT_COLUMNS else "right"
+        table.add_column(
+            name, justify=side, no_wrap=name not in TEXT_COLUMNS, overflow="fold"
+        )
     for number, stage in enumerate(plan.stages, start=1):
-        table.add_row(str(number), *_cells(stage))
-    terminal = Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
-    terminal.print(table)
-    for text in [plan.after, *plan.needs, plan.stop]:
-        if text:
-            terminal.print(text, markup=False)
-    for sequence in plan.compared:
+        table.add_row(str(number), *_cells(stage, accuracies))
+    title = f"Plan of {plan.cost:.0f} of {budget:.0f} min; rms error after each stage:"
+    lines = [title, *console.table_lines(table), *plan.needs]
+    lines += [plan.after] if plan.after else []
+    lines += [f"Stop: {plan.stop}"] if plan.stop else []
+    for sequence in plan.compared if verbose else ():
         accuracy = f"rank {sequence.rank}, weakest {sequence.weakest:.3g}"
-        terminal.print(f"{sequence.name}: {accuracy}. {sequence.words}", markup=False)
+        lines.append(f"{sequence.name}: {accuracy}. {sequence.words}")
+    return lines
 
 
-def _cells(stage: StageRecord) -> list[str]:
-    accuracy = []
-    for key, value in stage.accuracy.items():
-        component, _, unit = key.rpartition("_")
-        accuracy.append(f"{component} {value:.3g} {unit}")
+def _heading(key: str) -> str:
+    """`z_um` as `z`, and below it `[um]`: a column no wider than its numbers."""
+    component, _, unit = key.rpartition("_")
+    return f"{component}\n[{unit}]"
+
+
+def _cells(stage: StageRecord, accuracies: Sequence[str]) -> list[str]:
+    reached = [stage.accuracy.get(key) for key in accuracies]
     return [
         stage.measurement,
         ", ".join(stage.setups),
@@ -117,5 +114,5 @@ def _cells(stage: StageRecord) -> list[str]:
         f"{stage.lost or 0.0:.1f}",
         f"{stage.begin_min or 0.0:.0f}-{stage.end_min or stage.cost:.0f}",
         str(stage.rank or stage.identifies),
-        ", ".join(accuracy),
+        *["" if value is None else f"{value:.3g}" for value in reached],
     ]

@@ -1,19 +1,16 @@
-"""Prints the predicted accuracy as one table: before, after, what would change it."""
+"""Writes the predicted accuracy as one table: before, after, what would change it."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
+from pkm_studies.base import console
 from pkm_studies.stages.headline import REFERENCES, format_number, without_drive
 from pkm_studies.stages.predict.budget import FAR, improvements
 
 if TYPE_CHECKING:
     from oed.result import PredictionSection, StudyResult
-
-#: width of the table where there is no terminal
-WIDTH = 120
 
 
 class AccuracyRow(NamedTuple):
@@ -23,29 +20,28 @@ class AccuracyRow(NamedTuple):
     errors: Mapping[str, float]
 
 
-def print_accuracy(result: StudyResult) -> None:
-    """Print the table on stdout, and what its lines mean; nothing without accuracy."""
+def accuracy_lines(result: StudyResult) -> list[str]:
+    """The table as lines, and what its rows mean; empty without accuracy."""
     prediction = result.final_prediction
     if prediction is None or not prediction.components:
-        return
+        return []
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     units = shown_components(prediction)
-    reference = REFERENCES[prediction.reference]
-    print(f"Predicted rms error over the workspace, {reference}:")
-    table = Table(box=box.SIMPLE_HEAD)
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 1))
     table.add_column("")
     for name, unit in units.items():
         table.add_column(f"{name} [{unit}]", justify="right")
     for row in rows(result, prediction):
         cells = [_cell(row.errors, name) for name in units]
         table.add_row(row.words, *cells)
-    terminal = Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
-    terminal.print(table, markup=False)
-    for sentence in remarks(result, prediction):
-        print(sentence)
+    reference = REFERENCES[prediction.reference]
+    return [
+        f"Predicted rms error over the workspace, {reference}:",
+        *console.table_lines(table),
+        *remarks(result, prediction),
+    ]
 
 
 def shown_components(prediction: PredictionSection) -> dict[str, str]:

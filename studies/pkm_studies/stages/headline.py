@@ -23,10 +23,12 @@ from oed.result import (
     indices,
 )
 from pkm_studies.stages.forecast import words as forecast_words
-from pkm_studies.stages.plan.phrases import plan_sentences
+from pkm_studies.stages.plan.phrases import bound_sentences, plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
 
 MAX_SENTENCES = 5
+#: verdicts of held-out readings that raise no doubt of the fit
+FITTING = ("confirms", "agrees")
 REFERENCES = {
     "home": "zeroed at home",
     "absolute": "in the base frame",
@@ -105,6 +107,23 @@ def accuracy_sentences(result: StudyResult) -> list[str]:
         *_accuracy(result.prediction),
         *_unmodelled(result.prediction),
     ]
+
+
+def detail_sentences(result: StudyResult) -> list[str]:
+    """Sentences that change no decision: search, sampler, each held-out channel."""
+    return [
+        *bound_sentences(result.plan),
+        *_held_out([s for s in result.held_out if s.verdict in FITTING]),
+        *_gain(result.design),
+        *_design(result.design)[:1],
+        *_posterior(result.posterior),
+        *_indices(result.identifiability),
+    ]
+
+
+def fit_sentences(result: StudyResult) -> list[str]:
+    """How much the fit changes the residuals."""
+    return _fit(result.estimate, result.goodness)[:1]
 
 
 def _separation(section: GapBeforeSection | None) -> list[str]:

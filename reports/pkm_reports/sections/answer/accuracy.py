@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from oed.result import (
     ComponentAccuracy,
+    HeldOutSection,
     PlanSection,
     PredictionSection,
     SpreadRecord,
@@ -32,6 +34,8 @@ REFERENCES: Final = {
 }
 #: share of an error from which its unknown part is worth a sentence of its own
 CLEARLY_LESS: Final = 0.8
+#: probability beyond what draws can support
+SURE: Final = 0.99
 
 
 LIMIT_COLUMNS: Final = (TableColumn("Wanted", number=True), TableColumn("Reached"))
@@ -86,14 +90,52 @@ def blocks(result: StudyResult) -> list[Block]:
 
 
 def _held_out(result: StudyResult) -> list[Block]:
-    """What readings that the fit did not use say of it."""
-    sentences = [
-        (s.verdict, text.sentence(s.words)) for s in result.held_out if s.words
+    """What readings that the fit did not use say of it: a table where all fit."""
+    judged = [s for s in result.held_out if s.words]
+    fitting = [s for s in judged if s.verdict != "contradicts"]
+    if len(fitting) < 2:
+        fitting = []
+    content: list[Block] = [
+        Notice(text.sentence(s.words))
+        if s.verdict == "contradicts"
+        else Paragraph(text.sentence(s.words))
+        for s in judged
+        if s not in fitting
     ]
-    return [
-        Notice(words) if verdict == "contradicts" else Paragraph(words)
-        for verdict, words in sentences
+    return [*content, _held_out_table(fitting)] if fitting else content
+
+
+def _held_out_table(sections: Sequence[HeldOutSection]) -> Table:
+    verdicts = [s.verdict or text.MISSING for s in sections]
+    differ = len(set(verdicts)) > 1
+    columns = [
+        TableColumn("Channel"),
+        *number_columns("Predicted", "Seen", "Nominal", "Inside"),
+        *([TableColumn("Verdict")] if differ else []),
     ]
+    several = len({s.name for s in sections}) > 1
+    rows = []
+    for s, judgement in zip(sections, verdicts, strict=True):
+        where = f"{s.name}, " if several else ""
+        errors = [missing.or_nan(v) for v in (s.predicted, s.rms, s.rms_before)]
+        rows.append(
+            [
+                f"{where}{s.channel} [{text.unit_symbol(s.unit)}]",
+                *map(text.number, errors),
+                text.percent(s.coverage),
+                *([judgement] if differ else []),
+            ]
+        )
+    names = text.listing(dict.fromkeys(f"{s.name} ({s.n})" for s in sections))
+    caption = (
+        f"Held-out readings of {names}, rms: predicted, seen, and with the nominal"
+        " numbers; the share inside the predicted 95 %."
+    )
+    if not differ and verdicts[0] == "confirms":
+        caption += " All channels confirm the fit."
+    elif not differ and verdicts[0] == "agrees":
+        caption += " All channels agree with the fit, none confirms it."
+    return Table(columns, rows, caption)
 
 
 def final_prediction(result: StudyResult) -> PredictionSection | None:
@@ -137,20 +179,24 @@ def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block
     components = prediction.components
     judged = {name: verdict(name, c, limits) for name, c in components.items()}
     with_limits = any(math.isfinite(v.wanted) for v in judged.values())
+    effects = _effect_columns(prediction)
     columns = [
         TableColumn("Component"),
-        *number_columns("Afterwards", "Unknown part"),
+        *number_columns("After", *effects, "Unknown part"),
         *(LIMIT_COLUMNS if with_limits else []),
         *number_columns("Before"),
     ]
     rows, marks = [], []
     for name in _ordered(components, judged):
-        rows.append(_row(name, components[name], judged[name], with_limits))
+        larger = [text.number(missing.entry(v, name)) for v in effects.values()]
+        row = _row(name, components[name], judged[name], with_limits)
+        rows.append([*row[:2], *larger, *row[2:]])
         marks.append(judged[name].mark)
     table = Table(columns, rows, _caption(prediction, judged), marks)
     return [
         table,
         *_unmodelled(prediction),
+        *_included(result),
         *_unknown_part(components),
         *_worst_case(prediction),
     ]
@@ -216,34 +262,49 @@ def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
     ]
 
 
-def _unmodelled(prediction: PredictionSection) -> list[Block]:
-    """What the effect outside the model that adds most would make of the accuracy."""
+def _effect_columns(prediction: PredictionSection) -> dict[str, Mapping[str, float]]:
+    """Errors with the effect outside the model that adds most, by heading of column."""
     if prediction.budget is None or not prediction.budget.unmodelled:
+        return {}
+    worst = prediction.budget.unmodelled[0]
+    columns: dict[str, Mapping[str, float]] = {"With effect": worst.with_it}
+    if worst.far:
+        columns["Very large"] = worst.far
+    return columns
+
+
+def _unmodelled(prediction: PredictionSection) -> list[Block]:
+    """What the effect outside the model that adds most makes of the accuracy."""
+    columns = _effect_columns(prediction)
+    if prediction.budget is None or not columns:
         return []
     worst = prediction.budget.unmodelled[0]
-    components = prediction.components
-    driven = [name for name, c in components.items() if c.compensatable]
-    changes = []
-    for name in driven or list(components):
-        after = components[name].after
-        larger = text.quantity(worst.with_it[name], after.unit)
-        changes.append(f"{name} from {text.number(after.rms)} to {larger}")
     effect = worst.effect.replace("_", " ")
-    far = ""
-    if worst.far:
-        largest = [
-            text.quantity(worst.far[n], components[n].after.unit)
-            for n in driven or list(components)
-        ]
-        far = (
-            f" Sizes vary by decades: a very large one brings {text.listing(largest)}."
-        )
+    far = ", and 'Very large' for a very large one" if len(columns) > 1 else ""
     return [
         Notice(
-            f"This is geometry alone. {effect.capitalize()} of its expected size"
-            f" ({text.with_symbols(worst.expected)}), which the model lacks, brings"
-            f" {text.listing(changes)}: calibration takes a part of it for geometry."
-            f"{far} Remedy: {worst.remedy.rstrip('.')}."
+            f"'After' is geometry alone. {effect.capitalize()} of its expected size"
+            f" ({text.with_symbols(worst.expected)}), which the model lacks, brings the"
+            " errors in the column 'With effect': calibration takes a part of it for"
+            f" geometry. Sizes vary by decades{far}. Remedy: {worst.remedy.rstrip('.')}."
+        )
+    ]
+
+
+def _included(result: StudyResult) -> list[Block]:
+    """Effects that the fit allows for, and whether one stands out."""
+    section = result.estimate
+    if section is None or not section.effects or section.faulty is None:
+        return []
+    largest = section.effects[0]
+    share = "above 99 %" if section.faulty > SURE else text.percent(section.faulty)
+    return [
+        Notice(
+            f"The prediction holds {len(section.effects)} groups of effects beside the"
+            " geometry. The readings are changed most by"
+            f" {text.with_symbols(largest.name.replace('_', ' '))}: by"
+            f" {text.number(largest.change, 2)} times the stated noise. With probability"
+            f" {share}, one group stands out from what all machines have."
         )
     ]
 

@@ -8,12 +8,22 @@ from typing import Final
 
 from oed.result import Drawing, SetupInfo, StudyResult
 from pkm_reports.figures import overview
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Facts, Picture
+from pkm_reports.page import missing, text
+from pkm_reports.page.blocks import (
+    Block,
+    Facts,
+    Picture,
+    Table,
+    TableColumn,
+    number_columns,
+    transposed,
+)
 from pkm_reports.sections.stages.chapter import has_schedule
 
 #: set-ups and stages named one by one
 MOST: Final = 6
+#: readings in their order
+MOST_READINGS: Final = 40
 #: names of files with readings to fill in; numbered where an earlier one is filled in
 POSES: Final = re.compile(r"(\w+_)?poses(-\d+)?\.csv")
 
@@ -45,7 +55,7 @@ def blocks(result: StudyResult) -> list[Block]:
         caption = _caption(drawing)
         picture = Picture("overview", lambda: overview.draw(drawing), caption)
         content.append(picture)
-    return content
+    return [*content, *_in_order(result)]
 
 
 def used_setups(result: StudyResult) -> list[SetupInfo]:
@@ -125,6 +135,27 @@ def _list_of_readings(result: StudyResult) -> list[tuple[str, str]]:
     if not files or not is_plan(result):
         return []
     return [("List", f"{text.listing(files)}, with cells for the readings.")]
+
+
+def _in_order(result: StudyResult) -> list[Block]:
+    """The readings to take, in their order; of many, the first."""
+    poses = [] if result.design is None else result.design.poses
+    shown = poses[:MOST_READINGS]
+    names = list(dict.fromkeys(key for pose in shown for key in pose.command))
+    if not names:
+        return []
+    cells = [[str(k) for k in range(1, len(shown) + 1)]]
+    columns = [*number_columns("No.")]
+    if len({pose.setup for pose in poses}) > 1:
+        columns.append(TableColumn("Set-up"))
+        cells.append([pose.setup for pose in shown])
+    for name in names:
+        columns += number_columns(text.heading(name))
+        values = missing.column([pose.command for pose in shown], name)
+        cells.append(text.aligned(values))
+    of = "" if len(shown) == len(poses) else f", the first {len(shown)} of them"
+    caption = f"{text.count(len(poses), 'reading')} in their order{of}."
+    return [Table(columns, transposed(cells), caption)]
 
 
 def _caption(drawing: Drawing) -> str:

@@ -66,12 +66,18 @@ def plan_sentences(section: result.PlanSection | None) -> list[str]:
         lines.append("The target accuracy is reached.")
     elif section.goal:
         lines.append(" ".join(section.needs))
-    if section.loss is not None:
-        lines.append(
-            f"No plan within {section.budget_min:.0f} min is more than"
-            f" {at_most_better(section.loss)}: a bound over all plans that take each"
-            " measurement at most as often as `counts` allows."
-        )
+    lines += bound_sentences(section)
     if section.effects is not None:
         lines.append(section.effects.words)
     return lines
+
+
+def bound_sentences(section: result.PlanSection | None) -> list[str]:
+    """How much better than the plan any other can be; none where no bound is known."""
+    if section is None or section.loss is None:
+        return []
+    return [
+        f"No plan within {section.budget_min:.0f} min is more than"
+        f" {at_most_better(section.loss)}: a bound over all plans that take each"
+        " measurement at most as often as `counts` allows."
+    ]

@@ -1,0 +1,130 @@
+"""A summary on the terminal has 25 lines, and hides nothing that a user must see."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import report_fixture
+import report_fixture_plan
+
+from oed.result import StudyResult
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Block, Notice, Table
+from pkm_reports.sections.answer import accuracy, measure
+from pkm_studies.notebook import display
+from pkm_studies.stages import headline, summary
+
+MET = {"claim": "rank", "wanted": "rank = 18", "measured": 18, "met": True}
+UNMET = {"claim": "kappa", "wanted": "kappa <= 9", "measured": 12.5, "met": False}
+WARNING = "a1x ended near a bound"
+
+
+def sample(**changes: Any) -> StudyResult:
+    """The full result of the fixture with its headline as the pipeline writes it."""
+    raw = report_fixture.sample() | changes
+    sentences = headline.sentences(report_fixture.result_of(raw))
+    return report_fixture.result_of(raw | {"headline": sentences})
+
+
+def held_out(channel: str, verdict: str) -> dict[str, Any]:
+    return {
+        "name": "blind",
+        "channel": channel,
+        "n": 9,
+        "rms": 5.0,
+        "rms_raw": 6.0,
+        "unit": "um",
+        "coverage": 0.89,
+        "residuals": [],
+        "half_widths": [],
+        "predicted": 4.0,
+        "rms_before": 70.0,
+        "verdict": verdict,
+        "words": f"{channel}: {verdict}",
+    }
+
+
+def test_a_summary_keeps_warnings_and_claims_that_are_not_met(tmp_path: Path) -> None:
+    result = sample(claims=[MET, UNMET], warnings=[WARNING])
+    (tmp_path / "report.html").touch()
+    short = summary.lines(result, tmp_path, verbose=False)
+    assert len(short) <= summary.MOST_LINES
+    assert "Claims: 1 of 2 met." in short
+    assert "Claim kappa: not met: kappa <= 9, measured 12.5" in short
+    assert f"Warning: A{WARNING[1:]}." in short
+    assert f"Report: {tmp_path / 'report.html'}" in short
+    assert short[-1] == "--verbose prints every sentence and claim."
+
+
+def test_verbose_prints_every_sentence(tmp_path: Path) -> None:
+    result = sample(claims=[MET])
+    short = summary.lines(result, tmp_path, verbose=False)
+    full = summary.lines(result, tmp_path, verbose=True)
+    tabled = headline.accuracy_sentences(result)
+    assert {s for s in result.headline if s not in tabled} <= set(full)
+    assert "Claim rank: met: rank = 18, measured 18" in full
+    details = set(headline.detail_sentences(result)) & set(full)
+    assert details
+    assert not details & set(short)
+
+
+def test_a_contradiction_is_never_summed_up(tmp_path: Path) -> None:
+    sections = [held_out("x", "confirms"), held_out("y", "contradicts")]
+    result = sample(held_out=sections)
+    short = summary.lines(result, tmp_path, verbose=False)
+    assert "y: contradicts." in short
+    assert "x: confirms." not in short
+    (line,) = [line for line in short if line.startswith("Held-out readings")]
+    assert "1 of 2 channels confirm the fit" in line
+
+
+def test_stages_of_a_plan_are_rows_with_a_column_for_each_accuracy() -> None:
+    raw = report_fixture.bare() | {"plan": report_fixture_plan.plan(wanted=True)}
+    plan = report_fixture.result_of(raw).plan
+    assert plan is not None
+    printed = display.plan_lines(plan, verbose=False)
+    last = plan.stages[-1]
+    for value in last.accuracy.values():
+        assert any(f"{value:.3g}" in line.split() for line in printed)
+    assert all(len(line) <= 120 or not line.startswith(" ") for line in printed)
+    named = [s.name for s in plan.compared]
+    full = display.plan_lines(plan, verbose=True)
+    assert sum(line.split(":")[0] in named for line in full) == len(named)
+
+
+# -- the first page of the report ------------------------------------------------------
+
+
+def table_of(blocks: list[Block], caption: str) -> Table:
+    (table,) = [
+        block
+        for block in blocks
+        if isinstance(block, Table) and caption in block.caption
+    ]
+    return table
+
+
+def test_held_out_channels_are_rows_and_contradictions_notices() -> None:
+    sections = [held_out(name, "confirms") for name in "xyz"]
+    sections.append(held_out("a", "contradicts"))
+    blocks = accuracy.blocks(sample(held_out=sections))
+    table = table_of(blocks, "Held-out readings of blind (9)")
+    assert table.rows[0] == ["x [µm]", "4", "5", "70", text.percent(0.89)]
+    assert len(table.rows) == 3
+    assert any(isinstance(b, Notice) and "contradicts" in b.text for b in blocks)
+
+
+def test_the_readings_stand_in_their_order() -> None:
+    result = sample()
+    assert result.design is not None
+    poses = result.design.poses
+    table = table_of(measure.blocks(result), "in their order")
+    titles = [column.title for column in table.columns]
+    z = titles.index("z [mm]")
+    heights = [float(row[z]) for row in table.rows]
+    assert heights == pytest.approx([pose.command["z_mm"] for pose in poses])
+    assert [row[titles.index("Set-up")] for row in table.rows] == [
+        pose.setup for pose in poses
+    ]
