@@ -102,6 +102,8 @@ class MachineAddresses:
             ("reading", ReadingEntry, page.take),
             ("undo", Change, lambda c: session.undo(c.version)),
             ("remark", Change, lambda c: session.remark(c.version, c.text)),
+            ("skip", Change, lambda c: session.skip(c.version, c.text)),
+            ("unskip", Change, lambda c: session.take_skip_back(c.version)),
             ("repeat", Change, lambda c: session.repeat(c.version, again=c.again)),
             ("fit", ResultChoice, lambda c: page.fit(c.word)),
             (

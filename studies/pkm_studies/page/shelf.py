@@ -29,6 +29,7 @@ class Card:
 
     key     of its folder, for addresses
     place   its folder, relative to the shelf's
+    is_usable  whether a controller's file and an acceptance test follow from it
     """
 
     key: str
@@ -39,6 +40,7 @@ class Card:
     readings: str
     accuracy: tuple[tuple[str, str, str], ...]
     doubts: tuple[str, ...]
+    is_usable: bool
 
 
 class Shelf:
@@ -108,6 +110,7 @@ class Shelf:
             readings=_readings(result),
             accuracy=_accuracy(result),
             doubts=tuple(text.cleaned(words) for words in trust.objections(result)),
+            is_usable=result.estimate is not None or result.prediction is not None,
         )
 
 
