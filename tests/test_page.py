@@ -14,6 +14,7 @@ import pytest
 from page_server import rows, take
 
 from pkm_studies.page import readings_log, typed
+from pkm_studies.page.job import BackgroundCommand
 from pkm_studies.page.readings_log import ReadingsLog, StaleError
 from pkm_studies.sessions.next_reading import Adviser
 from pkm_studies.sessions.next_sentences import sentences
@@ -232,3 +233,50 @@ def test_pages_hear_of_each_reading(machine: Any) -> None:
 )
 def test_a_slip_is_named(text: str, words: str | None) -> None:
     assert typed.slip(text, 300.11, 300.13) == words
+
+
+# -- poses that cannot be driven to ----------------------------------------------------
+
+
+def test_a_skipped_pose_is_advised_no_more(machine: Any, page_study: Path) -> None:
+    """Neither by the page nor by the command, before and after readings; it can be undone."""
+    opened, client, operator = machine
+    adviser, path = Adviser(load(page_study)), opened.session.log.path
+    first = opened.session.state.advice.candidate
+    status, state = client.post(
+        "/skip", version=client.state()["version"], text="leg 2 collides"
+    )
+    assert status == 200
+    assert "1 pose is skipped" in state["parts"]["pose"]
+    (row,) = rows(path)
+    assert (row["remark"], row["length_mm"]) == ("skipped: leg 2 collides", "")
+    for _ in range(3):
+        shown, advice = opened.session.state.advice, adviser.advise(path)
+        assert shown.candidate == advice.candidate != first
+        assert first in advice.skipped
+        take(client, operator.display())
+    said = sentences(adviser, advice)
+    assert "1 reading is not advised: the file's remarks skip the pose." in said
+    status, _ = client.post("/unskip", version=client.state()["version"])
+    assert status == 200
+    assert adviser.advise(path).skipped == opened.session.state.advice.skipped == ()
+    assert client.post("/unskip", version=client.state()["version"])[0] == 422
+
+
+def test_a_reading_with_a_remark_on_skips_is_a_reading(machine: Any) -> None:
+    opened, client, operator = machine
+    take(client, operator.display(), remark="skipped breakfast")
+    assert opened.session.state.advice.skipped == ()
+    assert "skipped." not in client.state()["parts"]["pose"]
+
+
+def test_a_job_s_error_is_shown_below_its_stages(tmp_path: Path) -> None:
+    """A command that prints stages, then fails: its error reaches the page."""
+    job = BackgroundCommand()
+    readings = tmp_path / "none.csv"
+    command = ["identify", "a3_ball_bar", "--readings", readings]
+    job.start("identify", [*command, "--out", tmp_path / "out"])
+    while job.state.runs:
+        time.sleep(0.05)
+    assert job.state.code == 2
+    assert any("none.csv" in line for line in job.state.lines)

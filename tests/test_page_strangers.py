@@ -15,7 +15,16 @@ from pkm_studies.page import serve
 Request = Mapping[str, Any]
 SCRIPT = "<script>alert(1)</script>"
 GOOD = {"version": "absent", "key": "k", "entries": ["300"], "confirmed": True}
-PATHS = ("/reading", "/undo", "/remark", "/fit", "/compensation", "/acceptance")
+PATHS = (
+    "/reading",
+    "/undo",
+    "/remark",
+    "/fit",
+    "/compensation",
+    "/acceptance",
+    "/judge",
+    "/skip",
+)
 BAD: tuple[Any, ...] = (
     {**GOOD, "entries": [SCRIPT]},
     {**GOOD, "version": SCRIPT},

@@ -10,6 +10,7 @@ import pytest
 import report_fixture
 from page_server import Client, served
 
+from oed.result import acceptance
 from pkm_studies.page import serve
 from pkm_studies.page.new_study import FieldError, NewStudy, StudyForm
 from pkm_studies.study import load
@@ -97,3 +98,37 @@ def test_results_of_a_folder_are_cards(tmp_path: Path) -> None:
         assert client.post("/compensation", keys=[key], word="../evil.py:run")[0] == 422
         assert client.post("/open", keys=["x"])[0] == 422
         assert [p.name for p in (shelf / "a").iterdir()] == ["result.json"]
+
+
+def test_an_acceptance_test_is_judged(tmp_path: Path) -> None:
+    """Against the rms by hand: 3 and 4 um are 3.54 um; what is no such file is not stored."""
+    demand = acceptance.PromiseRecord(
+        promised=3.0, limit=3.6, unit="um", uncertainty=0.6, power=0.9
+    )
+    planned = acceptance.AcceptanceSection(
+        poses=[{"z_mm": 1100.0}, {"z_mm": 1200.0}],
+        components={"z": demand},
+        reference="absolute",
+        miss=1.2,
+        false_alarm=0.1,
+    )
+    result = report_fixture.result_of(report_fixture.bare())
+    result = msgspec.structs.replace(result, acceptance=planned)
+    folder = tmp_path / "a"
+    folder.mkdir()
+    (folder / "result.json").write_bytes(msgspec.json.encode(result))
+    with served(tmp_path, serve.PageOptions()) as (_, port):
+        client = Client(port)
+        text = client.ask("GET", "/results")[1].decode()
+        key = text.partition('data-result="')[2].partition('"')[0]
+        status, answer = client.post("/judge", key=key, text="x,y\n1,2\n")
+        assert status == 422
+        assert "z_mm" in answer["error"]
+        assert [p.name for p in folder.iterdir()] == ["result.json"]
+        filled = "z_mm,error_z_um\n1100,{}\n1200,{}\n"
+        for errors, words in (((3, -4), "rms 3.54 um"), ((4, 4), "failed")):
+            status, answer = client.post("/judge", key=key, text=filled.format(*errors))
+            assert status == 200
+            assert words in answer["sentences"][0]
+        assert len(list(folder.glob("acceptance-measured-*.csv"))) == 2
+        assert "Acceptance test failed." in client.ask("GET", "/results")[1].decode()

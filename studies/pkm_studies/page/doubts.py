@@ -88,7 +88,7 @@ def of_values(
         if len(entries) == len(channels):
             slip = typed.slip(entries[k], low, high)
             words += f"; {slip}" if slip else ""
-        sentences.append(f"{words}.")
+        sentences.append(words if words.endswith("?") else f"{words}.")
     return sentences
 
 

@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 from pkm_studies.base.errors import InputError
 
@@ -16,6 +16,8 @@ from pkm_studies.base.errors import InputError
 MOST_LINES: Final = 200
 #: characters of a line
 LONGEST: Final = 1000
+#: stage after which a command says its results
+LAST_STAGE: Final = "report"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,21 +80,28 @@ class BackgroundCommand:
             process.wait()
 
     def _follow(self, process: subprocess.Popen[str]) -> None:
-        """Take up stages from its errors' stream, then what it printed."""
-        stages = threading.Thread(target=self._stages, args=(process,), daemon=True)
-        stages.start()
+        """Take up stages as they are printed, then what the command says."""
+        errors: list[str] = []
+        listen = threading.Thread(target=_collect, args=(process.stderr, errors))
+        listen.start()
+        lines: list[str] = []
         with process:
-            lines = [line.rstrip()[:LONGEST] for line in process.stdout or ()]
-            stages.join()
+            for line in process.stdout or ():
+                lines.append(line.rstrip()[:LONGEST])
+                self.state = dataclasses.replace(self.state, stage=lines[-1])
+            listen.join()
         code = process.wait()
-        if code and not lines:
-            lines = [self.state.stage]
+        said = [*_after_stages(lines), *(errors if code else ())]
         self.state = dataclasses.replace(
-            self.state, code=code, lines=tuple(lines[-MOST_LINES:])
+            self.state, code=code, lines=tuple(said[-MOST_LINES:])
         )
 
-    def _stages(self, process: subprocess.Popen[str]) -> None:
-        for line in process.stderr or ():
-            if line.strip():
-                stage = line.strip()[:LONGEST]
-                self.state = dataclasses.replace(self.state, stage=stage)
+
+def _collect(stream: IO[str] | None, lines: list[str]) -> None:
+    lines += [line.rstrip()[:LONGEST] for line in stream or () if line.strip()]
+
+
+def _after_stages(lines: list[str]) -> list[str]:
+    """The lines below the last stage, which is the report."""
+    last = lines.index(LAST_STAGE) if LAST_STAGE in lines else -1
+    return lines[last + 1 :]

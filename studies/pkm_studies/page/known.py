@@ -221,7 +221,8 @@ def best_next(session: MachineSession, state: SessionState) -> list[NextOne]:
     known = np.maximum(advice.known, 1e-150)
     ratios = np.sqrt(variances) / known
     gains = 1.0 - np.exp(np.mean(np.log(np.maximum(ratios, 1e-300)), axis=1))
-    rest = [int(k) for k in np.argsort(-gains, kind="stable") if k != advice.candidate]
+    listed = {advice.candidate, *advice.skipped}
+    rest = [int(k) for k in np.argsort(-gains, kind="stable") if k not in listed]
     rows = []
     for k in [advice.candidate, *rest][:SHOWN]:
         series, row = reading_of(outlook.pool, outlook.taken + k)

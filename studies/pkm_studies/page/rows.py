@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import datetime
 import io
 import re
@@ -18,6 +19,7 @@ from oed.dataset.columns import column_name, parse_column
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Coordinate
 from pkm_studies.page.readings_log import REMARK, UNDONE, FileContent
+from pkm_studies.sessions.skipped_poses import SKIPPED, is_skipped
 
 #: decimals of a command, mm or deg: those that a controller takes
 DECIMALS: Final = 4
@@ -147,6 +149,42 @@ def without_reading(
     return content.with_cells(row, {**dict.fromkeys(values, ""), REMARK: remark})
 
 
+def skipped_rows(
+    measurement: Measurement,
+    series: Series,
+    row: int,
+    content: FileContent,
+    reason: str,
+) -> list[dict[str, str]]:
+    """Rows for a pose that is skipped: as of a reading, without its value.
+
+    One that is relative to a reference is in a run of its own, which no reading joins.
+    """
+    columns = entry_columns(measurement, series.setup)
+    fresh = dataclasses.replace(content, rows=())
+    new = reading_rows(measurement, series, row, [0.0] * len(columns), fresh)
+    names = {column_name(c.name, c.unit) for c in columns}
+    new[-1] |= dict.fromkeys(names, "")
+    words = clean_remark(reason)
+    new[-1][REMARK] = f"{SKIPPED}: {words}" if words else SKIPPED
+    if len(new) == 1:
+        return [new[0] | {"order": str(_next_order(content, new[0]))}]
+    run = _free_run(content, new[0] | {"run": SKIPPED})
+    return [one | {"run": run} for one in new]
+
+
+def skipped(content: FileContent, measurement: Measurement) -> list[int]:
+    """Rows of the table whose pose is skipped."""
+    rows = range(1, len(content.rows))
+    return [k for k in rows if is_skipped(content.cells(k), measurement)]
+
+
+def without_skip(content: FileContent, row: int) -> FileContent:
+    """The content with a skipped row's pose advised again."""
+    before = content.cells(row)[REMARK]
+    return content.with_cells(row, {REMARK: f"advised again, was {before}"})
+
+
 def clean_remark(text: str) -> str:
     """A remark on one line, printable, of limited length."""
     printable = "".join(c if c.isprintable() else " " for c in text)
@@ -218,6 +256,8 @@ def _run_from(content: FileContent, reference: Mapping[str, str]) -> str | None:
     for k in range(1, len(content.rows)):
         label = _labels(content, k)
         if label[0] != reference["setup"] or label in begun:
+            continue
+        if label[1].startswith(SKIPPED):  # nobody has zeroed the instrument there
             continue
         begun.add(label)
         if _is_at(content.cells(k), pose):

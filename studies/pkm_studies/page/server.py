@@ -17,7 +17,7 @@ from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
 from pkm_studies.base.errors import InputError
-from pkm_studies.page import machine_page, render
+from pkm_studies.page import acceptance, machine_page, render
 from pkm_studies.page.machine_page import (
     Change,
     MachinePage,
@@ -102,6 +102,8 @@ class MachineAddresses:
             ("reading", ReadingEntry, page.take),
             ("undo", Change, lambda c: session.undo(c.version)),
             ("remark", Change, lambda c: session.remark(c.version, c.text)),
+            ("skip", Change, lambda c: session.skip(c.version, c.text)),
+            ("unskip", Change, lambda c: session.take_skip_back(c.version)),
             ("repeat", Change, lambda c: session.repeat(c.version, again=c.again)),
             ("fit", ResultChoice, lambda c: page.fit(c.word)),
             (
@@ -190,7 +192,9 @@ class ResultAddresses:
             Route("/results", self.show),
             Route("/results/{key}/report", self.report),
             Route("/results/{first}/beside/{second}", self.side_by_side),
+            Route("/results/{key}/acceptance", self.acceptance),
             Route("/compensation", self.compensation, methods=["POST"]),
+            Route("/judge", self.judge, methods=["POST"]),
         ]
 
     def show(self, _: Request) -> Response:
@@ -222,6 +226,29 @@ class ResultAddresses:
         return _stored(
             lambda: machine_page.comparison([self.shelf.folder(key) for key in keys])
         )
+
+    def acceptance(self, request: Request) -> Response:
+        """The file of a planned acceptance test, to fill in."""
+        try:
+            text = acceptance.to_fill_in(self.shelf.folder(request.path_params["key"]))
+        except (InputError, OSError) as error:
+            return _answer({"error": str(error)}, UNUSABLE)
+        kind = {"Content-Disposition": 'attachment; filename="acceptance.csv"'}
+        return Response(text, media_type="text/csv", headers=kind)
+
+    async def judge(self, request: Request) -> Response:
+        """The verdict on a filled-in file of an acceptance test."""
+        body = await request.body()
+        return await run_in_threadpool(self._judge, body)
+
+    def _judge(self, body: bytes) -> Response:
+        said: list[str] = []
+
+        def work(filled: acceptance.FilledIn) -> None:
+            said.extend(acceptance.judge(self.shelf.folder(filled.key), filled.text))
+
+        status, extra = _attempt(body, acceptance.FilledIn, work)
+        return _answer({"sentences": said} | extra, status)
 
     async def compensation(self, request: Request) -> Response:
         """The files of a controller's format for a result."""

@@ -26,6 +26,7 @@ from pkm_studies.page import doubts, rows, typed
 from pkm_studies.page.readings_log import REMARK, FileContent, ReadingsLog, StaleError
 from pkm_studies.sessions.next_reading import Adviser, FittedReadings
 from pkm_studies.sessions.next_sentences import Advice
+from pkm_studies.sessions.skipped_poses import skipped_in_rows
 
 #: what a fit of readings raises that make no sense
 FIT_ERRORS: Final = (
@@ -102,8 +103,7 @@ class MachineSession:
     @property
     def measurement(self) -> Measurement:
         """The machine with all set-ups of the study."""
-        resolved = self.adviser.base.resolved
-        return resolved.measurement_with(resolved.setups)
+        return self.adviser.everything
 
     # -- what changes ------------------------------------------------------------------
 
@@ -173,6 +173,26 @@ class MachineSession:
                 self._last(content)
             self._publish(self._state(content, repeated=again))
 
+    def skip(self, version: str, reason: str) -> None:
+        """Skip the present pose: it is not advised again. Raises as `take`."""
+        with self._lock:
+            content, pose = self._based_on(version), self._pose()
+            if pose.repeated:
+                raise InputError("this pose was read already", "go on without")
+            new = rows.skipped_rows(
+                self.measurement, pose.series, pose.row, content, reason
+            )
+            self._write(version, content.with_rows(new))
+
+    def take_skip_back(self, version: str) -> None:
+        """Advise the pose that was skipped last again. Raises InputError without one."""
+        with self._lock:
+            content = self._based_on(version)
+            skipped = rows.skipped(content, self.measurement)
+            if not skipped:
+                raise InputError("no pose is skipped", "load the page again")
+            self._write(version, rows.without_skip(content, skipped[-1]))
+
     def refresh(self) -> None:
         """Take up what others wrote into the file."""
         with self._lock:
@@ -211,7 +231,9 @@ class MachineSession:
     def _state(self, content: FileContent, *, repeated: bool = False) -> SessionState:
         try:
             fitted = self._fit(content)
-            advice = self.adviser.advise_fitted(fitted)
+            cells = map(content.cells, range(1, len(content.rows)))
+            skipped = list(skipped_in_rows(cells, self.measurement))
+            advice = self.adviser.advise_fitted(fitted, skipped)
             pose = Pose(advice.series, advice.row)
             if repeated and fitted is not None:
                 pose = self._last_pose(fitted)

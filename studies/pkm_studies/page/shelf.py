@@ -29,6 +29,9 @@ class Card:
 
     key     of its folder, for addresses
     place   its folder, relative to the shelf's
+    is_usable  whether a controller's file and an acceptance test follow from it
+    is_planned  whether an acceptance test is planned
+    is_passed   its verdict; None before
     """
 
     key: str
@@ -39,6 +42,9 @@ class Card:
     readings: str
     accuracy: tuple[tuple[str, str, str], ...]
     doubts: tuple[str, ...]
+    is_usable: bool
+    is_planned: bool
+    is_passed: bool | None
 
 
 class Shelf:
@@ -108,6 +114,11 @@ class Shelf:
             readings=_readings(result),
             accuracy=_accuracy(result),
             doubts=tuple(text.cleaned(words) for words in trust.objections(result)),
+            is_usable=result.estimate is not None or result.prediction is not None,
+            is_planned=result.acceptance is not None,
+            is_passed=None
+            if result.verification is None
+            else result.verification.passed,
         )
 
 

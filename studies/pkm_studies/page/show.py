@@ -57,6 +57,7 @@ def page_values(session: MachineSession, state: SessionState) -> dict[str, Any]:
         "study": session.adviser.base.study.name,
         "advice": advice,
         "last": _last_readings(session, state.content),
+        "skipped": len(rows.skipped(state.content, session.measurement)),
         "accuracies": known.accuracies(session, state),
         "parameters": known.parameters(state),
         "combinations": known.open_combinations(state),

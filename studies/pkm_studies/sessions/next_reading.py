@@ -31,6 +31,7 @@ from pkm_studies.sessions.next_effects import (
     outlook_with_effects,
 )
 from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, sentences
+from pkm_studies.sessions.skipped_poses import SkippedPose, allowed, skipped_in_file
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.run_state import Measured, RunState, start
@@ -91,7 +92,13 @@ class Adviser:
 
     def advise(self, readings: Path) -> Advice:
         """The advice after the readings of a file. Raises InputError as they are read."""
-        return self.advise_fitted(self.fit(readings))
+        skipped = skipped_in_file(readings, self.everything)
+        return self.advise_fitted(self.fit(readings), skipped)
+
+    @property
+    def everything(self) -> Measurement:
+        """The machine with all set-ups of the study."""
+        return self.base.resolved.measurement_with(self.base.resolved.setups)
 
     def fit(self, readings: Path) -> FittedReadings | None:
         """The readings of a file with their fit; None where it has only poses.
@@ -111,13 +118,20 @@ class Adviser:
             raise with_finding(state, error) from error
         return FittedReadings(state, estimate, effects)
 
-    def advise_fitted(self, fitted: FittedReadings | None) -> Advice:
-        """The advice after readings that are fitted; None: before the first one."""
+    def advise_fitted(
+        self, fitted: FittedReadings | None, skipped: Sequence[SkippedPose] = ()
+    ) -> Advice:
+        """The advice after readings that are fitted; None: before the first one.
+
+        skipped  poses that are not advised. Raises InputError where nothing else is.
+        """
         if fitted is None:
-            return self.advise_after(self.base.measurement, (), np.zeros(0))
+            measurement = self.base.measurement
+            effects = effects_at(self.base, measurement, ())
+            return self._advise(measurement, (), None, effects, skipped)
         state, estimate, effects = fitted
         series = state.readings.series
-        advice = self._advise(state.measurement, series, estimate, effects)
+        advice = self._advise(state.measurement, series, estimate, effects, skipped)
         checked = () if state.checked is None else state.checked.findings
         return dataclasses.replace(
             advice,
@@ -141,6 +155,7 @@ class Adviser:
         series: Sequence[Series],
         estimate: Estimate | None,
         effects: PlannedEffects | None,
+        skipped: Sequence[SkippedPose] = (),
     ) -> Advice:
         theta = measurement.nominal if estimate is None else estimate.theta
         if effects is None:
@@ -154,7 +169,7 @@ class Adviser:
             planned = next_reading.after_all(outlook.before, blocks, self.plan)
             self.limits = outlook.accuracy(planned) * (1.0 + ROUNDING)
         count = sum(map(len, series))
-        return self._advice(measurement, outlook, theta, count)
+        return self._advice(measurement, outlook, theta, count, skipped)
 
     def _outlook(
         self, measurement: Measurement, theta: Array, estimate: Estimate | None
@@ -226,27 +241,33 @@ class Adviser:
         outlook: Outlook,
         theta: Array,
         count: int,
+        skipped: Sequence[SkippedPose],
     ) -> Advice:
         table = self.base.study.design
         planned = None if table is None else table.size
         remaining = 1 if planned is None else max(planned - count, 1)
         limits = outlook.limits(self.limits)
-        plan, more = _plan(outlook.now, outlook.blocks, remaining, limits)
-        after = outlook.now.after(outlook.blocks[plan[0]])
-        series, row = reading_of(outlook.pool, outlook.taken + plan[0])
+        pool, blocks = outlook.pool, outlook.blocks
+        use = allowed(pool, outlook.taken, skipped, self.everything)
+        places = np.flatnonzero(use)
+        plan, more = _plan(outlook.now, blocks[places], remaining, limits)
+        chosen = int(places[plan[0]])
+        after = outlook.now.after(blocks[chosen])
+        series, row = reading_of(pool, outlook.taken + chosen)
         return Advice(
             names=self.maps.names,
             readings=count,
             known=outlook.accuracy(outlook.now),
             after=outlook.accuracy(after),
             limits=self.limits,
-            candidate=plan[0],
+            candidate=chosen,
             series=series,
             row=row,
             expected=measurement.readings([series.take(np.array([row]))], theta),
             more=more,
             planned=planned,
             outlook=outlook,
+            skipped=tuple(np.flatnonzero(~use).tolist()),
         )
 
 
@@ -261,6 +282,7 @@ def _plan(
         fewest = next_reading.fewest_remaining(belief, blocks, remaining, limits)
         if fewest is not None and fewest[0]:
             return fewest
+        remaining = remaining if fewest is None else 1  # all is reached: no more plans
     plan = next_reading.best_remaining(belief, blocks, remaining, limits)
     return plan, _more(belief, blocks, plan, limits)
 

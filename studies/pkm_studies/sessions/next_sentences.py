@@ -39,6 +39,7 @@ class Advice:
     findings   what a check of the readings says
     outlook    all candidates, and what is known, from which the next one is chosen
     objections  why nothing should rest on the readings so far
+    skipped    numbers of the candidates that are not advised
     """
 
     names: tuple[str, ...]
@@ -55,6 +56,7 @@ class Advice:
     outlook: Outlook
     findings: tuple[str, ...] = ()
     objections: tuple[str, ...] = ()
+    skipped: tuple[int, ...] = ()
 
     @property
     def is_reached(self) -> bool:
@@ -88,7 +90,17 @@ def sentences(adviser: Adviser, advice: Advice) -> list[str]:
             reached = advice.known[k] <= advice.limits[k]
             line += f"   wanted {wanted}: {'pass' if reached else 'not yet'}"
         lines.append(line)
-    return [*advice.findings, *lines, *stop(advice), *_next(adviser, advice)]
+    skipped = skips(advice)
+    return [*advice.findings, *lines, *stop(advice), *skipped, *_next(adviser, advice)]
+
+
+def skips(advice: Advice) -> list[str]:
+    """How many readings are not advised, as their poses are skipped."""
+    count = len(advice.skipped)
+    if not count:
+        return []
+    words = "1 reading is" if count == 1 else f"{count} readings are"
+    return [f"{words} not advised: the file's remarks skip the pose."]
 
 
 def _next(adviser: Adviser, advice: Advice) -> list[str]:
@@ -125,6 +137,8 @@ def stop(advice: Advice) -> list[str]:
     if np.isfinite(advice.limits).any():
         if advice.more is None:
             return [f"{MOST_AHEAD} more readings would not reach what is wanted."]
+        if advice.more == 1:
+            return ["About 1 more reading reaches what is wanted."]
         return [f"About {advice.more} more readings reach what is wanted."]
     if advice.planned is not None and advice.readings >= advice.planned:
         return [f"Stop: the {advice.planned} readings of the plan are taken."]

@@ -22,3 +22,13 @@ document.addEventListener('click', event => {
   const button = event.target.closest('[data-do="compensation"]');
   if (button) compensate(button.closest('[data-result]'));
 });
+const judge = async (card, file) => {
+  const said = card.querySelector('.said');
+  said.textContent = 'Judges …';
+  const answer = await send('/judge', {key: card.dataset.result, text: await file.text()});
+  said.textContent = answer.error || answer.sentences.join(' ');
+};
+document.addEventListener('change', event => {
+  const input = event.target.closest('[data-judge]');
+  if (input && input.files.length) judge(input.closest('[data-result]'), input.files[0]);
+});

@@ -145,8 +145,13 @@ const live = {
     const empty = [...form.querySelectorAll('[name="value"]')].find(i => !i.value.trim());
     if (empty) { live.say('Type the reading first.'); empty.focus(); return; }
     live.taking = true;
+    const button = form.querySelector('[type="submit"]');
+    button.setAttribute('aria-busy', 'true');
+    button.textContent = 'Checks …';
     const answer = await live.request('/reading', {version: form.dataset.version, key: live.key, entries, remark: form.elements.remark.value, confirmed});
     live.taking = false;
+    button.removeAttribute('aria-busy');
+    button.textContent = 'Take';
     if (!answer) return;
     live.ask(answer.doubts || []);
     if (answer.status === 200) live.focus(false);
@@ -159,6 +164,8 @@ const live = {
     const version = live.state.version, word = button.dataset.do;
     if (word === 'pad') live.pad(document.getElementById('pad').hidden);
     else if (word === 'undo') await live.request('/undo', {version});
+    else if (word === 'skip') await live.request('/skip', {version, text: document.querySelector('#entry [name="remark"]').value});
+    else if (word === 'unskip') await live.request('/unskip', {version});
     else if (word === 'repeat' || word === 'go-on') await live.request('/repeat', {version, again: word === 'repeat'});
     else if (word === 'remark') {
       const text = document.querySelector('#entry [name="remark"]');
