@@ -274,7 +274,9 @@ def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
     maps = prediction.error_maps(Kinematics(identified), command, "home")
     slopes = np.moveaxis(maps.raw, 2, 1)[:, :, :2].reshape(len(command), 7, 2)
     spread = (draws - mean) @ slopes
-    rms = np.sqrt(np.mean(spread**2, axis=(0, 1)))
+    # a covariance of draws has one degree of freedom less than draws
+    fewer = len(draws) / (len(draws) - 1)
+    rms = np.sqrt(fewer * np.mean(spread**2, axis=(0, 1)))
     expected = dict(zip(("y_um", "z_um"), 1e6 * rms, strict=True))
     assert plan.start_accuracy == pytest.approx(expected, rel=1e-3)
     assert plan.virtual_machines == 60

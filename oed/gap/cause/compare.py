@@ -10,7 +10,8 @@ too, is lambda_{k|j}. Where its root is below 5 the readings cannot distinguish 
 and both belong to the answer. Where nearly all of y_k is absorbed, no readings of this
 kind could. Effects of one family (backlash and friction, scale and pitch) differ by their
 form alone. Real ones depart from their textbook form: as much as these departures can
-make, in lambda_{k|j} and in the evidence, does not distinguish two of a family.
+make, in lambda_{k|j} and in the evidence, does not distinguish two of a family, where the
+rival is of a usual size: no departure of form makes up for one that is implausible.
 
 Where effects are large, hypotheses are compared about the points at which they act. The
 search is linear about the calibration without effects. Where an effect is so large that
@@ -52,6 +53,8 @@ DEPARTURE = 0.5
 #: largest size, against its expected one, that a rival may have where the effect is not
 #: larger itself
 RIVAL = EFFECT_SIZES.usual[-1]
+#: coefficient of a rival, in standard deviations of the largest usual size, that is usual
+USUAL = 3.0
 #: points at most about which the readings are searched again
 POINTS = 3
 #: departure from the linear model, in units of the noise over all readings, from which
@@ -114,11 +117,12 @@ def equivalent_effects(
         for rival in search.library.effects:
             if rival in h.effects:
                 continue
-            distinct, whole = _distinct_energy(search, grams, h, i, rival)
+            distinct, whole, size = _distinct_energy(search, grams, h, i, rival)
             exact = distinct < EXACT * whole and odds.of(rival) > -PLAINER
             replaced = frozenset({rival, *(h.effects[j] for j in others)})
             score, of_form = scores.get((replaced, h.unknown), -np.inf), 0.0
-            if search.library.differ_by_form(effect, rival):
+            is_usual = size < USUAL * RIVAL
+            if is_usual and search.library.differ_by_form(effect, rival):
                 # what a form can make that departs from its textbook
                 of_form = DEPARTURE**2 * whole
                 if not h.unknown:
@@ -161,23 +165,25 @@ def _distinct_energy(
     h: Hypothesis,
     i: int,
     rival: str,
-) -> tuple[float, float]:
-    """lambda_{k|j} and lambda_k of the i-th effect of h.
+) -> tuple[float, float, float]:
+    """lambda_{k|j} and lambda_k of the i-th effect of h, and the rival's largest coefficient.
 
     The rival has the form that absorbs most.
     """
     columns = search.columns_of(h.atoms[i])
     beta = posterior_mean(grams, columns, h.sizes[i])
     whole = float(beta @ grams.gram[np.ix_(columns, columns)] @ beta)
-    least = whole
+    least, size = whole, 0.0
     for atom in search.library.atoms_of(rival):
         form = search.columns_of(atom)
         cross = grams.gram[np.ix_(form, columns)] @ beta
         precision = np.eye(len(form)) / max(RIVAL, h.sizes[i]) ** 2
         inner = grams.gram[np.ix_(form, form)] + precision
-        absorbed = float(cross @ np.linalg.solve(inner, cross))
-        least = min(least, whole - absorbed)
-    return max(least, 0.0), whole
+        coefficients = np.linalg.solve(inner, cross)
+        left = whole - float(cross @ coefficients)
+        if left < least:
+            least, size = left, float(np.abs(coefficients).max())
+    return max(least, 0.0), whole, size
 
 
 def posterior_mean(grams: Grams, columns: Index, size: float) -> Array:
