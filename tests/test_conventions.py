@@ -176,6 +176,7 @@ LENGTHS = {
     "micro_cmm": 1.0,
     "tripod_rps": 1.0,
     "tripod_passive_leg": 1.0,
+    "tripod_upr_spr": 1.0,
     "cables_planar": 1.0,
     "cables_spatial": 1.0,
     "cable_robot": 1.0,

@@ -120,6 +120,19 @@ def tripod_passive_leg(rng: np.random.Generator) -> Geometry:
     return shape | {"reach": 0.25 * size, "first_axis": rng.uniform(-np.pi, np.pi)}
 
 
+def tripod_upr_spr(rng: np.random.Generator) -> Geometry:
+    """Two legs over a line along x and a third beside it, hanging or standing."""
+    size, way = drawn_size(rng), rng.choice([-1.0, 1.0])
+    third = rng.choice([-1.0, 1.0]) * np.array([0.0, rng.uniform(0.4, 0.6), 0.0])
+    half, offset = rng.uniform(0.3, 0.5), np.array([0.1 * rng.normal(), 0.0, 0.0])
+    base = np.array([[-half, 0.0, 0.0], [half, 0.0, 0.0], third + offset])
+    platform = 0.3 * base - way * np.array([0.0, 0.0, 0.3])
+    platform[:2] += 0.05 * rng.normal(size=(2, 3)) * [1.0, 0.0, 1.0]
+    home = np.array([0.0, 0.0, way * rng.uniform(1.3, 1.6)])
+    shape = {"base": base, "platform": platform, "home": home, "reach": 0.25}
+    return {name: size * np.asarray(value) for name, value in shape.items()}
+
+
 def cables_planar(rng: np.random.Generator) -> Geometry:
     """Four or five anchors around a point."""
     size, count = drawn_size(rng), int(rng.integers(4, 6))
@@ -261,6 +274,16 @@ def _passive_leg(geometry: Geometry, x: Array, q: Array) -> Verdict:
     return np.hstack([error, astray, square[:, None]]), mirrored
 
 
+def _upr_spr(geometry: Geometry, x: Array, q: Array) -> Verdict:
+    """All five constraints: planes of the three legs, axes of two universal joints."""
+    error, mirrored = _legs(geometry, x, q)
+    r = rotations(x)
+    axes = np.stack([r[:, :, 1], r[:, :, 1], r[:, :, 0]], axis=1)
+    planes = np.einsum("nki,nki->nk", _joints(geometry, x) - geometry["base"], axes)
+    square = r[:, :1, 1] * np.abs(geometry["base"]).max()
+    return np.hstack([error, planes, square]), mirrored
+
+
 def _cables(geometry: Geometry, x: Array, q: Array) -> Verdict:
     v = x[:, None] - geometry["anchor"]
     return np.linalg.norm(v, axis=2) - q, np.zeros(len(x), dtype=bool)
@@ -363,6 +386,7 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Geometry], Any]] = {
     "tripod_rps": (tripod_rps, _rps),
     "tripod_prs": (tripod_prs, _prs),
     "tripod_passive_leg": (tripod_passive_leg, _passive_leg),
+    "tripod_upr_spr": (tripod_upr_spr, _upr_spr),
     "cables_planar": (cables_planar, _cables),
     "cables_spatial": (cables_spatial, _cables),
     "rotary_delta": (rotary_delta, _rotary_delta),

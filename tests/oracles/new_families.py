@@ -99,12 +99,33 @@ def _pentapod(x: Array, q: Array, e: Errors) -> Array:
     return np.array(rows)
 
 
+def _tripod_upr_spr(x: Array, q: Array, e: Errors) -> Array:
+    base = np.array([[-0.35, 0.0, 0.0], [0.35, 0.0, 0.0], [0.0, 0.5, 0.0]])
+    joint = np.array([[-0.12, 0.0, 0.3], [0.12, 0.0, 0.3], [0.0, 0.15, 0.3]])
+    turn = Rotation.from_rotvec([x[3], x[4], 0.0]) * Rotation.from_rotvec([0, 0, x[5]])
+    rows = []
+    for k in range(3):
+        foot, end = (
+            base[k] + _vector(e, f"b{k + 1}"),
+            joint[k] + _vector(e, f"a{k + 1}"),
+        )
+        leg = turn.inv().apply(foot - x[:3]) - end
+        axis = Rotation.from_rotvec(_vector(e, f"turn{k + 1}")).apply(
+            np.eye(3)[0 if k == 2 else 1]
+        )
+        length = np.linalg.norm(leg)
+        from_square = np.arcsin(-leg @ axis / length) - e.get(f"hinge{k + 1}", 0.0)
+        rows += [length - e.get(f"l{k + 1}", 0.0) - q[k], from_square]
+    return np.array(rows)
+
+
 CLOSURES: dict[str, Callable[[Array, Array, Errors], Array]] = {
     "rotary_delta": _rotary_delta,
     "hexapod_rus": _hexapod_rus,
     "five_bar": _five_bar,
     "orthoglide": _orthoglide,
     "pentapod": _pentapod,
+    "tripod_upr_spr": _tripod_upr_spr,
 }
 
 
@@ -117,7 +138,7 @@ def pose(name: str, q: Array, errors: Errors, start: Array) -> Array:
 def slopes(name: str, q: Array, x: Array, names: list[str]) -> Array:
     """Slopes (nx, n) of the pose over errors, by central differences of the closure."""
     h, closure = 1e-6, CLOSURES[name]
-    by_x = np.empty((len(q), len(x)))
+    by_x = np.empty((len(x), len(x)))
     for k in range(len(x)):
         step = h * np.eye(len(x))[k]
         by_x[:, k] = (closure(x + step, q, {}) - closure(x - step, q, {})) / (2 * h)
