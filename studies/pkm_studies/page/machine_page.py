@@ -33,6 +33,7 @@ class ReadingEntry(msgspec.Struct, forbid_unknown_fields=True):
     key: str
     entries: list[str]
     remark: str = ""
+    direction: str = ""
     confirmed: bool = False
 
 
@@ -144,6 +145,7 @@ class MachinePage:
             entry.entries,
             entry.remark,
             confirmed=entry.confirmed,
+            direction=entry.direction,
         )
         self.offer, self.doubt = None, ""
 

@@ -19,6 +19,7 @@ from oed.dataset.columns import column_name, parse_column
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Coordinate
 from pkm_studies.page.readings_log import REMARK, UNDONE, FileContent
+from pkm_studies.resolve.conditions import PASS_SUFFIX
 from pkm_studies.sessions.skipped_poses import SKIPPED, is_skipped
 
 #: decimals of a command, mm or deg: those that a controller takes
@@ -37,6 +38,8 @@ def as_sent(measurement: Measurement, series: Series, row: int) -> Series:
     What is shown, driven to and written is then one pose. Raises AssemblyError.
     """
     one = series.take(np.array([row]))
+    run = PASS_SUFFIX.sub("", str(one.run[0]))  # `direction` tells passes apart
+    one = dataclasses.replace(one, run=np.array([run] * len(one), dtype=np.str_))
     if np.isnan(one.command).any():
         return one
     setup = measurement.setups[series.setup]
@@ -52,7 +55,7 @@ def as_sent(measurement: Measurement, series: Series, row: int) -> Series:
             for k in poses
         ]
     )
-    return measurement.series(series.setup, command, [str(one.run[0])] * len(command))
+    return measurement.series(series.setup, command, [run] * len(command))
 
 
 def _rounded(value: float, coordinate: Coordinate) -> float:

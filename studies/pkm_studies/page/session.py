@@ -22,7 +22,7 @@ from oed.estimation.identification import IdentificationError
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from pkm_studies.base.errors import InputError
-from pkm_studies.page import doubts, rows, typed
+from pkm_studies.page import approach, doubts, rows, typed
 from pkm_studies.page.readings_log import REMARK, FileContent, ReadingsLog, StaleError
 from pkm_studies.sessions.next_reading import Adviser, FittedReadings
 from pkm_studies.sessions.next_sentences import Advice
@@ -98,6 +98,8 @@ class MachineSession:
         self._lock = threading.RLock()
         self._fits: dict[str, FittedReadings | None] = {}
         self._keys: dict[str, None] = {}
+        study, machine = adviser.base.study, self.measurement.machine
+        self.effects_of_direction = approach.effects_of_direction(study, machine)
         self.state = self._state(self.log.read())
 
     @property
@@ -115,12 +117,14 @@ class MachineSession:
         remark: str,
         *,
         confirmed: bool,
+        direction: str = "",
     ) -> None:
         """Take a reading at the present pose; on return it is on the disk.
 
         key        of the entry: one that is sent again is taken once
         entries    what was typed, a text a column
         confirmed  whether doubts were shown before
+        direction  of approach: "+1", "-1", or "" where it is not noted
 
         Raises StaleError, DoubtfulError, and InputError for what is no reading.
         """
@@ -134,9 +138,12 @@ class MachineSession:
                 raise InputError("not as many numbers as columns", "type all of them")
             names = [column_name(c.name, c.unit) for c in columns]
             values = [typed.read(e, n) for e, n in zip(entries, names, strict=True)]
+            sign = approach.cell(direction, self.next_approach(content, pose))
             content = rows.with_clock(content, measurement)
             new = rows.reading_rows(measurement, pose.series, pose.row, values, content)
             new[-1] |= rows.time_cell(content)
+            if sign:
+                new[-1][approach.DIRECTION] = sign
             if remark:
                 new[-1][REMARK] = rows.clean_remark(remark)
             after = content.with_rows(new)
@@ -199,6 +206,16 @@ class MachineSession:
             content = self.log.read()
             if content.version != self.state.content.version:
                 self._publish(self._state(content))
+
+    def next_approach(
+        self, content: FileContent, pose: Pose
+    ) -> approach.Approach | None:
+        """The side from which a pose is to be approached; None where none matters."""
+        measurement = self.measurement
+        setup = measurement.setups[pose.series.setup]
+        return approach.next_approach(
+            content, measurement, setup, self.effects_of_direction
+        )
 
     # -- what follows ------------------------------------------------------------------
 

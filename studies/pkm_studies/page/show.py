@@ -15,7 +15,7 @@ from oed.model.instrument import Setup
 from pkm_reports.page import text
 from pkm_reports.view import scene
 from pkm_reports.view.scene import PageView, ViewReading
-from pkm_studies.page import doubts, known, rows
+from pkm_studies.page import approach, doubts, known, rows
 from pkm_studies.page.readings_log import REMARK, FileContent
 from pkm_studies.page.session import MachineSession, Pose, SessionState
 from pkm_studies.sessions.next_sentences import stop
@@ -90,6 +90,7 @@ def _pose_values(
         "setup": series.setup,
         "command": _numbers(command),
         "joints": _numbers(joints),
+        "approach": session.next_approach(state.content, pose),
         "fields": _fields(session, state, pose),
         "steps": _steps(session, state, pose),
     }
@@ -198,6 +199,7 @@ def _last_readings(session: MachineSession, content: FileContent) -> list[LastRe
             for stem, unit in [text.split_unit(name)]
             if unit and not name.startswith(("time_", "sigma_", "temp_"))
         ]
+        poses += filter(None, [approach.shown(cells)])
         shown = [f"{cell} {text.split_unit(name)[1]}" for name, cell in values.items()]
         listed.append(
             LastReading(

@@ -90,8 +90,8 @@ const live = {
     page.hints();
   },
 
-  typed: () => [...document.querySelectorAll('#entry input')].map(i => i.value),
-  retype(values) { document.querySelectorAll('#entry input').forEach((input, k) => { input.value = values[k] ?? ''; }); },
+  typed: () => [...document.querySelectorAll('#entry input, #entry select')].map(i => i.value),
+  retype(values) { document.querySelectorAll('#entry input, #entry select').forEach((input, k) => { input.value = values[k] ?? ''; }); },
 
   // What arrived by line goes into entries that nobody has typed into.
   fill() {
@@ -148,7 +148,7 @@ const live = {
     const button = form.querySelector('[type="submit"]');
     button.setAttribute('aria-busy', 'true');
     button.textContent = 'Checks …';
-    const answer = await live.request('/reading', {version: form.dataset.version, key: live.key, entries, remark: form.elements.remark.value, confirmed});
+    const answer = await live.request('/reading', {version: form.dataset.version, key: live.key, entries, remark: form.elements.remark.value, direction: form.elements.direction?.value ?? '', confirmed});
     live.taking = false;
     button.removeAttribute('aria-busy');
     button.textContent = 'Take';
