@@ -104,6 +104,7 @@ class MachinePage:
         return {
             "token": self.token(),
             "version": state.content.version,
+            "number": str(state.number),
             "parts": render.parts(values),
             "view": self._shown[1]["view"],
             "offer": self._offered(),

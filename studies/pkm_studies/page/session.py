@@ -10,6 +10,7 @@ import dataclasses
 import os
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
@@ -71,6 +72,7 @@ class SessionState:
     fitted   its readings; None before the first one
     advice   after them; None where they cannot be used: `problem` says why
     pose     of the next reading; None likewise
+    number   larger than that of any state before it, after a new start of the server too
     """
 
     content: FileContent
@@ -78,6 +80,7 @@ class SessionState:
     advice: Advice | None
     pose: Pose | None
     problem: str = ""
+    number: int = dataclasses.field(default_factory=time.time_ns)
 
 
 class MachineSession:
@@ -242,7 +245,8 @@ class MachineSession:
         self._publish(self._state(self.log.write(version, content)))
 
     def _publish(self, state: SessionState) -> None:
-        self.state = state
+        later = max(state.number, self.state.number + 1)
+        self.state = dataclasses.replace(state, number=later)
         self.changed(state.content.version)
 
     def _state(self, content: FileContent, *, repeated: bool = False) -> SessionState:

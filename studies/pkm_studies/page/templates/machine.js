@@ -24,7 +24,7 @@ class LiveView extends SceneView {
 
 const live = {
   state: JSON.parse(document.getElementById('live-data').textContent),
-  view: null, key: null, asked: null, offer: 0, taking: false, last: Promise.resolve(),
+  view: null, key: null, asked: null, offer: 0, taking: null, last: Promise.resolve(),
 
   node: name => document.getElementById(name === 'decide' ? 'decide-part' : name),
 
@@ -71,6 +71,8 @@ const live = {
   },
 
   show(state) {
+    // Answers may overtake each other: an older state is no news.
+    if (BigInt(state.number) < BigInt(live.state.number)) return;
     const before = live.state.version, open = [...document.querySelectorAll('main details[open]')].map(d => d.id);
     const padded = document.getElementById('pad')?.hidden === false;
     const drawn = JSON.stringify(live.state.view);
@@ -84,14 +86,20 @@ const live = {
     }
     for (const id of open) if (id) document.getElementById(id)?.setAttribute('open', '');
     if (padded) live.pad(true);
-    if (before !== state.version) { live.newKey(); live.ask([]); }
+    // The state after a reading may come before the answer to it: the next entry is free by then.
+    if (before !== state.version) { live.newKey(); live.ask([]); live.taking = null; }
     if (drawn !== JSON.stringify(state.view)) live.draw();
     live.fill();
     page.hints();
   },
 
-  typed: () => [...document.querySelectorAll('#entry input, #entry select')].map(i => i.value),
-  retype(values) { document.querySelectorAll('#entry input, #entry select').forEach((input, k) => { input.value = values[k] ?? ''; }); },
+  inputs: () => [...document.querySelectorAll('#entry input, #entry select')],
+  typed: () => ({values: live.inputs().map(i => i.value), at: live.inputs().indexOf(document.activeElement)}),
+  // Who types goes on typing, at the end of what is there.
+  retype({values, at}) {
+    live.inputs().forEach((input, k) => { input.value = values[k] ?? ''; });
+    live.inputs()[at]?.focus({preventScroll: true});
+  },
 
   // What arrived by line goes into entries that nobody has typed into.
   fill() {
@@ -144,17 +152,17 @@ const live = {
     const entries = [...form.querySelectorAll('[name="value"]')].map(i => i.value);
     const empty = [...form.querySelectorAll('[name="value"]')].find(i => !i.value.trim());
     if (empty) { live.say('Type the reading first.'); empty.focus(); return; }
-    live.taking = true;
+    const taking = live.taking = {};
     const button = form.querySelector('[type="submit"]');
     button.setAttribute('aria-busy', 'true');
     button.textContent = 'Checks …';
     const answer = await live.request('/reading', {version: form.dataset.version, key: live.key, entries, remark: form.elements.remark.value, direction: form.elements.direction?.value ?? '', confirmed});
-    live.taking = false;
+    if (live.taking === taking) live.taking = null;
     button.removeAttribute('aria-busy');
     button.textContent = 'Take';
     if (!answer) return;
     live.ask(answer.doubts || []);
-    if (answer.status === 200) live.focus(false);
+    if (answer.status === 200 && !live.inputs().includes(document.activeElement)) live.focus(false);
   },
 
   async click(event) {
