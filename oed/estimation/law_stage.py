@@ -68,11 +68,11 @@ def _by_stated_weights(
     robust = dataclasses.replace(fit, y=y)
     wider = stated.scaled(np.full(len(y), check.widening))
     (stage,) = first.stages
-    estimate = last_stage(robust, wider, first.theta, y, stage.patterns)
+    before = first.residuals_before
+    estimate = last_stage(robust, wider, first.theta, before, stage.patterns)
     return dataclasses.replace(
         estimate,
         residuals=fit.residuals(estimate.theta),
-        residuals_before=first.residuals_before,
         stages=(dataclasses.replace(stage, iterations=estimate.stages[-1].iterations),),
         chi2=first.chi2,
         dof=first.dof,

@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed import dataset
+from oed.base.arrays import Array
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import expected_columns
 from oed.compensate.effects.planned_effects import PlannedEffects, planned_effects
+from oed.design.candidates import Candidates
 from oed.gap.data import problem as problems
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
@@ -20,6 +22,8 @@ from pkm_studies.study import Study
 
 #: value of `effects` that allows none
 NONE = "none"
+#: combinations of effects that are unknowns of candidates, at most
+UNKNOWNS = 60
 
 
 def named_effects(
@@ -83,3 +87,16 @@ def effects_of_planned(
         rng,
         most,
     )
+
+
+def pose_error_slopes(pool: Candidates, raw: Array, effects: PlannedEffects) -> Array:
+    """Pose errors (n, k, columns) per unit of each column of candidates with effects.
+
+    raw  (n, k, p) per unit of each parameter of the machine, SI
+    """
+    measurement = pool.measurement
+    poses, components, parameters = raw.shape
+    by_parameter = np.zeros((poses, components, len(measurement.names)))
+    by_parameter[:, :, :parameters] = raw
+    scaled = (by_parameter * measurement.tolerance)[:, :, measurement.free]
+    return pool.over_all_columns(np.concatenate([scaled, effects.tool], axis=2))

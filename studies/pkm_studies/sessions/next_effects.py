@@ -26,13 +26,13 @@ from oed.noise.law_noise import noise_under
 from oed.noise.process import stated_laws
 from pkm_studies.resolve.planned_effects import (
     NONE,
+    UNKNOWNS,
     effects_of_planned,
     named_effects,
+    pose_error_slopes,
 )
 from pkm_studies.stages.run_state import RunState
 
-#: combinations of effects that are unknowns, at most
-UNKNOWNS = 60
 #: share of a wanted accuracy that no reading reaches
 OUT_OF_REACH = 1e-9
 
@@ -123,12 +123,8 @@ def outlook_with_effects(
     total[: pool.columns, : pool.columns] += prior_information(measurement)
     count = sum(map(len, taken))
     known = total + information(pool.blocks[:count])
-    poses, components, parameters = raw.shape
-    slopes = np.zeros((poses, components, len(measurement.names)))
-    slopes[:, :, :parameters] = raw
-    scaled = (slopes * measurement.tolerance)[:, :, measurement.free]
-    factors = pool.over_all_columns(np.concatenate([scaled, effects.tool], axis=2))
-    weights = weights_of(factors.swapaxes(0, 1) / np.sqrt(poses))
+    factors = pose_error_slopes(pool, raw, effects)
+    weights = weights_of(factors.swapaxes(0, 1) / np.sqrt(len(raw)))
     before, now = (np.asarray(np.linalg.inv(i), dtype=float) for i in (total, known))
     beliefs = Belief(before, weights), Belief(now, weights)
     return Outlook(pool, count, *beliefs, effects.others)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base import units
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Index
 from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.blocks import information
 from oed.design.exchange import Choice
@@ -15,16 +15,15 @@ from pkm_studies.base.errors import Place
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.planned_effects import (
     NONE,
+    UNKNOWNS,
     effects_of_planned,
     named_effects,
+    pose_error_slopes,
 )
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.study.tables import DesignTable
-
-#: combinations of effects that are unknowns of a design, at most
-UNKNOWNS = 60
 
 
 def allowed_effects(
@@ -129,7 +128,7 @@ def _accuracy(
         prior[: c.columns, : c.columns] += prior_information(measurement)
     total = prior + information(c.blocks[chosen])
     covariance = np.linalg.inv(total)
-    slopes = _slopes(problem, maps.raw, effects)
+    slopes = pose_error_slopes(c, maps.raw, effects)
     variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes, optimize=True)
     mean = variance / len(slopes) + effects.others
     fine = {x.name: units.FINE[x.unit] for x in measurement.machine.components}
@@ -137,14 +136,3 @@ def _accuracy(
         f"{name}_{fine[name]}": units.number(float(np.sqrt(value)), fine[name])
         for name, value in zip(maps.names, mean, strict=True)
     }
-
-
-def _slopes(problem: DesignProblem, raw: Array, effects: PlannedEffects) -> Array:
-    """Pose errors (n, k, columns) per unit of each column of the candidates."""
-    c = problem.candidates
-    measurement = c.measurement
-    poses, components, parameters = raw.shape
-    by_parameter = np.zeros((poses, components, len(measurement.names)))
-    by_parameter[:, :, :parameters] = raw
-    scaled = (by_parameter * measurement.tolerance)[:, :, measurement.free]
-    return c.over_all_columns(np.concatenate([scaled, effects.tool], axis=2))
