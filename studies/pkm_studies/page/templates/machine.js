@@ -24,7 +24,7 @@ class LiveView extends SceneView {
 
 const live = {
   state: JSON.parse(document.getElementById('live-data').textContent),
-  view: null, key: null, asked: null, offer: 0, taking: null, last: Promise.resolve(),
+  view: null, key: null, offer: 0, taking: null, last: Promise.resolve(),
 
   node: name => document.getElementById(name === 'decide' ? 'decide-part' : name),
 
