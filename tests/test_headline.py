@@ -46,6 +46,11 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
         "far": {name: 345.0 * value for name, value in after.items()},
         "remedy": "measure each joint's travel",
     }
+    usual = {
+        "effects": ["pitch_accumulation", "backlash"],
+        "unmodelled": {"z": 1300.0, "psi": 240.0, "theta": 15.2},
+        "fitted": {"z": 300.0, "psi": 90.0, "theta": 7.1},
+    }
     line = {
         "source": "noise of ball_bar",
         "kind": "instrument",
@@ -59,7 +64,17 @@ def result(changes: dict[str, tuple[float, float]]) -> StudyResult:
         "unit": units,
         "map": [],
         "realised": None,
-        "budget": {"predicted": after, "lines": [line], "unmodelled": [unmodelled]},
+        "budget": {
+            "predicted": after,
+            "lines": [line],
+            "unmodelled": [unmodelled],
+            "usual": {
+                part: values
+                if part == "effects"
+                else {name: values[name] for name in after}
+                for part, values in usual.items()
+            },
+        },
     }
     return report_fixture.result_of(raw)
 
@@ -103,8 +118,10 @@ def test_the_terminal_has_each_figure_once() -> None:
         assert text.count(figure) == 1
     (row,) = [line for line in lines if "pitch_accumulation of 10 um" in line]
     assert row.split()[-3:] == ["1118", "237", "15.1"]
-    (row,) = [line for line in lines if "30 times as much of it" in line]
-    assert row.split()[-3:] == ["33534", "7107", "452"]
+    (row,) = [line for line in lines if "+ all 2 usual effects" in line]
+    assert row.split()[-3:] == ["1300", "240", "15.2"]
+    (row,) = [line for line in lines if "in the fit and corrected" in line]
+    assert row.split()[-3:] == ["300", "90", "7.1"]
     assert [line for line in lines if "half the noise of ball_bar" in line]
     assert "Remedy: measure each joint's travel." in text
 
@@ -144,10 +161,10 @@ def test_the_first_page_says_what_the_model_lacks() -> None:
     (part,) = [p for p in answer.parts(result(CHANGES)) if p.anchor == "how-accurate"]
     words = " ".join(getattr(block, "text", "") for block in part.blocks)
     plain = words.replace("\N{NO-BREAK SPACE}", " ")
-    assert "Pitch accumulation of its expected size (10 µm)" in plain
+    assert "pitch accumulation of its expected size (10 µm)" in plain
     assert "Remedy: measure each joint's travel." in plain
     (table,) = [block for block in part.blocks if isinstance(block, Table)]
     titles = [column.title for column in table.columns]
     z = dict(zip(titles, table.rows[0], strict=True))
-    assert (z["After"], z["With effect"], z["Very large"]) == ("97.2", "1118", "33534")
-    assert "1118" not in plain  # each figure once
+    assert (z["After"], z["With effects"], z["Corrected"]) == ("97.2", "1300", "300")
+    assert "1300" not in plain  # each figure once

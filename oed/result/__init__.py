@@ -15,7 +15,12 @@ from oed.result.adjustment import (
     AdjustmentLine,
     AdjustmentSection,
 )
-from oed.result.budget import BudgetLine, BudgetSection, UnmodelledLine
+from oed.result.budget import (
+    BudgetLine,
+    BudgetSection,
+    UnmodelledLine,
+    UsualEffects,
+)
 from oed.result.corrected import CorrectedSection, EffectEstimate, EffectTable
 from oed.result.design import (
     AllowedEffects,
@@ -188,6 +193,7 @@ __all__ = [
     "ToolAccuracy",
     "Trace",
     "UnmodelledLine",
+    "UsualEffects",
     "VerdictRecord",
     "VerificationSection",
     "WorkingOrder",

@@ -46,6 +46,21 @@ class UnmodelledLine(Record, frozen=True):
     far: dict[str, float] = {}
 
 
+class UsualEffects(Record, frozen=True):
+    """Accuracy of a machine with all usual effects at their expected sizes.
+
+    Values are rms errors by pose component.
+
+    effects     their names
+    unmodelled  where the calibration knows none of them
+    fitted      where all are fitted with the parameters, and corrected with them
+    """
+
+    effects: list[str]
+    unmodelled: dict[str, float]
+    fitted: dict[str, float]
+
+
 class BudgetSection(Record, frozen=True):
     """Sources of the errors that remain, each component in its fine unit.
 
@@ -55,11 +70,13 @@ class BudgetSection(Record, frozen=True):
     lines       of what the prediction contains
     unmodelled  effects that it does not contain, at their expected sizes, the one that
                 adds most first
+    usual       the machine with all of these; null where none are listed
     advice      what to improve first, in sentences
     """
 
     predicted: dict[str, float]
     lines: list[BudgetLine]
     unmodelled: list[UnmodelledLine] = []
+    usual: UsualEffects | None = None
     advice: list[str] = []
     no_axes: dict[str, float] = {}

@@ -5,6 +5,9 @@ readings by G beta and the pose by E beta. A calibration that does not know it t
 part for parameters, so that the compensated machine errs by
 
     e = (E - A K G) beta,        K = S H^T C^-1.
+
+One that fits all effects with the parameters, and takes back what it then knows of both,
+leaves what the joint posterior of z and beta leaves, each effect's constants unknown.
 """
 
 from __future__ import annotations
@@ -49,6 +52,22 @@ class ExpectedEffect:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class ExpectedEffects:
+    """Expected errors by effects that the model lacks.
+
+    Variances (n, k) of the pose components, SI, are means over the constants.
+
+    effects  those that have any
+    added    variance by all of them together, beside the geometry's
+    fitted   variance of all, where effects are fitted and corrected with the parameters
+    """
+
+    effects: list[ExpectedEffect]
+    added: Array
+    fitted: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class _Form:
     """An effect at one set of constants, with its textbook's coefficients.
 
@@ -68,8 +87,8 @@ def expected_effects(
     effects: Sequence[Effect],
     reference: Reference,
     rng: np.random.Generator,
-) -> list[ExpectedEffect]:
-    """Expected errors at the commands of `maps`, of those effects that have any.
+) -> ExpectedEffects:
+    """Expected errors at the commands of `maps`.
 
     model  of the problem's readings, linearised where the problem is. Effects that
            depend on what the plan does not state (a payload) are left out
@@ -83,35 +102,70 @@ def expected_effects(
         for form in _forms(problem, effect, state)
     ]
     if not forms:
-        return []
+        nothing = np.zeros((len(problem), 0))
+        still = np.zeros((*maps.raw.shape[:2], 0))
+        fitted = _fitted(model, maps.raw, nothing, still)
+        return ExpectedEffects([], np.zeros_like(fitted), fitted)
     parameters = problem.theta[: len(machine.parameters)]
-    acting = [form.acting for form in forms]
     in_workspace = effect_maps(
         session.measurement.kinematics,
-        acting,
+        [form.acting for form in forms],
         state,
         parameters,
         maps.command,
         reference,
     )
-    changes = np.hstack([form.changes for form in forms])
-    errors = in_workspace.raw - maps.raw @ model.response(changes)
-    ends = np.cumsum([form.changes.shape[1] for form in forms])
-    variances: dict[str, list[Array]] = {}
-    for form, part in zip(forms, np.split(errors, ends[:-1], axis=2), strict=True):
-        if np.isfinite(part).all() and part.any():
-            of_effect = variances.setdefault(form.acting.effect.name, [])
-            of_effect.append(np.sum(part**2, axis=2))
-    first = {form.acting.effect.name: form for form in reversed(forms)}
-    return [
-        ExpectedEffect(
-            effect=first[name].acting.effect,
-            sizes=first[name].sizes,
-            variance=np.median(table, axis=0),
-            not_testable=untestable(first[name].acting.effect, problem.states),
-        )
-        for name, table in variances.items()
+    ends = np.cumsum([form.changes.shape[1] for form in forms])[:-1]
+    tool = np.split(in_workspace.raw, ends, axis=2)
+    acting: dict[str, list[tuple[_Form, Array]]] = {}
+    for form, part in zip(forms, tool, strict=True):
+        known = np.isfinite(part).all() and np.isfinite(form.changes).all()
+        if known and (part.any() or form.changes.any()):
+            acting.setdefault(form.acting.effect.name, []).append((form, part))
+    listed = [
+        _expected(problem, model, maps.raw, of_effect) for of_effect in acting.values()
     ]
+    # An effect has one set of constants: its coefficients at several share its variance.
+    pairs = [(f, p, len(some) ** -0.5) for some in acting.values() for f, p in some]
+    changes = np.hstack([share * form.changes for form, _, share in pairs])
+    displaced = np.concatenate([share * part for _, part, share in pairs], axis=2)
+    errors = displaced - maps.raw @ model.response(changes)
+    added = np.sum(errors**2, axis=2)
+    return ExpectedEffects(listed, added, _fitted(model, maps.raw, changes, displaced))
+
+
+def _expected(
+    problem: GapProblem,
+    model: BudgetModel,
+    slopes: Array,
+    forms: Sequence[tuple[_Form, Array]],
+) -> ExpectedEffect:
+    """One effect's errors, by its forms and what each does to the tool (n, k, m)."""
+    errors = [part - slopes @ model.response(form.changes) for form, part in forms]
+    variances = [np.sum(error**2, axis=2) for error in errors]
+    first, _ = forms[0]
+    effect = first.acting.effect
+    return ExpectedEffect(
+        effect=effect,
+        sizes=first.sizes,
+        variance=np.median(variances, axis=0),
+        not_testable=untestable(effect, problem.states),
+    )
+
+
+def _fitted(model: BudgetModel, slopes: Array, changes: Array, tool: Array) -> Array:
+    """Variance (n, k), SI, by the joint posterior of parameters and effects.
+
+    slopes   (n, k, p) of the pose over the parameters that move it, SI
+    changes  (N, m) of the readings per prior standard deviation of each coefficient, SI
+    tool     (n, k, m) of the pose likewise
+    """
+    columns = np.hstack([model.slopes, model.structure.standardise(changes)])
+    white = model.readings.whiten(columns, {})
+    covariance = np.linalg.inv(np.eye(columns.shape[1]) + white.T @ white)
+    by_parameter = slopes @ model.root[model.used]
+    by_unknown = np.concatenate([by_parameter, tool], axis=2)
+    return np.asarray(np.sum((by_unknown @ covariance) * by_unknown, axis=2))
 
 
 def _forms(problem: GapProblem, effect: Effect, state: State) -> list[_Form]:

@@ -118,6 +118,11 @@ def _budget(
         # results of older versions have no sizes by decades
         if effect.far:
             yield from base.same_names(f"{at}.far", effect.far, names, of)
+    usual = section.usual
+    if usual is not None:
+        for part in ("unmodelled", "fitted"):
+            at = f"{field}.usual.{part}"
+            yield from base.same_names(at, getattr(usual, part), names, of)
 
 
 def _spreads(field: str, spreads: Mapping[str, SpreadRecord]) -> Iterator[Breach]:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pkm_studies.base import console
 from pkm_studies.stages.headline import REFERENCES, format_number, without_drive
-from pkm_studies.stages.predict.budget import FAR, improvements
+from pkm_studies.stages.predict.budget import improvements
 
 if TYPE_CHECKING:
-    from oed.result import PredictionSection, StudyResult
+    from oed.result import PredictionSection, StudyResult, UsualEffects
 
 
 class AccuracyRow(NamedTuple):
@@ -67,12 +67,23 @@ def rows(result: StudyResult, prediction: PredictionSection) -> list[AccuracyRow
     for worst in budget.unmodelled[:1]:
         words = f"+ {worst.effect} of {worst.expected}, not in the model"
         lines.append(AccuracyRow(words, worst.with_it))
-        if worst.far:
-            lines.append(AccuracyRow(f"+ {FAR:.0f} times as much of it", worst.far))
+    if budget.usual is not None:
+        lines += _usual_rows(budget.usual)
     units = shown_components(prediction)
     for words, better in improvements(budget.lines, budget.predicted, units):
         lines.append(AccuracyRow(f"with {words}", better))
     return lines
+
+
+def _usual_rows(usual: UsualEffects) -> list[AccuracyRow]:
+    """The machine with all usual effects, without and with them in the fit."""
+    count = len(usual.effects)
+    if count == 1:
+        return [AccuracyRow("the same, in the fit and corrected", usual.fitted)]
+    return [
+        AccuracyRow(f"+ all {count} usual effects, not in the model", usual.unmodelled),
+        AccuracyRow("the same, in the fit and corrected", usual.fitted),
+    ]
 
 
 def remarks(result: StudyResult, prediction: PredictionSection) -> list[str]:
@@ -88,7 +99,8 @@ def remarks(result: StudyResult, prediction: PredictionSection) -> list[str]:
         sentences.append(
             f"The prediction is geometry alone, without {worst.effect}: calibration takes"
             f" some of it for geometry, and sizes vary by decades. Remedy:"
-            f" {worst.remedy}."
+            f' {worst.remedy}. With effects = "catalogue" in [identify] the fit takes in'
+            " what readings show of effects."
         )
     return sentences
 

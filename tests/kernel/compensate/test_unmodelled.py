@@ -5,7 +5,7 @@ import pytest
 from oracles import a3_geometry as a3
 
 from kernel import a3_plans
-from kernel.compensate.test_corrected import PER_KELVIN, WARM_LEG, planned
+from kernel.compensate.test_corrected import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
 from oed.accuracy import prediction
 from oed.accuracy.budget import budget_model
@@ -28,7 +28,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     command = a3_plans.workspace()[::9]
     maps = prediction.error_maps(m.kinematics, command, "absolute")
     session = SessionStates(m, rows, problem.states, DOWN)
-    (expected,) = expected_effects(
+    first = expected_effects(
         problem,
         session,
         model,
@@ -37,6 +37,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
         "absolute",
         np.random.default_rng(3),
     )
+    (expected,) = first.effects
     assert expected.not_testable is None
     assert expected.sizes["leg 2 per kelvin"] == PER_KELVIN
     q = series.q[series.index[:, 0]].copy()
@@ -53,7 +54,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     assert np.abs(z) == pytest.approx(wanted, rel=0.05, abs=0.02 * wanted.max())
     assert np.sqrt(np.mean(z**2)) > 1e-6
     smaller = with_expected_size(leg_thermal.effect, "1/K", PER_KELVIN / 4.0)
-    (quarter,) = expected_effects(
+    second = expected_effects(
         problem,
         session,
         model,
@@ -62,8 +63,57 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
         "absolute",
         np.random.default_rng(3),
     )
+    (quarter,) = second.effects
     assert quarter.sizes["leg 2 per kelvin"] == pytest.approx(PER_KELVIN / 4.0)
     assert 16.0 * quarter.variance == pytest.approx(expected.variance, rel=1e-9)
+
+
+def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leaves() -> (
+    None
+):
+    """Dense matrices; the leg's columns are differences of the oracle's head."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    command = a3_plans.workspace()[::17]
+    maps = prediction.error_maps(m.kinematics, command, "absolute")
+    session = SessionStates(m, rows, problem.states, DOWN)
+    all_of_it = expected_effects(
+        problem,
+        session,
+        budget_model(m, problem.series, m.nominal),
+        maps,
+        [leg_thermal.effect],
+        "absolute",
+        np.random.default_rng(3),
+    )
+    q = series.q[series.index[:, 0]].copy()
+    cup = a3.forward(np.zeros(24), series.q[series.index[:1, 1]]).tip
+    cold = a3.ball_bar_reading(np.zeros(24), q, cup)
+    q[:, WARM_LEG] *= 1.0 + PER_KELVIN * rows["temp_leg2"].to_numpy()
+    change = a3.ball_bar_reading(np.zeros(24), q, cup) - cold
+    state = workspace_state(session, m.nominal, command, np.random.default_rng(3))
+    nominal = np.zeros(24)
+    joints = compensate.compensated_joints(m.kinematics, command, nominal)
+    joints[:, WARM_LEG] *= 1.0 + PER_KELVIN * state.temperature["leg2"][:-1]
+    moved = a3.forward(nominal, joints).tip[:, 2] - command[:, 0]
+    h = np.column_stack([m.jacobian([series], m.nominal) * m.tolerance, change])
+    covariance = np.linalg.inv(np.eye(h.shape[1]) + h.T @ h / NOISE**2)
+    z = maps.names.index("z")
+    by_parameter = np.zeros((len(command), len(m.names)))
+    by_parameter[:, :24] = maps.raw[:, z]
+    unit = np.column_stack([by_parameter * m.tolerance, moved])
+    wanted = np.einsum("ni,ij,nj->n", unit, covariance, unit)
+    assert all_of_it.fitted[:, z] == pytest.approx(wanted, rel=0.02)
+    parameters = covariance_of_parameters(h[:, :-1])
+    geometry = np.einsum("ni,ij,nj->n", unit[:, :-1], parameters, unit[:, :-1])
+    assert np.all(geometry <= wanted * (1.0 + 1e-6))
+    assert np.all(all_of_it.fitted[:, z] <= geometry + all_of_it.added[:, z])
+
+
+def covariance_of_parameters(h: np.ndarray) -> np.ndarray:
+    """Posterior covariance without any effect, in units of the tolerances."""
+    return np.linalg.inv(np.eye(h.shape[1]) + h.T @ h / NOISE**2)
 
 
 def test_an_effect_acts_in_the_states_of_use() -> None:
@@ -110,4 +160,4 @@ def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
         "home",
         np.random.default_rng(3),
     )
-    assert [e.effect.name for e in expected] == ["gravity"]
+    assert [e.effect.name for e in expected.effects] == ["gravity"]

@@ -263,30 +263,39 @@ def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
 
 
 def _effect_columns(prediction: PredictionSection) -> dict[str, Mapping[str, float]]:
-    """Errors with the effect outside the model that adds most, by heading of column."""
-    if prediction.budget is None or not prediction.budget.unmodelled:
+    """Errors of a machine with usual effects, by heading of column."""
+    budget = prediction.budget
+    if budget is None or not budget.unmodelled:
         return {}
-    worst = prediction.budget.unmodelled[0]
-    columns: dict[str, Mapping[str, float]] = {"With effect": worst.with_it}
-    if worst.far:
-        columns["Very large"] = worst.far
-    return columns
+    if budget.usual is None:  # results of older versions
+        return {"With effect": budget.unmodelled[0].with_it}
+    return {"With effects": budget.usual.unmodelled, "Corrected": budget.usual.fitted}
 
 
 def _unmodelled(prediction: PredictionSection) -> list[Block]:
-    """What the effect outside the model that adds most makes of the accuracy."""
-    columns = _effect_columns(prediction)
-    if prediction.budget is None or not columns:
+    """What the effects outside the model make of the accuracy, and the largest of them."""
+    budget = prediction.budget
+    if budget is None or not budget.unmodelled:
         return []
-    worst = prediction.budget.unmodelled[0]
+    worst = budget.unmodelled[0]
     effect = worst.effect.replace("_", " ")
-    far = ", and 'Very large' for a very large one" if len(columns) > 1 else ""
+    size = f"{effect} of its expected size ({text.with_symbols(worst.expected)})"
+    remedy = f"Sizes vary by decades. Remedy: {worst.remedy.rstrip('.')}."
+    if budget.usual is None:
+        return [
+            Notice(
+                f"'After' is geometry alone. 'With effect' adds {size}, which the model"
+                f" lacks and calibration takes in part for geometry. {remedy}"
+            )
+        ]
+    count = len(budget.usual.effects)
+    which = f"the {count} usual effects" if count > 1 else "the usual effect"
     return [
         Notice(
-            f"'After' is geometry alone. {effect.capitalize()} of its expected size"
-            f" ({text.with_symbols(worst.expected)}), which the model lacks, brings the"
-            " errors in the column 'With effect': calibration takes a part of it for"
-            f" geometry. Sizes vary by decades{far}. Remedy: {worst.remedy.rstrip('.')}."
+            f"'After' is geometry alone. 'With effects' adds {which} of such a machine,"
+            " at expected sizes, which calibration takes in part for geometry;"
+            " 'Corrected' fits and corrects them as well (effects = \"catalogue\" in"
+            f" [identify]). The largest is {size}. {remedy}"
         )
     ]
 

@@ -11,10 +11,10 @@ from oed.accuracy.budget import Budget, Line
 from oed.accuracy.prediction import Prediction
 from oed.base import units
 from oed.base.arrays import Array
-from oed.compensate.effects.unmodelled import ExpectedEffect
+from oed.compensate.effects.unmodelled import ExpectedEffect, ExpectedEffects
 from oed.model.machine import Machine
 from oed.model.size_prior import EFFECT_SIZES
-from oed.result import BudgetLine, BudgetSection, UnmodelledLine
+from oed.result import BudgetLine, BudgetSection, UnmodelledLine, UsualEffects
 
 #: share of the error below which an improvement is not worth a sentence
 WORTH = 0.02
@@ -37,7 +37,7 @@ def budget_section(
     machine: Machine,
     prediction: Prediction,
     budget: Budget,
-    expected: Sequence[ExpectedEffect] = (),
+    expected: ExpectedEffects | None = None,
 ) -> BudgetSection:
     """The budget in the components' fine units, with effects that are not modelled."""
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
@@ -45,13 +45,15 @@ def budget_section(
     lines = [_line(budget, line, fine) for line in budget.lines]
     predicted = _in_units(budget.names, np.sqrt(budget.variance), fine)
     after = np.array([prediction.after[name].rms for name in budget.names])
-    unmodelled = [_unmodelled(effect, budget.names, after, fine) for effect in expected]
+    effects = [] if expected is None else expected.effects
+    unmodelled = [_unmodelled(effect, budget.names, after, fine) for effect in effects]
     geometry = _in_units(budget.names, after, fine)
     unmodelled.sort(key=lambda line: -_ratio(line.with_it, geometry, driven))
     return BudgetSection(
         predicted=dict(predicted),
         lines=lines,
         unmodelled=unmodelled,
+        usual=_usual(expected, budget.names, after, fine),
         advice=advice_on(lines, predicted, driven or fine),
         no_axes={n: v for n, v in geometry.items() if n not in driven},
     )
@@ -69,13 +71,26 @@ def unmodelled_sentence(
         return None
     worst = section.unmodelled[0]
     geometry = quantities(after, driven)
-    whole = quantities(worst.with_it, driven)
-    far = quantities(worst.far, driven)
+    opening = f"This is geometry alone ({geometry})."
+    effect = f"{worst.effect} of its expected size ({worst.expected})"
+    usual = section.usual
+    if usual is None or len(usual.effects) == 1:
+        whole = quantities(worst.with_it, driven)
+        added = f"{effect} would bring {whole}, as calibration takes a part of it for"
+        cause = "geometry"
+    else:
+        whole = quantities(usual.unmodelled, driven)
+        added = f"All {len(usual.effects)} usual effects would bring {whole}, as"
+        cause = f"calibration takes a part of them for geometry; most is {effect}"
+    corrected = ""
+    if usual is not None:
+        corrected = (
+            ". Fitted with the geometry and corrected they would leave"
+            f' {quantities(usual.fitted, driven)} (effects = "catalogue" in [identify])'
+        )
     return (
-        f"This is geometry alone ({geometry}). {worst.effect} of its expected size"
-        f" ({worst.expected}) would bring {whole}, as calibration takes a part of it for"
-        f" geometry; sizes vary by decades, and {FAR:.0f} times that size would bring"
-        f" {far}: {worst.remedy}."
+        f"{opening} {added} {cause}{corrected}. Sizes vary by decades. Remedy:"
+        f" {worst.remedy}."
     )
 
 
@@ -120,6 +135,24 @@ def _unmodelled(
         remedy=effect.remedy,
         not_testable=expected.not_testable,
         far=dict(_in_units(names, np.sqrt(after**2 + FAR**2 * variance), fine)),
+    )
+
+
+def _usual(
+    expected: ExpectedEffects | None,
+    names: Sequence[str],
+    after: Array,
+    fine: Mapping[str, str],
+) -> UsualEffects | None:
+    """The machine with all effects; None where there are none."""
+    if expected is None or not expected.effects:
+        return None
+    added = expected.added.mean(axis=0)
+    fitted = expected.fitted.mean(axis=0)
+    return UsualEffects(
+        effects=[effect.effect.name for effect in expected.effects],
+        unmodelled=dict(_in_units(names, np.sqrt(after**2 + added), fine)),
+        fitted=dict(_in_units(names, np.sqrt(fitted), fine)),
     )
 
 

@@ -14,7 +14,7 @@ from oed.accuracy.prediction import Spread
 from oed.base.arrays import Array
 from oed.base.units import MM
 from oed.compensate.effects.effect_maps import SessionStates
-from oed.compensate.effects.unmodelled import ExpectedEffect, expected_effects
+from oed.compensate.effects.unmodelled import ExpectedEffects, expected_effects
 from oed.gap.data import problem as problems
 from oed.measurement.measurement import Measurement, Series
 from oed.posterior import laplace
@@ -155,12 +155,12 @@ def _section(
     section = accuracy.accuracy_section(
         state.measurement.kinematics, main.prediction, mode, budget
     )
-    expected = _expected_effects(state, main) if planned else []
+    expected = _expected_effects(state, main) if planned else None
     lines = budget_section(machine, main.prediction, budget, expected)
     return msgspec.structs.replace(section, budget=lines)
 
 
-def _expected_effects(state: Scheduled, main: Accuracy) -> list[ExpectedEffect]:
+def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects:
     """Effects that usually go unmodelled, at the sizes that are expected of them."""
     return expected_unmodelled(
         state.measurement,
@@ -257,7 +257,7 @@ def expected_unmodelled(
     request: GapRequest,
     reference: Reference,
     rng: np.random.Generator,
-) -> list[ExpectedEffect]:
+) -> ExpectedEffects:
     """Errors by each effect of a request in planned readings and over the workspace."""
     planned = empty_readings(measurement, series, request)
     problem = problems.assemble(
