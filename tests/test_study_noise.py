@@ -72,7 +72,13 @@ def test_seating_is_refused_where_nothing_is_seated() -> None:
 def test_a_stated_law_is_narrower_and_reported(tmp_path: Path) -> None:
     """Intervals of a bar whose cup stays, and the numbers of the law that are left."""
     readings, results = bar_readings.a3_readings(0), {}
-    stated = ("seating_um = 0", "length_run_um = 0", "carried = 0", "outlier_share = 0")
+    stated = (
+        "seating_um = 0",
+        "length_run_um = 0",
+        "carried = 0",
+        "course = false",
+        "outlier_share = 0",
+    )
     for name, lines in (("wide", ()), ("stated", stated)):
         study = sample.changed(
             test_bad_fit.STUDY, (NOISE, "\n".join([NOISE, "estimate = true", *lines]))
@@ -88,7 +94,7 @@ def test_a_stated_law_is_narrower_and_reported(tmp_path: Path) -> None:
         k: {r["kind"] for r in v["goodness"]["noise"].values()}
         for k, v in results.items()
     }
-    assert kinds["wide"] == {"reading", "run", "seat", "carried", "reach"}
+    assert kinds["wide"] == {"reading", "run", "seat", "course", "carried", "reach"}
     assert kinds["stated"] == {"reading"}
     wide, narrow = (
         [c["sd"] for c in results[name]["estimate"]["combinations"]]

@@ -16,14 +16,14 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.model.instrument import Setup
 from oed.noise.marginal import NoisePosterior
-from oed.noise.prior import CARRIED, RUN
+from oed.noise.prior import CARRIED, COURSE, RUN
 from oed.noise.process import Laws
 from oed.result.goodness import NoiseRecord
 
 #: probability from which on a departure is reported
 SURE = 0.95
 #: kinds of numbers that are standard deviations
-ERRORS = ("reading", "run", "seat")
+ERRORS = ("reading", "run", "seat", "course")
 #: factor on the stated noise, share of it that a run shares, and share of the variance
 #: carried along, beyond which a law is another than the stated one
 SCATTER, SHARED, MOST_CARRIED = 1.2, 0.5, 0.25
@@ -70,6 +70,10 @@ def _numbers(
             grown = known - stated.shared if stated.is_level else level
             expected = sigma * stated.shared
             yield number("run", name, unit, whole, expected, grown > SHARED)
+        if COURSE in posterior.prior.names:
+            course = scale * laws.course
+            far = course > SHARED
+            yield number("course", name, unit, sigma * course, 0.0, far)
         if setup.instrument.renewed and setup.statement.seating != 0.0:
             seat, expected = _seating(setup, sigma, scale, laws)
             far = seat - expected > SHARED * sigma

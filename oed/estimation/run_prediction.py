@@ -7,7 +7,8 @@ covariance Q_bb^-1, Q = K^-1 (Dubrule 1983, Mathematical Geology 15, 687-699), s
     chi2_b = (Q r)_b^T Q_bb^-1 (Q r)_b,
     log p(y_b | others) = -1/2 [ n_b log 2 pi - log |Q_bb| + chi2_b ].
 
-Noise is that of the estimate; it is independent between runs. The model is linear at the
+Noise is that of the estimate. What of it all readings share, a course or effects, stands
+beside the slopes J T; the rest is independent between runs. The model is linear at the
 estimate.
 """
 
@@ -64,9 +65,11 @@ def predict_runs(
     origin = np.where(estimate.prior_sd > 0.0, measurement.nominal, estimate.theta)
     residual = _residuals(measurement, series, estimate)
     about_nominal = residual + jacobian @ (estimate.theta - origin)
-    white = estimate.noise.whiten(about_nominal)
+    noise, common = estimate.noise.of_runs()
+    white = noise.whiten(about_nominal)
     freed = estimate.prior_sd > 0.0
-    slopes = estimate.noise.whiten(measurement.in_prior_units(jacobian, freed))
+    in_prior_units = measurement.in_prior_units(jacobian, freed)
+    slopes = noise.whiten(np.hstack([in_prior_units, common]))
     gram = np.eye(slopes.shape[1]) + slopes.T @ slopes
     root = linalg.cholesky(gram, lower=True)
     shared = linalg.solve_triangular(root, slopes.T, lower=True).T

@@ -15,6 +15,7 @@ from oed.measurement.reading_noise import (
     reading_sigma,
     run_errors,
 )
+from oed.noise.course import course_terms
 from oed.noise.covariance import block_noise
 from oed.noise.stated import StatedErrors
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -75,9 +76,11 @@ def reading_structure(
         seated=seated_slopes(measurement, series, theta),
     )
     columns, kinds = errors.columns()
+    group = np.concatenate(parts.group).astype(np.intp)
+    statement = common_statement(measurement, series)
     return ReadingStructure(
         names=tuple(names),
-        group=np.concatenate(parts.group).astype(np.intp),
+        group=group,
         chain=chain.ravel().astype(np.intp),
         run=pairs[:, 0].astype(np.intp),
         position=np.concatenate(parts.position).astype(float),
@@ -85,9 +88,28 @@ def reading_structure(
         decouple=None if independent else decouple,
         columns=columns,
         kinds=kinds,
-        statement=common_statement(measurement, series),
+        course=_course(measurement, series, group, statement),
+        statement=statement,
         sigma=np.concatenate(parts.sigma),
     )
+
+
+def _course(
+    measurement: Measurement,
+    series: Sequence[Series],
+    group: Index,
+    statement: NoiseStatement,
+) -> Array:
+    """Terms (N, c) of a course through the session, in the order of the series."""
+    if statement.is_assumed or not statement.has_course:
+        return np.zeros((len(group), 0))
+    channels = [len(measurement.setups[s.setup].instrument.channels) for s in series]
+    count = sum(len(s) for s in series)
+    number = np.arange(count) / max(count - 1, 1)
+    of_series = np.split(number, np.cumsum([len(s) for s in series])[:-1])
+    pairs = zip(of_series, channels, strict=True)
+    progress = np.concatenate([np.repeat(part, n) for part, n in pairs])
+    return course_terms(group, progress)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -77,6 +77,13 @@ class Noise:
             self.sigma * factor, sparse.csr_array(white), sparse.csr_array(root)
         )
 
+    def of_runs(self) -> tuple[Noise, Array]:
+        """Noise that is independent between runs, and what all readings share beside it.
+
+        The latter as columns (N, k), SI, per standard deviation of each.
+        """
+        return self, np.zeros((len(self.sigma), 0))
+
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
         """Draws (..., N)."""
         return self.correlate(rng.standard_normal(shape))

@@ -32,6 +32,7 @@ from oed.noise.structure import (
 
 #: names of the errors of readings
 BEYOND = "noise beyond the stated one"
+COURSE = "course of the session"
 LEVELS = "run-to-run level"
 SHARED = "error shared by a run"
 SEAT = "set-up seated anew"
@@ -98,6 +99,20 @@ class LawNoise(Noise):
             return np.asarray(diagonal / self.structure.unit**2)
         return np.asarray(self.structure.decouple.power(2).T @ diagonal)
 
+    def of_runs(self) -> tuple[Noise, Array]:
+        """As in `Noise`: effects and the course apart."""
+        structure, law = self.structure, self.law
+        columns = []
+        if structure.has_effects:
+            columns.append(structure.effects)
+        if structure.course.size:
+            size = law.course[0] * law.scale[0, structure.group]
+            columns.append(structure.course * size[:, None])
+        alone = dataclasses.replace(law, course=np.zeros(len(law)))
+        bare = dataclasses.replace(structure, effects=np.zeros((0, 0)))
+        shared = np.hstack([np.zeros((len(structure), 0)), *columns])
+        return noise_under(bare, alone), structure.restore(shared.T).T
+
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
         """Draws (..., N)."""
         laws = self.law.take([0] * int(np.prod(shape[:-1])))
@@ -139,6 +154,10 @@ def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
     sd = law.scale[0, structure.group] * np.sqrt(1.0 + shared.sum(axis=1))
     if structure.has_effects:
         sd = np.sqrt(sd**2 + (structure.effects**2).sum(axis=1))
+    if structure.course.size:
+        course = (law.course[0] * structure.course) ** 2
+        scale = law.scale[0, structure.group]
+        sd = np.sqrt(sd**2 + scale**2 * course.sum(axis=1))
     return LawNoise(structure.unit * sd, structure=structure, law=law)
 
 
@@ -150,7 +169,8 @@ def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:
 def errors_of(structure: ReadingStructure, laws: Laws) -> Errors:
     """Errors of readings under the first of the laws, in units of the stated noise.
 
-    Their shared columns are those of the structure, times their sizes.
+    Their shared columns are those of the structure, times their sizes. With a course all
+    readings are one segment, and each run has columns of its own.
     """
     chain = structure.chain
     order = np.lexsort((structure.position, chain))
@@ -160,17 +180,32 @@ def errors_of(structure: ReadingStructure, laws: Laws) -> Errors:
     carried, place = float(laws.carried[0]), np.arange(len(order))
     decay = np.exp(-np.where(first, np.inf, steps) / laws.reach[0])
     new_run = np.diff(structure.run[ordered], prepend=-1) > 0
-    amounts = laws.sizes[0, structure.kinds]
+    starts = np.flatnonzero(new_run)
+    shared = (structure.columns * laws.sizes[0, structure.kinds])[order]
+    if structure.course.size and laws.course[0]:
+        course = laws.course[0] * structure.course[order]
+        shared = np.hstack([_by_run(shared, starts), course])
+        starts = starts[:1]
     return Errors(
         order=order,
-        starts=np.flatnonzero(new_run),
+        starts=starts,
         before=np.where(first, place, place - 1),
         decay=decay if carried else np.zeros(len(order)),
         single=np.full(len(order), 1.0 - carried),
         carried=carried,
-        shared=(structure.columns * amounts)[order],
+        shared=shared,
         scale=laws.scale[0, structure.group][order],
     )
+
+
+def _by_run(shared: Array, starts: Index) -> Array:
+    """Columns (N, K) of errors that a run shares as columns (N, R K) of all readings."""
+    count, kinds = shared.shape
+    columns = np.zeros((count, len(starts), kinds))
+    for number, start in enumerate(starts):
+        end = starts[number + 1] if number + 1 < len(starts) else count
+        columns[start:end, number] = shared[start:end]
+    return columns.reshape(count, -1)
 
 
 def instrument_source(name: str) -> str:
@@ -240,14 +275,27 @@ def errors_of_readings(
     }
     if (single > 1.0).any():
         variances[BEYOND] = single - stated
-    amounts = laws.sizes[0, structure.kinds]
-    shared = {
-        name: np.flatnonzero(np.isin(structure.kinds, kinds) & (amounts > 0.0))
-        for name, kinds in SHARED_KINDS.items()
-    }
-    shared = {name: columns for name, columns in shared.items() if columns.size}
-    errors = ReadingErrors(whole, variances, shared, ())
+    errors = ReadingErrors(
+        whole, variances, _columns_by_name(structure, laws, whole), ()
+    )
     return dataclasses.replace(errors, names=_names(structure, errors))
+
+
+def _columns_by_name(
+    structure: ReadingStructure, laws: Laws, whole: Errors
+) -> dict[str, Index]:
+    """Columns of `whole.shared` that each shared error has."""
+    terms = len(structure.course.T) if laws.course[0] else 0
+    of_runs = whole.shared.shape[1] - terms
+    repeats = of_runs // max(len(structure.kinds), 1)
+    kinds = np.tile(structure.kinds, repeats)
+    amounts = laws.sizes[0, kinds]
+    columns = {
+        name: np.flatnonzero(np.isin(kinds, some) & (amounts > 0.0))
+        for name, some in SHARED_KINDS.items()
+    }
+    columns[COURSE] = np.arange(of_runs, of_runs + terms)
+    return {name: some for name, some in columns.items() if some.size}
 
 
 def _names(structure: ReadingStructure, errors: ReadingErrors) -> tuple[str, ...]:
@@ -257,7 +305,9 @@ def _names(structure: ReadingStructure, errors: ReadingErrors) -> tuple[str, ...
         name: np.asarray(v > 0.0) for name, v in errors.variances.items()
     }
     for name, columns in errors.shared.items():
-        by_reading[name] = np.asarray(structure.columns[:, columns].any(axis=1))
+        has = np.zeros(len(structure), dtype=bool)
+        has[errors.whole.order] = errors.whole.shared[:, columns].any(axis=1)
+        by_reading[name] = has
     if errors.whole.carried:
         by_reading[CARRIED] = np.ones(len(structure), dtype=bool)
     names: dict[str, None] = {}

@@ -53,8 +53,9 @@ class ResidualModel:
 
     def solve(self, laws: Laws) -> Solutions:
         """Log marginal likelihood and posterior of z under each law."""
-        width = 1 + self.slopes.shape[1] + self.structure.effects.shape[1]
-        size = len(self.residual) * width
+        structure = self.structure
+        shared = structure.effects.shape[1] + structure.course.shape[1]
+        size = len(self.residual) * (1 + self.slopes.shape[1] + shared)
         step = max(1, BATCH_NUMBERS // size)
         parts = [
             self._solve(laws.take(slice(k, k + step)))

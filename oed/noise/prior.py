@@ -47,6 +47,7 @@ STATED_SD, STATED_SHARE_SD, STATED_REACH_SD = 0.4, 0.7, 0.3
 
 #: names of coordinates: of the error that is carried along a run, of what it shares
 CARRIED, REACH, RUN, SEAT = "share carried along", "reach", "level of a run", "seating"
+COURSE = "course of the session"
 STATED_RUN, STATED_SEATING = "stated level of a run", "stated seating"
 
 
@@ -54,8 +55,9 @@ STATED_RUN, STATED_SEATING = "stated level of a run", "stated seating"
 class Amounts:
     """How large the parts of the noise are that no data sheet states.
 
-    shared_median, shared_sd  median, in units of the stated noise, of a run's level and
-                              of a renewed unknown, and sd of their logs
+    shared_median, shared_sd  median, in units of the stated noise, of a run's level, of a
+                              renewed unknown and of a session's course, and sd of their
+                              logs
     carried                   share (L,) of the variance that is carried along, of
                               normal coordinates (L,)
     """
@@ -145,6 +147,7 @@ class NoisePrior:
             seat=size(SEAT),
             stated_level=factor(STATED_RUN),
             stated_seat=factor(STATED_SEATING),
+            course=size(COURSE),
         )
 
     def _scale(self, u: Array) -> Array:
@@ -224,6 +227,7 @@ def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePr
         STATED_SEAT: STATED_SEATING,
     }
     shared = tuple(name for kind, name in of_kind.items() if kind in structure.kinds)
-    names = (*(f"noise of {name}" for name in scales), *carried, *shared)
+    course = (COURSE,) if structure.course.size else ()
+    names = (*(f"noise of {name}" for name in scales), *carried, *shared, *course)
     groups = len(structure.names)
     return NoisePrior(names, groups, statement=statement, is_common=is_common)

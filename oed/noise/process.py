@@ -2,16 +2,18 @@
 
 In units of the stated noise, a chain of readings (one channel of a run) has the error
 
-    e_k = s [ sqrt(1 - f) white_k + sqrt(f) carried_k + a level + c . seat + shared ]
+    e_k = s [ sqrt(1 - f) white_k + sqrt(f) carried_k + a level + c . seat + shared
+              + d . course ]
 
 with white_k and level independent standard normal, carried_k an Ornstein-Uhlenbeck
 process with correlation exp(-|k - l| / reach), seat the set-up's unknowns that the run
-seated anew, with slopes c, and shared the errors that instrument and study state.
+seated anew, with slopes c, and shared the errors that instrument and study state. The
+course of the session goes through all runs (`oed.noise.course`).
 
 White and carried error have a banded root (`oed.noise.banded`); what a run shares is a
 matrix of a few columns, taken out by the Woodbury identity (`oed.noise.shared`). Both are
-linear in the number of readings. Effects that the model lacks are columns that all
-readings share, V, with C + V V^T for C.
+linear in the number of readings. A session's course and effects that the model lacks are
+columns that all readings share, V, with C + V V^T for C.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ class Laws:
     level    (L,) standard deviation of a run's level
     seat     (L,) standard deviation of a renewed unknown
     stated_level, stated_seat  (L,) factors on those that are stated; ones by default
+    course   (L,) standard deviation of the session's course at its end; 0 by default
     """
 
     scale: Array
@@ -51,8 +54,11 @@ class Laws:
     seat: Array
     stated_level: Array = dataclasses.field(default_factory=lambda: np.ones(0))
     stated_seat: Array = dataclasses.field(default_factory=lambda: np.ones(0))
+    course: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
+        if not self.course.size:
+            object.__setattr__(self, "course", np.zeros(len(self)))
         for name in ("stated_level", "stated_seat"):
             if not getattr(self, name).size:
                 object.__setattr__(self, name, np.ones(len(self)))
@@ -157,15 +163,31 @@ class Whitening:
             alone += log_variances.sum(axis=1)
         inner = self._columns[1]
         alone += taken_out(inner, inner[..., :0], self._amounts)[1]
-        if not self.structure.has_effects:
+        if not self._wide.shape[-1]:
             return alone
-        return np.asarray(alone + np.linalg.slogdet(self._of_effects)[1])
+        return np.asarray(alone + np.linalg.slogdet(self._of_wide)[1])
 
     @functools.cached_property
-    def _of_effects(self) -> Array:
-        """1 + V^T C^-1 V (L, k, k) of the effects' columns V."""
-        effects = self.structure.effects
-        return self._gram_of_noise(effects) + np.eye(effects.shape[1])
+    def _wide(self) -> Array:
+        """Columns V (L or 1, N, k) that all readings share: effects, and the course."""
+        effects = self.structure.effects[None]
+        if not self._has_course:
+            return effects
+        size = (self.laws.course[:, None] * self.laws.scale)[:, self.structure.group]
+        course = self.structure.course * size[..., None]
+        if not self.structure.has_effects:
+            return course
+        repeated = np.broadcast_to(effects, (len(course), *effects.shape[1:]))
+        return np.concatenate([repeated, course], axis=-1)
+
+    @property
+    def _has_course(self) -> bool:
+        return bool(self.structure.course.size) and bool(self.laws.course.any())
+
+    @functools.cached_property
+    def _of_wide(self) -> Array:
+        """1 + V^T C^-1 V (L, k, k)."""
+        return self._gram_of_noise(self._wide) + np.eye(self._wide.shape[-1])
 
     @property
     def _amounts(self) -> Array:
@@ -175,22 +197,24 @@ class Whitening:
     def gram(self, values: Array) -> Array:
         """Products Y^T C^-1 Y (L, m, m), for standardised Y (N, m) or (L, N, m).
 
-        Effects are taken out by the Woodbury identity.
+        What all readings share is taken out by the Woodbury identity.
         """
-        if not self.structure.has_effects:
+        wide, count = self._wide, values.shape[-1]
+        if not wide.shape[-1]:
             return self._gram_of_noise(values)
-        effects, count = self.structure.effects, values.shape[-1]
-        repeated = np.broadcast_to(effects, (*values.shape[:-2], *effects.shape))
-        whole = self._gram_of_noise(np.concatenate([values, repeated], axis=-1))
+        batch = values if values.ndim == 3 else values[None]
+        laws = max(len(batch), len(wide))
+        parts = [np.broadcast_to(p, (laws, *p.shape[1:])) for p in (batch, wide)]
+        whole = self._gram_of_noise(np.concatenate(parts, axis=-1))
         across = whole[:, count:, :count]
         # kept for the determinant, which is mostly asked for next
-        of_effects = whole[:, count:, count:] + np.eye(len(effects.T))
-        self.__dict__["_of_effects"] = of_effects
-        solved = np.linalg.solve(of_effects, across)
+        of_wide = whole[:, count:, count:] + np.eye(wide.shape[-1])
+        self.__dict__["_of_wide"] = of_wide
+        solved = np.linalg.solve(of_wide, across)
         return whole[:, :count, :count] - across.swapaxes(1, 2) @ solved
 
     def _gram_of_noise(self, values: Array) -> Array:
-        """The same without effects."""
+        """The same without what all readings share."""
         batch = values if values.ndim == 3 else values[None]
         scaled = self._on_chains(batch) / self._chain_scale[:, :, None]
         differences, solved = self._halves(scaled)
@@ -229,9 +253,12 @@ class Whitening:
         common = np.einsum("lnk,nk->ln", of_reading, self.structure.columns)
         scale = self.laws.scale[:, self.structure.group]
         errors = scale * (single[:, *self.structure.slot] + common)
-        if self.structure.has_effects:
-            effects = self.structure.effects
-            errors += rng.standard_normal((count, len(effects.T))) @ effects.T
+        wide = self._wide
+        if wide.shape[-1]:
+            amounts = rng.standard_normal((count, wide.shape[-1]))
+            errors += np.einsum(
+                "lk,lnk->ln", amounts, np.broadcast_to(wide, (count, *wide.shape[1:]))
+            )
         return np.asarray(errors)
 
     def _carried_along(self, white: Array) -> Array:

@@ -23,6 +23,7 @@ class NoiseStatement:
     reach          of what is carried along, in readings
     student_dof    degrees of freedom of single readings' Student t
     outlier_share  share (0 to 1) of the readings that are far off; 0: none is
+    has_course     whether readings may share a course through the session
     is_assumed     whether nobody measured the stated scatter of single readings
     """
 
@@ -33,6 +34,7 @@ class NoiseStatement:
     student_dof: float | None = None
     outlier_share: float | None = None
     is_assumed: bool = False
+    has_course: bool = True
 
     @property
     def carried_share(self) -> float:

@@ -38,6 +38,8 @@ class ReadingStructure:
     columns    (N, K) errors that a run shares, in units of the stated noise
     kinds      (K,) LEVEL, KNOWN, RENEWED, STATED_LEVEL or STATED_SEAT
     statement  of the parts that all readings have: what is carried along, tails
+    course     (N, c) modes of what each group's readings share through the session, of
+               unit standard deviation at its end (`oed.noise.course`)
     effects    (N, k) changes per standard deviation of independent normal coefficients
                that all readings share: what the model lacks, in units of the stated noise
     """
@@ -52,6 +54,7 @@ class ReadingStructure:
     columns: Array
     kinds: Index
     statement: NoiseStatement = NOTHING_STATED
+    course: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     effects: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     sigma: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
 

@@ -25,8 +25,8 @@ class MistakeRecord(Record, frozen=True):
 class NoiseRecord(Record, frozen=True):
     """One number of the noise law as estimated.
 
-    kind     reading, run, seat (standard deviations), carried (share of the variance) or
-             reach (in readings)
+    kind     reading, run, seat, course at the session's end (standard deviations),
+             carried (share of the variance) or reach (in readings)
     of       set-up and channel, or set-up; empty for all readings
     stated   what the stated noise has
     departs  whether it surely differs from that by more than matters

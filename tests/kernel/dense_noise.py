@@ -18,6 +18,9 @@ def dense_covariance(structure: ReadingStructure, laws: Laws) -> Array:
     single = (1.0 - laws.carried[0]) * np.eye(len(structure))
     columns = structure.columns * laws.sizes[0, structure.kinds]
     shared = (columns @ columns.T) * (run[:, None] == run)
+    course = laws.course[0] ** 2 * (structure.course @ structure.course.T)
     scale = laws.scale[0, structure.group]
     unit = single + laws.carried[0] * carried + shared
+    if structure.course.size:
+        unit += course
     return np.asarray(unit * scale[:, None] * scale)

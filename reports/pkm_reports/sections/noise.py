@@ -16,6 +16,7 @@ MEANING: Final = {
     "reading": "Scatter of single readings",
     "run": "Error that a run shares",
     "seat": "What a run seats anew",
+    "course": "Course through the session, at its end",
     "carried": "Share of the variance carried along",
     "reach": "Reach of what is carried along",
 }

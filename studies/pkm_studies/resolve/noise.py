@@ -78,6 +78,7 @@ def _law(study: Study, place: Place) -> NoiseStatement:
         student_dof=table.student_dof,
         outlier_share=table.outlier_share,
         is_assumed=table.assumed,
+        has_course=table.course,
     )
 
 

@@ -34,9 +34,10 @@ def test_a_run_is_predicted_as_by_conditional_normal_laws(estimate_noise: bool) 
     m, series, y = problem(0)
     estimate = identify(m, series, y, estimate_noise=estimate_noise)
     h = m.jacobian(series, estimate.theta)
-    noise = np.linalg.inv(estimate.noise.whiten(np.eye(len(y))))
+    whole = np.linalg.inv(estimate.noise.whiten(np.eye(len(y))))
+    spread = whole @ whole.T + (h * m.tolerance**2) @ h.T
+    noise = np.linalg.inv(estimate.noise.of_runs()[0].whiten(np.eye(len(y))))
     noise = noise @ noise.T
-    spread = noise + (h * m.tolerance**2) @ h.T
     taken = y if estimate.robust_readings is None else estimate.robust_readings
     linear = m.readings(series, estimate.theta) - h @ (estimate.theta - m.nominal)
     result = predict_runs(m, series, estimate)

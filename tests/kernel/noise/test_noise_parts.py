@@ -19,6 +19,7 @@ FACTORS = (
     {},
     {law_noise.CARRIED: 0.0},
     {law_noise.LEVELS: 0.5, law_noise.SEAT: 0.0},
+    {law_noise.COURSE: 0.5},
     {law_noise.instrument_source("bar"): 0.1, law_noise.BEYOND: 0.0},
 )
 
@@ -56,6 +57,8 @@ def covariance(
     for name, kinds in law_noise.SHARED_KINDS.items():
         some = columns[:, np.isin(structure.kinds, kinds)]
         of[name] = some @ some.T * same_chain
+    course = structure.course * laws.course[0] * scale[:, None]
+    of[law_noise.COURSE] = course @ course.T
     return sum(factors.get(name, 1.0) ** 2 * part for name, part in of.items())
 
 

@@ -63,6 +63,9 @@ def covariance(structure: ReadingStructure, laws: Laws, k: int) -> np.ndarray:
                 for c, kind in enumerate(structure.kinds):
                     product = structure.columns[i, c] * structure.columns[j, c]
                     value += sizes[kind] ** 2 * product
+            if structure.course.size:
+                course = structure.course[i] @ structure.course[j]
+                value += laws.course[k] ** 2 * course
             scales = laws.scale[k, structure.group]
             result[i, j] = value * scales[i] * scales[j]
     return result

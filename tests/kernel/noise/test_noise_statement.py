@@ -35,7 +35,11 @@ STATED = NoiseStatement(seating=SEATING, carried=SHARE, reach=REACH)
 #: independent errors of unit size
 ONES = Precision(lambda v: v, np.ones(60))
 NOTHING_ELSE = NoiseStatement(
-    levels=frozenset({"length"}), seating=0.0, carried=0.0, outlier_share=0.0
+    levels=frozenset({"length"}),
+    seating=0.0,
+    carried=0.0,
+    outlier_share=0.0,
+    has_course=False,
 )
 
 
@@ -173,12 +177,14 @@ def test_what_is_stated_narrows_the_prior_and_nought_takes_it_out() -> None:
     wide = law_coordinates(NOTHING_STATED)
     assert wide.names == (
         "noise of cup.length", prior.CARRIED, prior.REACH, prior.RUN, prior.SEAT,
+        prior.COURSE,
     )  # fmt: skip
     assert law_coordinates(NOTHING_ELSE).names == ("noise of cup.length",)
     levels = frozenset({"length"})
     stated = law_coordinates(dataclasses.replace(STATED, levels=levels), RUN)
     assert stated.names[1:] == (
         prior.CARRIED, prior.REACH, prior.STATED_RUN, prior.STATED_SEATING,
+        prior.COURSE,
     )  # fmt: skip
     rng = np.random.default_rng(1)
     drawn = stated.laws(rng.standard_normal((20_000, stated.dimensions)))

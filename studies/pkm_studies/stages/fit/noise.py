@@ -67,6 +67,7 @@ _ERRORS = {
     "reading": "single readings of {} scatter by",
     "run": "the readings of one run of {} share an error of",
     "seat": "what each run of {} seats anew moves by",
+    "course": "through the session the readings of {} share a course that ends off by",
 }
 
 

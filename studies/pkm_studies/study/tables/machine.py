@@ -106,6 +106,8 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
     carried         share (0 to 1) of the variance of single readings that is carried
                     along a run, as by a slow drift
     reach_readings  readings over which it is carried: 8 where none is stated
+    course          whether readings may share a course through the session, as by slow
+                    heat; false says that they do not
     student_dof     degrees of freedom (above 2) of a Student t of single readings
     outlier_share   share (0 to 0.5) of readings that are far off
     further         channels with their unit, as in `length_um = 0.5`, for all set-ups, or
@@ -121,6 +123,7 @@ class NoiseTable(StudyTable, frozen=True, kw_only=True):
     estimate: bool | None = None
     carried: Share | None = None
     reach_readings: Positive | None = None
+    course: bool = True
     student_dof: Annotated[float, msgspec.Meta(gt=2)] | None = None
     outlier_share: Annotated[float, msgspec.Meta(ge=0, le=0.5)] | None = None
     sigma: dict[str, float | dict[str, float]] = {}

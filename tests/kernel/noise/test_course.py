@@ -1,0 +1,102 @@
+"""A course through the session: its variance, and that a fit does not take it for geometry."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from kernel.dense_noise import dense_covariance
+from oed.measurement.measurement import Measurement
+from oed.measurement.reading_structure import reading_structure
+from oed.model.instrument import mount
+from oed.noise import course
+from oed.noise.law_noise import COURSE, errors_of, errors_of_readings, factor_of
+from oed.noise.prior import noise_prior
+from oed.noise.process import Laws, Whitening
+from oed.noise.structure import ReadingStructure
+from pkm_models.instruments import ball_bar
+from pkm_models.machines import a3_head
+
+
+def test_the_variance_grows_with_the_session() -> None:
+    """A Wiener process has variance t; four terms leave a little of it."""
+    progress = np.linspace(0.0, 1.0, 41)
+    terms = course.course_terms(np.zeros(41, dtype=np.intp), progress)
+    variance = (terms**2).sum(axis=1)
+    assert np.all(variance <= progress + 1e-12)
+    assert np.abs(variance - progress).max() < 0.06
+    covariance = terms @ terms.T
+    wiener = np.minimum(progress[:, None], progress)
+    assert np.abs(covariance - wiener).max() < 0.06
+
+
+def test_a_group_of_few_readings_has_none() -> None:
+    group = np.repeat([0, 1], [course.LEAST_READINGS, course.LEAST_READINGS - 1])
+    terms = course.course_terms(
+        group.astype(np.intp), np.linspace(0.0, 1.0, len(group))
+    )
+    assert terms.shape[1] == course.TERMS
+    assert not terms[group == 1].any()
+
+
+@pytest.fixture(scope="module")
+def structure() -> ReadingStructure:
+    """Three runs of a ball bar."""
+    machine = a3_head.machine
+    m = Measurement(machine, [mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))])
+    psi = np.tile(np.linspace(-3.0, 3.0, 8), 3)
+    heights = np.repeat([1.15, 1.2, 1.25], 8)
+    command = np.column_stack([heights, psi, np.full(24, 0.4)])
+    series = m.series("bar", command, run=[f"z {z}" for z in heights])
+    return reading_structure(m, [series], m.nominal)
+
+
+@pytest.fixture(scope="module")
+def laws(structure: ReadingStructure) -> Laws:
+    prior = noise_prior(structure)
+    draws = np.random.default_rng(2).standard_normal((3, prior.dimensions))
+    return prior.laws(draws)
+
+
+def test_both_roots_are_those_of_the_dense_covariance(
+    structure: ReadingStructure, laws: Laws
+) -> None:
+    y = np.random.default_rng(3).standard_normal((len(structure), 4))
+    whitening = Whitening(structure, laws)
+    gram = whitening.gram(y)
+    for k in range(len(laws)):
+        covariance = dense_covariance(structure, laws.take([k]))
+        exact = y.T @ np.linalg.solve(covariance, y)
+        log_determinant = np.linalg.slogdet(covariance)[1]
+        assert gram[k] == pytest.approx(exact, rel=1e-9)
+        assert whitening.log_determinant[k] == pytest.approx(log_determinant, abs=1e-8)
+        factor = factor_of(structure, laws.take([k]))
+        white = factor.whiten(y)
+        assert white.T @ white == pytest.approx(exact, rel=1e-9)
+        assert factor.log_det == pytest.approx(log_determinant, abs=1e-8)
+        sums = errors_of(structure, laws.take([k])).covariance_of(y)
+        assert sums == pytest.approx(y.T @ covariance @ y, rel=1e-9)
+
+
+def test_without_its_error_the_rest_is_that_of_a_law_without_one(
+    structure: ReadingStructure, laws: Laws
+) -> None:
+    law = laws.take([0])
+    still = dataclasses.replace(law, course=np.zeros(1))
+    y = np.random.default_rng(4).standard_normal((len(structure), 3))
+    errors = errors_of_readings(structure, law, ["bar"] * len(structure))
+    assert COURSE in errors.names
+    white = errors.whiten(y, {COURSE: 0.0})
+    exact = y.T @ np.linalg.solve(dense_covariance(structure, still), y)
+    assert white.T @ white == pytest.approx(exact, rel=1e-9)
+    assert COURSE not in errors_of_readings(structure, still, ["bar"] * 24).names
+
+
+def test_draws_have_its_covariance(structure: ReadingStructure, laws: Laws) -> None:
+    law = dataclasses.replace(laws.take([0] * 4000), course=np.full(4000, 3.0))
+    drawn = Whitening(structure, law).draw(np.random.default_rng(5))
+    covariance = dense_covariance(structure, law.take([0]))
+    first, last = drawn[:, 0], drawn[:, -1]
+    assert np.var(last) == pytest.approx(covariance[-1, -1], rel=0.1)
+    assert np.mean(last * drawn[:, -2]) == pytest.approx(covariance[-1, -2], rel=0.1)
+    assert np.var(first) == pytest.approx(covariance[0, 0], rel=0.1)
