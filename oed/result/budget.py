@@ -49,7 +49,8 @@ class UnmodelledLine(Record, frozen=True):
 class UsualEffects(Record, frozen=True):
     """Accuracy of a machine with all usual effects at their expected sizes.
 
-    Values are rms errors by pose component.
+    Values are rms errors by pose component, of those that the drives correct; of all where
+    they correct none.
 
     effects     their names
     unmodelled  where the calibration knows none of them

@@ -122,7 +122,7 @@ def _budget(
     if usual is not None:
         for part in ("unmodelled", "fitted"):
             at = f"{field}.usual.{part}"
-            yield from base.same_names(at, getattr(usual, part), names, of)
+            yield from base.known(at, getattr(usual, part), names, of)
 
 
 def _spreads(field: str, spreads: Mapping[str, SpreadRecord]) -> Iterator[Breach]:

@@ -53,7 +53,7 @@ def budget_section(
         predicted=dict(predicted),
         lines=lines,
         unmodelled=unmodelled,
-        usual=_usual(expected, budget.names, after, fine),
+        usual=_usual(expected, budget.names, after, driven or fine),
         advice=advice_on(lines, predicted, driven or fine),
         no_axes={n: v for n, v in geometry.items() if n not in driven},
     )
@@ -142,18 +142,28 @@ def _usual(
     expected: ExpectedEffects | None,
     names: Sequence[str],
     after: Array,
-    fine: Mapping[str, str],
+    shown: Mapping[str, str],
 ) -> UsualEffects | None:
-    """The machine with all effects; None where there are none."""
+    """The machine with all effects; None where there are none.
+
+    shown  {component: fine unit} of those that compensation corrects
+    """
     if expected is None or not expected.effects:
         return None
     added = expected.added.mean(axis=0)
     fitted = expected.fitted.mean(axis=0)
     return UsualEffects(
         effects=[effect.effect.name for effect in expected.effects],
-        unmodelled=dict(_in_units(names, np.sqrt(after**2 + added), fine)),
-        fitted=dict(_in_units(names, np.sqrt(fitted), fine)),
+        unmodelled=_of_shown(names, np.sqrt(after**2 + added), shown),
+        fitted=_of_shown(names, np.sqrt(fitted), shown),
     )
+
+
+def _of_shown(
+    names: Sequence[str], values: Array, shown: Mapping[str, str]
+) -> dict[str, float]:
+    pairs = dict(zip(names, values, strict=True))
+    return {name: units.number(pairs[name], unit) for name, unit in shown.items()}
 
 
 def _expected_size(expected: ExpectedEffect) -> str:
