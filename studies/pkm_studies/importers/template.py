@@ -53,6 +53,10 @@ READINGS = 30
 #: instruments to draft a study with, the most informative first
 DEFAULTS = ("pose_tracker", "pose_tracker_position", "redundancy")
 GAP = """\
+# Real machines have small effects beside their geometry. The fit may allow for them:
+# [identify]
+# effects = "catalogue"
+
 # What calibration leaves: `oed diagnose` looks for its causes in any readings.
 # With [gap], `oed run` does so too, and predicts which causes the readings could find.
 # The columns time_s, direction, feed_mm_min and payload_N help to find more.
