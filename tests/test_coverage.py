@@ -84,7 +84,7 @@ def test_draws_follow_the_lost_directions() -> None:
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     y = bench.read(truth) + 0.5e-6 * rng.standard_normal(30)
     estimate = identify(m, bench.series, y, estimate_noise=True)
-    z = laplace.draw_coordinates(estimate, rng, 4000)
+    z = laplace.draw_coordinates(estimate, rng, 40_000)
     posterior = estimate.noise_posterior
     assert posterior is not None
     sd = np.sqrt(np.diag(posterior.covariance))
@@ -243,14 +243,15 @@ def test_the_campaign_of_ranks_prints_its_table(
     capsys.readouterr()
     module("__main__").main(["ranks", "--out", str(folder)])
     printed = capsys.readouterr().out
-    # Six combinations, and six coordinates of the law: three scales, share, reach, level.
-    assert "| planar | 3 | 12 |" in printed
+    # Six combinations, and seven coordinates of the law: three scales, share, reach, level
+    # and course.
+    assert "| planar | 3 | 13 |" in printed
     bench = module("configurations").configuration("delta")
     expected = module("ranks").one_machine(bench, 2, 1, "laplace")
     row = pd.read_parquet(folder / "cases.parquet").iloc[5]
     assert {name: int(row[name]) for name in expected} == expected
     summary = pd.read_csv(folder / "summary.csv")
-    assert summary["quantities"].to_list() == [12, len(expected)]
+    assert summary["quantities"].to_list() == [13, len(expected)]
 
 
 @pytest.mark.slow

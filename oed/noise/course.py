@@ -15,20 +15,22 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 
-#: terms; they leave an eighth of the standard deviation at the end
+#: most terms; they leave a twentieth of the variance
 TERMS = 4
-#: readings of a channel from which on it has a course
-LEAST_READINGS = 10
+#: readings of a channel for each term
+READINGS_A_TERM = 5
 
 
 def course_terms(group: Index, progress: Array) -> Array:
-    """Terms (N, c) of the course of each group of readings that is large enough.
+    """Terms (N, c) of the course of each group of readings, few of a small group.
 
     group     (N,) numbers of the groups
     progress  (N,) of the session at each reading, 0 to 1
     """
     frequency = (np.arange(TERMS) + 0.5) * np.pi
     terms = np.sqrt(2.0) * np.sin(progress[:, None] * frequency) / frequency
-    large = np.flatnonzero(np.bincount(group) >= LEAST_READINGS)
-    columns = [terms * (group == number)[:, None] for number in large]
-    return np.hstack([np.zeros((len(group), 0)), *columns])
+    columns = [np.zeros((len(group), 0))]
+    for number, count in enumerate(np.bincount(group)):
+        few = min(TERMS, count // READINGS_A_TERM)
+        columns.append(terms[:, :few] * (group == number)[:, None])
+    return np.hstack(columns)

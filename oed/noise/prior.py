@@ -213,7 +213,8 @@ def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePr
     """The prior that goes with readings of a structure.
 
     freedom  readings beyond the unknowns. Where an assumed noise has few for each group,
-             all groups have one scale, and the fit is that of the assumed weights
+             all groups have one scale, and the fit is that of the assumed weights. Where
+             a course's terms leave few in all, it is not in the model
     """
     statement = structure.statement
     is_few = freedom < LEAST_OF_WEIGHTS * len(structure.names)
@@ -227,7 +228,9 @@ def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePr
         STATED_SEAT: STATED_SEATING,
     }
     shared = tuple(name for kind, name in of_kind.items() if kind in structure.kinds)
-    course = (COURSE,) if structure.course.size else ()
+    terms = structure.course.shape[1]
+    has_course = terms and freedom - terms >= LEAST_FREEDOM
+    course = (COURSE,) if has_course else ()
     names = (*(f"noise of {name}" for name in scales), *carried, *shared, *course)
     groups = len(structure.names)
     return NoisePrior(names, groups, statement=statement, is_common=is_common)

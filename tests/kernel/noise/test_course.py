@@ -30,13 +30,11 @@ def test_the_variance_grows_with_the_session() -> None:
     assert np.abs(covariance - wiener).max() < 0.06
 
 
-def test_a_group_of_few_readings_has_none() -> None:
-    group = np.repeat([0, 1], [course.LEAST_READINGS, course.LEAST_READINGS - 1])
-    terms = course.course_terms(
-        group.astype(np.intp), np.linspace(0.0, 1.0, len(group))
-    )
-    assert terms.shape[1] == course.TERMS
-    assert not terms[group == 1].any()
+def test_a_group_has_a_term_for_each_five_readings() -> None:
+    group = np.repeat([0, 1, 2], [20, 14, 4]).astype(np.intp)
+    terms = course.course_terms(group, np.linspace(0.0, 1.0, len(group)))
+    of_group = [np.count_nonzero(terms[group == k].any(axis=0)) for k in range(3)]
+    assert of_group == [4, 2, 0]
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +54,12 @@ def laws(structure: ReadingStructure) -> Laws:
     prior = noise_prior(structure)
     draws = np.random.default_rng(2).standard_normal((3, prior.dimensions))
     return prior.laws(draws)
+
+
+def test_few_degrees_of_freedom_have_none(structure: ReadingStructure) -> None:
+    terms = structure.course.shape[1]
+    assert COURSE in noise_prior(structure, 10.0 + terms).names
+    assert COURSE not in noise_prior(structure, 9.9 + terms).names
 
 
 def test_both_roots_are_those_of_the_dense_covariance(
