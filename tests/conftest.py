@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 # Looking for garbage after every 700 new objects takes a third of the time of collecting
-# tests, and a tenth of that of running them.
+# tests, and 7 % of that of running them.
 gc.set_threshold(100_000, 20, 50)
 
 
