@@ -21,7 +21,6 @@ QUICK = {
     "um in a column of mm",
     "columns of one line exchanged",
     "readings one row late",
-    "two rows exchanged",
     "one reading off by 50 sigma",
     "computed, not measured",
     "the circle of another height",

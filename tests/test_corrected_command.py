@@ -1,6 +1,8 @@
 """`oed identify --with`: parameters and effects together, and who takes them."""
 
+import contextlib
 import csv
+import io
 import json
 from pathlib import Path
 
@@ -29,17 +31,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = _shipped("planar_gap").split("[readings]")[0]
     options = "[posterior]\nenabled = false\n[report]\npdf = false\n"
     study.write_text(text + options)
-    code = run(
-        "identify",
-        study,
-        "--readings",
-        readings,
-        "--with",
-        "gravity,frame_bending",
-        "--out",
-        folder / "out",
-    )
+    options = ["--with", "gravity,frame_bending", "--out", folder / "out"]
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = run("identify", study, "--readings", readings, *options)
     assert code == 0
+    (folder / "printed.txt").write_text(out.getvalue(), encoding="utf-8")
+    (folder / "errors.txt").write_text(err.getvalue(), encoding="utf-8")
+    page = (folder / "out" / "report.html").read_bytes()  # verify writes it again
+    (folder / "page.html").write_bytes(page)
     return folder
 
 
@@ -222,6 +222,46 @@ def test_an_effect_that_the_readings_cannot_show_is_refused(
     options = ["--with", "backlash", "--out", str(folder / "no")]
     assert run("identify", study, "--readings", readings, *options) == 2
     assert "direction" in capsys.readouterr().err
+
+
+# -- the alarm of a bad fit ------------------------------------------------------------
+
+
+def test_the_first_line_is_true_of_the_corrected_fit(folder: Path) -> None:
+    lines = (folder / "printed.txt").read_text(encoding="utf-8").splitlines()
+    model = "With gravity and frame_bending in the model the residuals"
+    (first,) = (line for line in lines if line.startswith(model))
+    assert "Without: the " in first
+    assert "the fit is bad" not in (folder / "errors.txt").read_text(encoding="utf-8")
+    assert not any(line.startswith("The fit is bad") for line in lines)
+    result = json.loads((folder / "out/result.json").read_text(encoding="utf-8"))
+    assert not result["goodness"]["bad_fit"]
+    corrected = result["corrected"]
+    ratio = (corrected["chi2"] / corrected["dof"]) ** 0.5
+    assert f"residuals are {ratio:.2g} times" in first
+    assert 0.5 < ratio < 1.5
+    assert "<p>The fit is bad" not in (folder / "page.html").read_text(encoding="utf-8")
+
+
+def test_without_effects_the_alarm_stays(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, readings = folder / "loads.study.toml", folder / "loads.readings.csv"
+    out = tmp_path / "out"
+    assert run("identify", study, "--readings", readings, "--out", out) == 1
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    assert lines[lines.index("report") + 1].startswith(("The fit is", "The readings"))
+    assert "the fit is bad" in printed.err
+
+
+@pytest.mark.slow
+def test_one_effect_of_two_resolves_nothing(folder: Path, tmp_path: Path) -> None:
+    study, readings = folder / "loads.study.toml", folder / "loads.readings.csv"
+    options = ["--with", "frame_bending", "--out", tmp_path / "out"]
+    assert run("identify", study, "--readings", readings, *options) == 1
+    result = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
+    assert result["goodness"]["bad_fit"]
 
 
 # -- acceptance ------------------------------------------------------------------------

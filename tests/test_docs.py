@@ -92,11 +92,16 @@ def missing(shown: list[str], output: str) -> list[str]:
 def execute(line: str, folder: Path) -> str:
     """Output of a command as a user types it.
 
-    A plain `oed` command runs in this process, where everything is imported already.
+    A plain `oed` command, or a script, runs in this process, where everything is imported
+    already.
     """
     words = line.split()
-    if words[0] == "oed" and not set(line) & set("|&;<>\"'$*?"):
+    if set(line) & set("|&;<>\"'$*?"):
+        return execute_by_bash(line, folder)
+    if words[0] == "oed":
         return execute_here(words[1:], folder)
+    if words[0] == "python" and words[1].endswith(".py"):
+        return execute_script(words[1:], folder)
     return execute_by_bash(line, folder)
 
 
@@ -114,6 +119,26 @@ def execute_here(words: list[str], folder: Path) -> str:
         patch.setenv("COLUMNS", "200")
         code = main(words)
     assert code == 0, f"{words}\n{stdout.getvalue()}\n{stderr.getvalue()}"
+    return stdout.getvalue()
+
+
+def execute_script(words: list[str], folder: Path) -> str:
+    """Output of a Python file; the modules beside it are forgotten afterwards."""
+    stdout, loaded = io.StringIO(), set(sys.modules)
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        warnings.catch_warnings(),
+        contextlib.redirect_stdout(stdout),
+    ):
+        warnings.simplefilter("default")
+        patch.chdir(folder)
+        patch.syspath_prepend(folder)
+        patch.setattr(sys, "argv", words)
+        runpy.run_path(words[0], run_name="__main__")
+    for name in set(sys.modules) - loaded:
+        origin = getattr(sys.modules[name], "__file__", None)
+        if origin and Path(origin).is_relative_to(folder):
+            del sys.modules[name]
     return stdout.getvalue()
 
 

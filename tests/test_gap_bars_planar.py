@@ -198,7 +198,7 @@ def conditioned(
 
 
 @pytest.mark.parametrize(
-    ("machines", "least"), [(2, 2), pytest.param(6, 9, marks=pytest.mark.slow)]
+    ("machines", "least"), [(1, 1), pytest.param(6, 9, marks=pytest.mark.slow)]
 )
 def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines(
     machines: int, least: int
@@ -207,8 +207,8 @@ def test_the_planar_gap_is_gravity_and_bending_and_shrinks_on_unseen_lines(
     load that were not fitted.
 
     The rms of what is left there lies in its 95 % interval, channel by channel, in at
-    least 9 of 12 cases: 8 or fewer are a matter of 0.3 %, as 1 or none of 4 are of
-    0.05 %. The shrink itself reaches the lower end of what the diagnosis said of unseen
+    least 9 of 12 cases: 8 or fewer are a matter of 0.3 %, as none of 2 is of
+    0.25 %. The shrink itself reaches the lower end of what the diagnosis said of unseen
     runs. In one machine an effect more may be named (the weight is between two of the library's).
     """
     inside, alone, draws = [], [], np.random.default_rng(7)

@@ -87,7 +87,7 @@ def test_an_assumed_noise_is_said_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "count", [6, pytest.param(50, marks=pytest.mark.slow)], ids=["6", "50"]
+    "count", [3, pytest.param(50, marks=pytest.mark.slow)], ids=["3", "50"]
 )
 def test_no_display_is_frozen_in_clean_imports(
     count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -32,7 +32,9 @@ def _session(folder: Path, scale: float) -> tuple[Measurement, Dataset]:
     return measurement, machine.dataset
 
 
-@pytest.mark.parametrize("scale", [-0.1, 0.001, 0.03])
+@pytest.mark.parametrize(
+    "scale", [-0.1, 0.001, pytest.param(0.03, marks=pytest.mark.slow)]
+)
 def test_the_joint_estimate_is_that_of_least_squares(
     tmp_path: Path, scale: float
 ) -> None:

@@ -63,7 +63,7 @@ def klipper(dent: float) -> str:
     return "\n".join([*lines, ""])
 
 
-@pytest.mark.parametrize("dent", [0.18, 0.30])
+@pytest.mark.parametrize("dent", [0.18, pytest.param(0.30, marks=pytest.mark.slow)])
 def test_seven_heights_detect_an_error_and_locate_none(
     dent: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -138,6 +138,7 @@ def figures(result: Any) -> list[float]:
     return [*numbers, estimate["rms_after"]["length"]]
 
 
+@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_every_figure_is_without_the_row_set_aside(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,6 +29,7 @@ def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
     return json.loads(text)["goodness"]
 
 
+@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_noise_above_the_stated_one_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -49,6 +50,7 @@ def test_noise_above_the_stated_one_is_reported(
     assert sentence in page
 
 
+@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     """Circles shifted by 4 um: an error of the run, not of single readings."""
     readings = bar_readings.a3_readings(2)
@@ -59,6 +61,7 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     assert 0.0 < noise["reach"]["value"] <= bar_readings.POINTS
 
 
+@pytest.mark.usefixtures("no_search_for_mistakes")
 def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
     goodness = fit(tmp_path, bar_readings.a3_readings(0), ESTIMATED)
     assert not goodness["noise_words"]

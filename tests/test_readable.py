@@ -4,6 +4,7 @@ import ast
 import collections
 import functools
 import io
+import re
 import statistics
 import tokenize
 from collections.abc import Iterator
@@ -15,6 +16,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("oed", "models", "studies", "reports")
 #: names that do not say what a value is
 VAGUE = {"told", "made", "found", "left", "own", "beside", "kept", "seen"}
+#: one of them as a word of its own, in code or not: other modules need no tree
+WORD = re.compile(rf"\b_*({'|'.join(sorted(VAGUE))})_*\b")
 #: tokens a line, 90th percentile; the closure equations of machines are formulas
 MOST_TOKENS = {"oed": 20, "studies": 20, "reports": 20, "models": 22}
 MOST_FUNCTION, MOST_FILE = 60, 400
@@ -85,7 +88,7 @@ def test_no_name_is_vague() -> None:
     vague = [
         f"{path}: {name}"
         for path, text in sources(*PACKAGES).items()
-        if not path.startswith(str(Path("oed/gap")))
+        if not path.startswith(str(Path("oed/gap"))) and WORD.search(text)
         for name in introduced(parsed(text))
         if name.strip("_") in VAGUE
     ]

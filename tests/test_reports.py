@@ -27,6 +27,8 @@ from pkm_reports.page import html as html_writer
 from pkm_reports.page import pdf as pdf_writer
 from pkm_studies.stages import result_folder
 
+pytestmark = pytest.mark.pictures
+
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
 VOID = {"meta", "img", "link", "br", "hr", "input"}
 LOADING_TAGS = {"link", "iframe", "object", "embed"}

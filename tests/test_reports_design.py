@@ -26,6 +26,8 @@ from pkm_reports.page import pdf as pdf_writer
 from pkm_reports.sections import plan
 from pkm_reports.sections.design import chapter
 
+pytestmark = pytest.mark.pictures
+
 CRITERIA = ("D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5")
 #: keys that results of the first version lack
 NEWER = [

@@ -34,6 +34,8 @@ from pkm_reports.page import document, style
 from pkm_reports.page import html as html_writer
 from pkm_reports.page import pdf as pdf_writer
 
+pytestmark = pytest.mark.pictures
+
 
 def _empty_figures() -> list[Callable[[], Figure]]:
     """Each figure, drawn of a section that holds no data for it."""

@@ -31,6 +31,8 @@ from pkm_studies.stages.run_state import start
 from pkm_studies.stages.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 
+pytestmark = pytest.mark.pictures
+
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e 漢 \x00 {{ 1 }} </script>'
 
 

@@ -26,6 +26,8 @@ from pkm_reports.page import pdf as pdf_writer
 from pkm_reports.page.blocks import Paragraph, Picture
 from pkm_reports.sections.stages import chapter
 
+pytestmark = pytest.mark.pictures
+
 NASTY = '<b>&"#$ \\ * _ `x` @y #panic("x") $x^2$ \u202e \x00 {{ 1 }} </script>'
 NEEDED = {"stages", "cost", "alternatives"}
 OPTIONAL = sorted(set(PlanSection.__struct_fields__) - NEEDED)

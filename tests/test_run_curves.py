@@ -22,6 +22,8 @@ from pkm_studies.commands.cli import main
 from pkm_studies.results.stored_result import load_result
 from pkm_studies.stages.fit import run_curves
 
+pytestmark = pytest.mark.pictures
+
 STROKES = (0.0, 0.1, 0.2)  # Fig. 8 of Tian et al. (2016)
 POINTS = 24
 TRUTH = np.r_[

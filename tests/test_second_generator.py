@@ -123,7 +123,13 @@ def test_without_the_generator_the_command_says_so(
 @pytest.mark.skipif(
     not cases.GENERATOR.is_dir(), reason="the second generator is not there"
 )
-@pytest.mark.parametrize("machine", adapter.MACHINES)
+@pytest.mark.parametrize(
+    "machine",
+    [
+        m if m in ("a3", "delta") else pytest.param(m, marks=pytest.mark.slow)
+        for m in adapter.MACHINES
+    ],
+)
 def test_a_case_becomes_readings_that_the_nominal_machine_nearly_has(
     tmp_path: Path, machine: str
 ) -> None:

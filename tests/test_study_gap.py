@@ -23,9 +23,10 @@ FOLDER = Path(__file__).resolve().parent
 
 
 @pytest.fixture(autouse=True)
-def diagnosis_by_hand(own_folder: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search for effects, and that for mistakes of the file, have tests of their own."""
-    monkeypatch.setattr("oed.checks.check.explain", lambda *args, **options: [])
+def diagnosis_by_hand(
+    own_folder: None, no_search_for_mistakes: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search for effects has tests of its own."""
     monkeypatch.setattr(
         "oed.gap.procedure.diagnose",
         lambda problem, effects, rng: gap_fixture.diagnosis(problem),

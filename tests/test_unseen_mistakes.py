@@ -98,16 +98,23 @@ def test_check_and_fit_judge_by_one_noise_law() -> None:
     assert fitted.level[0] > 0.9
 
 
-def test_clean_files_with_run_offsets_pass(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "seed",
+    [
+        0,
+        pytest.param(1, marks=pytest.mark.slow),
+        pytest.param(2, marks=pytest.mark.slow),
+    ],
+)
+def test_clean_files_with_run_offsets_pass(tmp_path: Path, seed: int) -> None:
     study = tmp_path / "clean.study.toml"
     study.write_text(STUDY, encoding="utf-8")
-    for seed in range(3):
-        path = tmp_path / f"clean{seed}.readings.csv"
-        machines.readings("delta", seed, "run offsets").to_csv(path, index=False)
-        assert cli.main(["check", str(study), str(path)]) == 0
+    path = tmp_path / "clean.readings.csv"
+    machines.readings("delta", seed, "run offsets").to_csv(path, index=False)
+    assert cli.main(["check", str(study), str(path)]) == 0
 
 
-@pytest.mark.parametrize("size", [0.02, 0.05])
+@pytest.mark.parametrize("size", [pytest.param(0.02, marks=pytest.mark.slow), 0.05])
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_drift_is_no_other_bar(size: float, seed: int) -> None:
     """In um: 20 and 50 times the noise, carried through the session."""

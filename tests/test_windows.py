@@ -6,6 +6,7 @@ import ast
 import errno
 import json
 import os
+import re
 import signal  # noqa: F401 - looked up by name
 import subprocess
 import sys
@@ -32,6 +33,8 @@ NAMES = {
     },
     "signal": {"SIGALRM", "SIGCHLD", "SIGHUP", "SIGKILL", "alarm", "setitimer"},
 }  # fmt: skip
+#: any of them, in code or not
+NAMED = re.compile(rf"\b({'|'.join(sorted(MODULES | set().union(*NAMES.values())))})\b")
 PLAN = sample.changed(
     sample.STUDY,
     ("[[design.candidates]]", '[[design.reference]]\nname = "circles"'),
@@ -53,7 +56,9 @@ def oed(*arguments: object, encoding: str) -> subprocess.CompletedProcess[bytes]
 # -- terminals -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+@pytest.mark.parametrize(
+    "encoding", [pytest.param("cp1252", marks=pytest.mark.slow), "ascii"]
+)
 def test_a_terminal_without_unicode_gets_the_text(
     encoding: str, tmp_path: Path
 ) -> None:
@@ -74,7 +79,11 @@ def test_a_terminal_without_unicode_gets_the_text(
 
 
 @pytest.mark.parametrize(
-    "arguments", [["schema", "result"], ["list", "effects", "--json"]]
+    "arguments",
+    [
+        pytest.param(["schema", "result"], marks=pytest.mark.slow),
+        ["list", "effects", "--json"],
+    ],
 )
 def test_json_is_whole_on_any_terminal(arguments: list[str]) -> None:
     narrow = oed(*arguments, encoding="cp1252")
@@ -102,7 +111,10 @@ def test_a_study_runs_without_posix_names(
 
 def _posix_names(path: Path) -> Iterator[str]:
     """POSIX-only modules imported at module level, and names of `os` and `signal`."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    if not NAMED.search(text):
+        return
+    tree = ast.parse(text)
     for node in tree.body:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in MODULES)
