@@ -95,7 +95,8 @@ def noise_with_effects(
 ) -> Noise:
     """Stated noise of the readings taken, with the effects' covariance beside it."""
     structure = reading_structure(measurement, taken, measurement.nominal)
-    columns = effects.readings.take(slice(0, len(structure))).columns
+    changes = effects.readings.take(slice(0, len(structure)))
+    columns = np.hstack([changes.columns, np.diag(changes.scatter)])
     wider = dataclasses.replace(structure, effects=structure.standardise(columns))
     return noise_under(wider, stated_laws(wider))
 
