@@ -6,6 +6,7 @@ from pathlib import Path
 
 import bar_readings
 import numpy as np
+import pandas as pd
 import pytest
 import sample
 import test_bad_fit
@@ -13,6 +14,7 @@ import test_bad_fit
 from pkm_studies.base.errors import InputError
 from pkm_studies.commands import cli
 from pkm_studies.resolve.resolved import resolve
+from pkm_studies.stages.fit.states import displayed_states, recorded_states
 from pkm_studies.study import load
 
 WORKSPACE = """
@@ -75,3 +77,26 @@ def test_a_state_that_no_reading_recorded_is_refused(
     message = capsys.readouterr().err
     assert "temp_frame_C" in message
     assert "record it in the readings" in message
+
+
+def test_recorded_states_are_the_default() -> None:
+    """Two directions and payloads as they are, a leg cold and warm, no bar."""
+    rows = pd.DataFrame(
+        {
+            "direction": [1.0, -1.0, 1.0, np.nan],
+            "payload": [0.0, 50.0, 200.0, 0.0],
+            "feed": [0.01, 0.02, 0.01, 0.02],
+            "temp_leg1": [20.0, 21.0, 23.0, 22.0],
+            "temp_leg2": [20.0, 20.0, 20.0, 20.0],
+            "temp_bar": [20.0, 20.5, 21.0, 20.2],
+        }
+    )
+    states = recorded_states(rows)
+    assert set(states) == {"direction", "payload", "temp_leg1"}
+    np.testing.assert_allclose(states["direction"], [-1.0, 1.0])
+    np.testing.assert_allclose(states["payload"], [0.0, 50.0, 200.0])
+    np.testing.assert_allclose(states["temp_leg1"], [20.0, 23.0])
+    shown = displayed_states(states)
+    assert shown["payload_N"] == [0.0, 50.0, 200.0]
+    assert shown["temp_leg1_C"] == [20.0, 23.0]
+    assert recorded_states(None) == {}

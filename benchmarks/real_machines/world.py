@@ -21,6 +21,10 @@ from pkm_studies.resolve import resolved as resolve
 
 MM = 1e-3
 HEALTHY = (0.6, 1.4)
+#: levels of the effects that all machines have
+LEVELS = ("rigid", "healthy", "typical")
+#: spread of the logarithm of an effect's size
+SPREAD = 0.7
 
 
 @dataclasses.dataclass(eq=False)
@@ -49,7 +53,8 @@ class Bench:
 def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     """A machine with all effects small, and one of sqrt(lambda) `size` (0: none).
 
-    level   "healthy": all effects together of sqrt(lambda) .6 to 1.4; "rigid": none
+    level   "healthy": all effects together of sqrt(lambda) .6 to 1.4; "typical": each about
+            its typical size; "rigid": none
     """
     sys.path.insert(0, str(GENERATOR))
     import make  # the generator's own modules
@@ -59,7 +64,7 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
 
     from design import design
 
-    key = [seed, adapter.MACHINES.index(machine), round(size), int(level == "healthy")]
+    key = [seed, adapter.MACHINES.index(machine), round(size), LEVELS.index(level)]
     rng = np.random.default_rng(key)
     c = design(machine, rng, False)
     geometry = Pert()
@@ -68,7 +73,11 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     law = "white" if level == "rigid" else str(rng.choice(LAWS))
     errors, sigma, _ = noise(c, rng, law)
     oracle = Oracle(c, geometry, sigma)
-    total = _small_effects(machine, c, oracle, rng) if level == "healthy" else Pert()
+    total = Pert()
+    if level == "healthy":
+        total = _small_effects(machine, c, oracle, rng)
+    if level == "typical":
+        total = _typical_effects(machine, c, rng)
     name = ""
     if size:
         name, f, _, a, *_ = make.sized(c, rng, oracle, LISTED, machine, size)
@@ -117,7 +126,7 @@ def _small_effects(machine, c, oracle, rng):
         if machine in machines:
             f, _ = make_effect(c, rng)
             amount, *_ = oracle.size(f, 1.0)
-            parts.append((f, amount * np.exp(rng.normal(0, 0.7))))
+            parts.append((f, amount * np.exp(rng.normal(0, SPREAD))))
     wanted = rng.uniform(*HEALTHY)
     scale = 1.0
     for _ in range(8):
@@ -125,6 +134,19 @@ def _small_effects(machine, c, oracle, rng):
         for f, amount in parts:
             total = total + f(amount * scale)
         scale *= wanted / max(oracle.lam(oracle.signature(total)), 1e-9)
+    return total
+
+
+def _typical_effects(machine, c, rng):
+    """All effects of the machine's kind, each about its typical size."""
+    from effects import LISTED
+    from truth import Pert
+
+    total = Pert()
+    for make_effect, machines in LISTED.values():
+        if machine in machines:
+            f, _ = make_effect(c, rng)
+            total = total + f(np.exp(rng.normal(0, SPREAD)))
     return total
 
 

@@ -100,6 +100,7 @@ from oed.result.prediction import (
     ToolAccuracy,
 )
 from oed.result.record import Record
+from oed.result.recording import RecordedChoice, RecordingSection
 from oed.result.study import (
     SCHEMA,
     Claim,
@@ -176,6 +177,8 @@ __all__ = [
     "PredictiveCheckRecord",
     "PromiseRecord",
     "Record",
+    "RecordedChoice",
+    "RecordingSection",
     "RelaxedSummary",
     "RivalRecord",
     "RobustSummary",

@@ -36,6 +36,8 @@ class AcceptanceSection(Record, frozen=True):
     conditions   what the promise rests on
     further      {component: demand} of what no drive corrects; measured or not
     offsets      errors of these, known in advance, at each pose, in their units
+    healthy      {component: rms} that the plan predicted for a healthy machine, with all
+                 that is known corrected, in the components' units
     """
 
     poses: list[dict[str, float]]
@@ -46,6 +48,7 @@ class AcceptanceSection(Record, frozen=True):
     conditions: list[str] = []
     further: dict[str, PromiseRecord] = {}
     offsets: list[dict[str, float]] = []
+    healthy: dict[str, float] = {}
 
 
 class VerdictRecord(Record, frozen=True):
@@ -84,6 +87,7 @@ class VerificationSection(Record, frozen=True):
     """Whether the measured errors confirm the promise.
 
     further  verdicts on what no drive corrects, as far as it was measured
+    healthy  {component: rms} that the plan predicted for a healthy machine
     """
 
     passed: bool
@@ -91,3 +95,4 @@ class VerificationSection(Record, frozen=True):
     components: dict[str, VerdictRecord]
     positioning: dict[str, PositioningRecord] = {}
     further: dict[str, VerdictRecord] = {}
+    healthy: dict[str, float] = {}

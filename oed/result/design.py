@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from oed.result.record import Number, Record
+from oed.result.recording import RecordingSection
 
 
 class PlannedReading(Record, frozen=True):
@@ -146,6 +147,7 @@ class AllowedEffects(Record, frozen=True):
     accuracy: dict[str, float]
     accuracy_without: dict[str, float]  # of the plan for a machine without effects
     before: dict[str, float]  # without any reading
+    recording: RecordingSection | None = None  # what else to record
 
 
 class DesignSection(Record, frozen=True, kw_only=True):

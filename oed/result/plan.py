@@ -7,6 +7,7 @@ from __future__ import annotations
 import msgspec
 
 from oed.result.record import Record
+from oed.result.recording import RecordingSection
 
 
 class Sd(Record, frozen=True):
@@ -108,6 +109,7 @@ class PlanEffects(Record, frozen=True):
     without: AlternativePlan
     promised: dict[str, float]
     words: str
+    recording: RecordingSection | None = None  # what else to record
 
 
 class PlanSection(Record, frozen=True):

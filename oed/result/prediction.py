@@ -96,6 +96,10 @@ class PredictionSection(Record, frozen=True):
     tools: list[ToolAccuracy] = []
     # rms error to reach, by component, in its unit
     wanted: dict[str, float] = {}
+    # values by column at which the machine is used, where effects are allowed; what is not
+    # there is as in the session
+    states: dict[str, list[float]] = {}
+    states_from: str = ""  # "study", or "readings" where the study states none
 
 
 class HeldOutSection(Record, frozen=True):

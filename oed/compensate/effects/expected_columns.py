@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.accuracy.maps import ErrorMaps, Reference
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Mask
 from oed.compensate.effects.effect_maps import (
     ActingForm,
     SessionStates,
@@ -63,6 +63,24 @@ class ExpectedColumns:
                     columns[:, k] = signature.columns[:, signature.names.index(name)]
             parts.append(columns)
         return np.asarray(np.hstack(parts) @ self.mixing)
+
+    def take(self, chosen: Mask) -> ExpectedColumns:
+        """Some of the columns (k,), with the groups and forms that they need."""
+        mixing = self.mixing[:, chosen]
+        ends = np.cumsum([len(form.names) for form in self.forms])
+        blocks = np.split(mixing, ends[:-1])
+        acting = [block.any() for block in blocks]
+        numbers, group = np.unique(self.discrepancy.group[chosen], return_inverse=True)
+        return ExpectedColumns(
+            Discrepancy(
+                columns=self.discrepancy.columns[:, chosen],
+                group=group.astype(np.intp),
+                names=tuple(self.discrepancy.names[g] for g in numbers),
+                unknown=self.discrepancy.unknown[numbers],
+            ),
+            tuple(f for f, acts in zip(self.forms, acting, strict=True) if acts),
+            np.vstack([b for b, acts in zip(blocks, acting, strict=True) if acts]),
+        )
 
     def workspace_maps(
         self,
@@ -132,9 +150,9 @@ def _unit(values: Array) -> Array:
 
 
 def expected_columns(
-    problem: GapProblem, effects: Sequence[Effect]
+    problem: GapProblem, effects: Sequence[Effect], *, unknown: bool = True
 ) -> ExpectedColumns | None:
-    """Columns of the effects that the machine can have, and of unknown ones.
+    """Columns of the effects that the machine can have, and by default of unknown ones.
 
     Unknown effects are as large as known ones usually are: their unit changes the
     readings that they change at all by the median of what known ones do to these at their
@@ -149,7 +167,7 @@ def expected_columns(
     known = [group for group in groups if group.size > NOTHING]
     if not known:
         return None
-    for effect in unknown_effects():
+    for effect in unknown_effects() if unknown else ():
         for group in _groups_of(problem, effect, forms, unknown=True):
             typical = _typical_size(known, group)
             if group.size > NOTHING and typical > NOTHING:

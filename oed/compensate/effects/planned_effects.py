@@ -2,7 +2,8 @@
 
 The principal combinations of all effects' columns, in units of the noise, are unknowns of
 prior variance 1. What the others change counts as scatter of single readings, and as
-error of the tool that no reading can reduce.
+error of the tool that no reading can reduce. So does what depends on the course of the
+session, which is not recorded (`oed.compensate.effects.course_columns`).
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ import dataclasses
 
 import numpy as np
 
-from oed.accuracy.maps import Reference
 from oed.base.arrays import Array
+from oed.compensate.effects.course_columns import CourseColumns
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.design.nuisances import Nuisances
@@ -29,45 +30,49 @@ class PlannedEffects:
     readings  change of the readings per unit, and by other combinations, SI
     tool      (n, k, u) change of k pose components at n workspace poses per unit, SI
     others    (k,) mean square over the workspace by other combinations, SI
-    groups    names of the groups of effects
+    columns   all effects' columns
+    session   in which the readings would be taken
     """
 
     readings: Nuisances
     tool: Array
     others: Array
-    groups: tuple[str, ...]
+    columns: ExpectedColumns
+    session: SessionStates
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Names of the groups of effects."""
+        return self.columns.discrepancy.names
 
 
 def planned_effects(
+    courses: CourseColumns,
     columns: ExpectedColumns,
-    sigma: Array,
     session: SessionStates,
-    theta: Array,
-    command: Array,
-    reference: Reference,
-    rng: np.random.Generator,
+    sigma: Array,
     most: int,
 ) -> PlannedEffects:
     """The combinations that planned readings show.
 
+    courses  `columns` in the courses that the session may take
+    sigma    (N,) noise of the readings, SI
     most     combinations that are unknowns: more describe the effects better, and a
              search with them takes longer
-
-    sigma    (N,) noise of the readings, SI
-    session  states in which the readings would be taken
-    command  (n, n_dof) of the workspace, SI
     """
-    changes = columns.discrepancy.columns
+    changes = courses.mean
     _, sizes, rows = np.linalg.svd(changes / sigma[:, None], full_matrices=False)
     combinations = rows[:most][sizes[:most] > FAINT].T
     change = changes @ combinations
-    scatter = np.maximum((changes**2).sum(axis=1) - (change**2).sum(axis=1), 0.0)
-    maps = columns.workspace_maps(session, theta, command, reference, rng)
-    tool = maps.raw @ combinations
-    total = (maps.raw**2).sum(axis=2) - (tool**2).sum(axis=2)
+    others = np.maximum((changes**2).sum(axis=1) - (change**2).sum(axis=1), 0.0)
+    scatter = np.hypot(np.sqrt(others), courses.scatter(courses.of_course))
+    tool = courses.mean_tool @ combinations
+    total = (courses.mean_tool**2).sum(axis=2) - (tool**2).sum(axis=2)
+    rest = courses.tool_rest(courses.of_course)
     return PlannedEffects(
-        readings=Nuisances(change, np.sqrt(scatter)),
+        readings=Nuisances(change, scatter),
         tool=tool,
-        others=np.maximum(total, 0.0).mean(axis=0),
-        groups=columns.discrepancy.names,
+        others=np.maximum(total, 0.0).mean(axis=0) + rest,
+        columns=columns,
+        session=session,
     )

@@ -30,6 +30,9 @@ MOST = 8
 UNIT = 1e-6
 SOURCE = "Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63, 425-464"
 
+#: what a course is a function of
+NEEDS = {"direction": ("direction: both",), "time": ("time",)}
+
 Series = Callable[[State], Array]
 
 
@@ -53,6 +56,7 @@ def unknown_effects() -> tuple[Effect, ...]:
                 source=SOURCE,
                 about=f"an error of the {carrier} of no known form ({course})",
                 columns=_columns(columns, values, course == "direction"),
+                needs=NEEDS.get(course, ()),
             )
         )
     return tuple(effects)

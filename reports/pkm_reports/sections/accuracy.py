@@ -80,8 +80,22 @@ def _about(prediction: PredictionSection) -> str:
     poses = text.count(prediction.poses, "workspace pose")
     return (
         f"Errors of the pose over {poses}, {mode}. Reference: {reference}. Numbers are"
-        " 1-sigma errors, pooled over the workspace."
+        f" 1-sigma errors, pooled over the workspace.{_states(prediction)}"
     )
+
+
+def _states(prediction: PredictionSection) -> str:
+    """At which states effects act, and where these come from."""
+    if not prediction.states:
+        return ""
+    source = "as the study states"
+    if prediction.states_from == "readings":
+        source = "as the readings recorded, for the study states none"
+    parts = [
+        f"{column} {', '.join(f'{value:g}' for value in values)}"
+        for column, values in prediction.states.items()
+    ]
+    return f" The machine is used at {'; '.join(parts)}: {source}."
 
 
 def _verdict(components: Components) -> str:

@@ -45,6 +45,14 @@ def verify(
         float, typer.Option(min=0.1, max=0.999, help="Power that is asked for.")
     ] = 0.9,
     poses: Annotated[int, typer.Option(min=1, max=200, help="Poses at most.")] = 12,
+    planned: Annotated[
+        Path | None,
+        typer.Option(
+            "--plan",
+            metavar="RESULT_DIR",
+            help="Plan with effects: compare with what it says of a healthy machine.",
+        ),
+    ] = None,
     study: MachineStudy = None,
     allow_code: AllowCode = False,
 ) -> int:
@@ -58,7 +66,7 @@ def verify(
             if "setup" in csv_table.read(readings).header:
                 return _compare(folder, readings, study, given)
             return _judge(folder, readings)
-        return _plan(folder, promise, uncertainty, power, poses, study, given)
+        return _plan(folder, promise, uncertainty, power, poses, study, given, planned)
     except BadFitError as error:
         console.print_error(str(error))
         return FAILED
@@ -91,6 +99,7 @@ def _plan(
     poses: int,
     study: Path | None,
     given: Consent,
+    planned: Path | None,
 ) -> int:
     from pkm_studies.sessions import verification
 
@@ -102,6 +111,7 @@ def _plan(
         most=poses,
         study_file=study,
         consent=given,
+        planned=planned,
     )
     for sentence in verification.plan_sentences(section):
         print(sentence)

@@ -175,6 +175,7 @@ def _effects(
         prediction,
         np.random.default_rng(STATES),
         UNKNOWNS,
+        units.factor("min") * _budget_min(table, study.place.key("plan")),
     )
 
 

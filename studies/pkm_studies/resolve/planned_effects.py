@@ -8,11 +8,14 @@ import numpy as np
 
 from oed import dataset
 from oed.base.arrays import Array
+from oed.compensate.effects.course_columns import over_courses
+from oed.compensate.effects.courses import Course, draw_courses
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import expected_columns
 from oed.compensate.effects.planned_effects import PlannedEffects, planned_effects
 from oed.design.candidates import Candidates
 from oed.gap.data import problem as problems
+from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
 from pkm_studies.base.errors import Place
@@ -24,6 +27,10 @@ from pkm_studies.study import Study
 NONE = "none"
 #: combinations of effects that are unknowns of candidates, at most
 UNKNOWNS = 60
+#: courses of a session that are drawn
+COURSES = 8
+#: time that a session lasts where nothing says it, s
+SESSION = 7200.0
 
 
 def named_effects(
@@ -60,33 +67,49 @@ def effects_of_planned(
     prediction: PredictionRequest,
     rng: np.random.Generator,
     most: int,
+    seconds: float = SESSION,
 ) -> PlannedEffects | None:
     """What effects do to planned readings and workspace; None where nothing changes.
 
     `most` of their combinations are unknowns, the others scatter.
 
-    The readings have no time and no direction: effects that depend on these are left
-    out, as the order of the readings is not known before they are chosen.
+    The order of the readings is not known before they are chosen: what depends on sense
+    of travel, time or temperatures counts as if it were not recorded.
     """
-    parted = [s.separate_poses() for s in series]
-    empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
-    covariates = dataset.from_series(parted, empty, measurement, None).covariates
-    problem = problems.assemble(
-        measurement, parted, covariates, gravity=request.gravity
+    problem, courses = planned_courses(
+        measurement, series, request, rng, COURSES, seconds
     )
     columns = expected_columns(problem, effects)
     if columns is None:
         return None
-    return planned_effects(
-        columns,
-        problem.sigma,
-        SessionStates.of(problem),
-        measurement.nominal,
-        prediction.command,
-        prediction.table.reference,
-        rng,
-        most,
+    session = SessionStates.of(problem)
+    where, table = prediction.command, prediction.table
+    over = over_courses(problem, courses, columns, session, where, table.reference, rng)
+    return planned_effects(over, columns, session, problem.sigma, most)
+
+
+def planned_courses(
+    measurement: Measurement,
+    series: Sequence[Series],
+    request: GapRequest,
+    rng: np.random.Generator,
+    count: int,
+    seconds: float,
+    bodies: Sequence[str] = (),
+    last: int = 0,
+) -> tuple[GapProblem, list[Course]]:
+    """Planned readings in courses that a session may take; the first is the problem's.
+
+    Temperatures of `bodies` are recorded; `last` readings repeat the first ones.
+    """
+    parted = [s.separate_poses() for s in series]
+    empty = np.full(len(measurement.setup_of_readings(parted)), np.nan)
+    rows = dataset.from_series(parted, empty, measurement, None).covariates
+    courses = draw_courses(rows, seconds, count, rng, bodies, last)
+    problem = problems.assemble(
+        measurement, parted, courses[0].covariates, gravity=request.gravity
     )
+    return courses[0].of(problem), courses
 
 
 def pose_error_slopes(pool: Candidates, raw: Array, effects: PlannedEffects) -> Array:

@@ -1,8 +1,8 @@
 """Effects beside the geometry in the advice at the machine, at their expected sizes.
 
 The readings taken and all candidates share the unknowns of the effects, so that a reading
-is worth what it tells of both. Effects of direction and of time are left out, as they are
-of a plan: the order of the readings to come is not known.
+is worth what it tells of both. What depends on side of approach, time or temperature
+counts as in a plan: not recorded, for the order of the readings to come is not known.
 """
 
 from __future__ import annotations
@@ -95,7 +95,8 @@ def noise_with_effects(
 ) -> Noise:
     """Stated noise of the readings taken, with the effects' covariance beside it."""
     structure = reading_structure(measurement, taken, measurement.nominal)
-    columns = effects.readings.take(slice(0, len(structure))).columns
+    changes = effects.readings.take(slice(0, len(structure)))
+    columns = np.hstack([changes.columns, np.diag(changes.scatter)])
     wider = dataclasses.replace(structure, effects=structure.standardise(columns))
     return noise_under(wider, stated_laws(wider))
 

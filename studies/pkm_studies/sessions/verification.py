@@ -18,6 +18,10 @@ from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.sessions.acceptance import plan
+from pkm_studies.sessions.acceptance.healthy import (
+    healthy_accuracy,
+    healthy_sentences,
+)
 from pkm_studies.sessions.acceptance.judge import judge_file
 from pkm_studies.sessions.acceptance.plan import AXES
 from pkm_studies.sessions.acceptance.promise import promised_accuracy
@@ -36,6 +40,7 @@ def plan_folder(
     most: int = 12,
     study_file: Path | None = None,
     consent: Consent = Consent.RECORDED,
+    planned: Path | None = None,
 ) -> tuple[AcceptanceSection, Path]:
     """Plan the acceptance test of a result; the section, and the file to fill in.
 
@@ -45,6 +50,7 @@ def plan_folder(
     most                   poses at most
     study_file             study, where it names a machine in a file of its own
     consent                to run that file
+    planned                folder of the plan that said what a healthy machine reaches
 
     Raises InputError, and BadFitError where the fit promises nothing.
     """
@@ -61,6 +67,8 @@ def plan_folder(
     )
     rng = np.random.default_rng([result.seed, int(Stream.ACCEPTANCE)])
     section = plan.plan_section(result, accuracy, rng, power=power, most=most)
+    healthy = healthy_accuracy(result, planned, section.components)
+    section = msgspec.structs.replace(section, healthy=healthy)
     text = plan.to_fill_in(section, machine)
     known = list(result.written.values())
     path = own_files.write_own(folder / FILE, text.encode(), known)
@@ -87,6 +95,7 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
         )
     refuse_bad_fit(result)
     section = judge_file(result.acceptance, readings)
+    section = msgspec.structs.replace(section, healthy=result.acceptance.healthy)
     result = msgspec.structs.replace(result, verification=section)
     result_folder.rewrite(folder, result)
     return section
@@ -151,6 +160,7 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
             f" repeatability R {p.repeatability:.3g}{_both_ways(p.mean, p.reversal)}"
             f" {p.unit}."
         )
+    yield from healthy_sentences(section)
     verdict = "meets" if section.passed else "does not meet"
     yield f"The machine {verdict} its promised accuracy."
 

@@ -25,6 +25,7 @@ from oed.result import (
 from pkm_studies.stages.forecast import words as forecast_words
 from pkm_studies.stages.plan.phrases import bound_sentences, plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
+from pkm_studies.stages.recording_words import recording_sentences
 
 MAX_SENTENCES = 5
 #: verdicts of held-out readings that raise no doubt of the fit
@@ -41,9 +42,8 @@ def sentences(
 ) -> list[str]:
     """Sentences about the sections that are there.
 
-    Findings about the readings come first, then all those of a diagnosis, then what
-    held-out readings say. Where the readings are `recorded`, no plan chose them: nothing
-    is said about a design. The `machine` says what earlier sessions give.
+    Findings about the readings come first, then a diagnosis, then held-out readings.
+    Readings that are `recorded` have no design. `machine`: what earlier sessions give.
     """
     chosen = None if recorded else result.design
     ranked = [
@@ -76,6 +76,7 @@ def sentences(
         *held_out,
         *ranked[:MAX_SENTENCES],
         *asked,
+        *recording_sentences(result.plan, chosen),
     ]
 
 
@@ -300,7 +301,7 @@ def _allowed_effects(section: DesignSection) -> list[str]:
     return [
         f"It allows for {allowed.groups} groups of effects at the sizes expected of them,"
         " and then leaves rms errors, in brackets those of the plan for a machine without"
-        f" effects: {', '.join(parts)}."
+        f" effects: {', '.join(parts)}.",
     ]
 
 

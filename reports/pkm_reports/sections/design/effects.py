@@ -5,6 +5,7 @@ from __future__ import annotations
 from oed.result import DesignSection
 from pkm_reports.page import text
 from pkm_reports.page.blocks import Block, Paragraph, Table, number_columns, wide_column
+from pkm_reports.sections import recording
 
 
 def blocks(design: DesignSection) -> list[Block]:
@@ -33,4 +34,5 @@ def blocks(design: DesignSection) -> list[Block]:
         "Predicted errors over the workspace of a machine with these effects, once all that"
         " is known is corrected."
     )
-    return [Paragraph(sentence), Table(columns, rows, caption)]
+    table = Table(columns, rows, caption)
+    return [Paragraph(sentence), table, *recording.blocks(allowed.recording)]

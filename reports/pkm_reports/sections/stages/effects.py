@@ -5,6 +5,7 @@ from __future__ import annotations
 from oed.result import PlanSection
 from pkm_reports.page import text
 from pkm_reports.page.blocks import Block, Paragraph, Table, number_columns, wide_column
+from pkm_reports.sections import recording
 
 
 def blocks(plan: PlanSection) -> list[Block]:
@@ -33,4 +34,5 @@ def blocks(plan: PlanSection) -> list[Block]:
         " geometry, at the sizes expected of them. The plan for a machine without effects"
         f" would be {', then '.join(allowed.without.names)}."
     )
-    return [Paragraph(sentence), Table(columns, rows, caption)]
+    table = Table(columns, rows, caption)
+    return [Paragraph(sentence), table, *recording.blocks(allowed.recording)]

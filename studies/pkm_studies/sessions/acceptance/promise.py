@@ -14,7 +14,12 @@ from oed.base.arrays import Array
 from oed.compensate.export_errors import known_errors
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Component, Machine
-from oed.result import CorrectedSection, EstimateSection, StudyResult
+from oed.result import (
+    CorrectedSection,
+    EstimateSection,
+    PredictionSection,
+    StudyResult,
+)
 from pkm_studies.base.errors import InputError
 from pkm_studies.compensation import identified
 from pkm_studies.resolve.machine import study_kinematics
@@ -113,9 +118,24 @@ def promised_accuracy(
         promise=promise(driven),
         components=tuple(machine.components[k] for k in driven),
         reference=reference,
-        conditions=() if corrected is None else tuple(corrected.conditions),
+        conditions=(
+            _states_of_use(result.prediction)
+            if corrected is None
+            else tuple(corrected.conditions)
+        ),
         further=_further(result, kinematics, maps, reference, others, promise),
     )
+
+
+def _states_of_use(prediction: PredictionSection | None) -> tuple[str, ...]:
+    """The states in which a promise with effects holds; none without effects."""
+    if prediction is None or not prediction.states:
+        return ()
+    parts = [
+        f"{column} {' and '.join(f'{value:g}' for value in values)}"
+        for column, values in prediction.states.items()
+    ]
+    return (f"the machine is measured over the states in use: {', '.join(parts)}",)
 
 
 def _further(

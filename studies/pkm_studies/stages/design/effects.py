@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from oed.base import units
@@ -10,11 +12,13 @@ from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.blocks import information
 from oed.design.exchange import Choice
 from oed.identifiability.information import prior_information
-from oed.result import AllowedEffects
+from oed.measurement.measurement import Measurement, Series
+from oed.result import AllowedEffects, RecordingSection
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.planned_effects import (
     NONE,
+    SESSION,
     UNKNOWNS,
     effects_of_planned,
     named_effects,
@@ -23,6 +27,7 @@ from pkm_studies.resolve.planned_effects import (
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
+from pkm_studies.stages.recording import PlanToRecord, recording_section
 from pkm_studies.study.tables import DesignTable
 
 
@@ -111,6 +116,31 @@ def compare_without(
         accuracy=_accuracy(problem, study_criteria, effects, choice.indices),
         accuracy_without=_accuracy(problem, study_criteria, effects, rigid.indices),
         before=_accuracy(problem, study_criteria, effects, none),
+    )
+
+
+def recording(
+    criteria: StudyCriteria, measurement: Measurement, series: Sequence[Series]
+) -> RecordingSection | None:
+    """What else to record beside the readings of a design with effects."""
+    resolved, table = criteria.resolved, criteria.table
+    if resolved.prediction is None or criteria.effects is None:
+        return None
+    gap = resolved.gap_or_default
+    place = resolved.study.place.key("design").key("effects")
+    return recording_section(
+        PlanToRecord(
+            measurement=measurement,
+            series=tuple(series),
+            planned=criteria.effects,
+            effects=named_effects(gap, table.effects, place),
+            request=gap,
+            prediction=resolved.prediction,
+            information=prior_information(measurement),
+            seconds=SESSION,
+            seed=[resolved.study.seed],
+            further={},
+        )
     )
 
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 from oed.identifiability.assessment import Assessment
 from oed.measurement.measurement import Measurement, Series
-from oed.result import DesignSection, PlannedReading, RobustSummary
+from oed.result import AllowedEffects, DesignSection, PlannedReading, RobustSummary
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.describe import displayed, displayed_command, displayed_joints
+from pkm_studies.stages.design import effects
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.plan_scores import plan_scores
 from pkm_studies.stages.design.select import ChosenDesign
@@ -63,8 +65,17 @@ def design_section(
         robust=chosen.robust,
         how_many=chosen.how_many,
         relaxed=chosen.relaxed,
-        effects=chosen.effects,
+        effects=_effects(chosen),
     )
+
+
+def _effects(chosen: ChosenDesign) -> AllowedEffects | None:
+    """The effects of the design, with what else to record."""
+    allowed = chosen.effects
+    if allowed is None:
+        return None
+    recording = effects.recording(chosen.criteria, chosen.measurement, chosen.series)
+    return msgspec.structs.replace(allowed, recording=recording)
 
 
 def shared_columns(resolved: ResolvedStudy, chosen: ChosenDesign) -> int:

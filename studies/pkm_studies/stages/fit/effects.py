@@ -28,6 +28,7 @@ from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.planned_effects import NONE, named_effects
 from pkm_studies.stages.corrected import alarm
+from pkm_studies.stages.fit.states import recorded_states
 from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured
 
@@ -102,12 +103,14 @@ def session_states(state: Fitted) -> SessionStates:
 
 
 def states_in_use(state: Fitted) -> SessionStates:
-    """States in which the machine is used, as far as [prediction] states them.
+    """States in which the machine is used: those of [prediction], else those recorded.
 
     Raises InputError for a covariate that no reading has.
     """
     problem, resolved = _problem(state), state.resolved
     used = {} if resolved.prediction is None else resolved.prediction.states
+    if not used:
+        used = recorded_states(state.readings.covariates)
     for name in used:
         recorded = problem.covariates.get(name)
         if recorded is None or recorded.isna().all():

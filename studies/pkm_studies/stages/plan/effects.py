@@ -5,16 +5,28 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
+import numpy as np
+
 from oed import result
+from oed.base import units
+from oed.base.arrays import Index
+from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.design.stages.option import Option
+from oed.design.stages.sequence.stage_plan import StagePlan
 from pkm_studies.base.progress import Progress
+from pkm_studies.resolve.planned_effects import named_effects
 from pkm_studies.stages.plan.comparison import predict_readings
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.phrases import accuracies
+from pkm_studies.stages.plan.section import PlanOutcome
 from pkm_studies.stages.plan.task import PlanTask, build_task
+from pkm_studies.stages.recording import PlanToRecord, recording_section
 
 
 def compare_without_effects(
     task: PlanTask,
+    best: StagePlan,
+    outcome: PlanOutcome,
     earlier: EarlierSession | None,
     progress: Progress,
 ) -> result.PlanEffects | None:
@@ -39,7 +51,47 @@ def compare_without_effects(
         without=without,
         promised=promises,
         words=_words(len(effects.groups), without, promises),
+        recording=_recording(task, effects, best, outcome),
     )
+
+
+def _recording(
+    task: PlanTask, effects: PlannedEffects, best: StagePlan, outcome: PlanOutcome
+) -> result.RecordingSection | None:
+    """What else to record beside the readings of the plan."""
+    resolved, request = task.resolved, task.request
+    measurement = outcome.measurement
+    free = int(measurement.free[: len(measurement.machine.parameters)].sum())
+    gap = resolved.gap_or_default
+    place = task.place.key("effects")
+    setups = set(measurement.setups)
+    further = {}
+    for option in request.options:
+        if option.name not in best.names:
+            mounted = resolved.measurement_with({*setups, *option.measurement.setups})
+            further[option.name] = (mounted, option.series_of(_spread(option)))
+    return recording_section(
+        PlanToRecord(
+            measurement=measurement,
+            series=outcome.series,
+            planned=effects,
+            effects=named_effects(gap, task.table.effects, place),
+            request=gap,
+            prediction=request.prediction,
+            information=np.asarray(
+                np.linalg.inv(task.start[:free, :free]), dtype=float
+            ),
+            seconds=units.factor("min") * (task.table.budget_min or 0.0),
+            seed=task.seed,
+            further=further,
+        )
+    )
+
+
+def _spread(option: Option) -> Index:
+    """As many candidates as a measurement has at least, spread over all."""
+    last = len(option.candidates) - 1
+    return np.unique(np.linspace(0, last, option.counts[0]).round().astype(np.intp))
 
 
 def _words(

@@ -64,7 +64,7 @@ def compute_plan(
         stop=describe_stop(task, search, best),
         compared=[compare_sequence(task, names, search) for names in sequences],
         after="" if earlier is None else earlier.words,
-        effects=compare_without_effects(task, earlier, progress),
+        effects=compare_without_effects(task, best, outcome, earlier, progress),
     )
     return dataclasses.replace(outcome, section=section)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import get_args
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
@@ -26,6 +26,7 @@ from pkm_studies.stages.fit.effects import (
     states_in_use,
     with_controller,
 )
+from pkm_studies.stages.fit.states import displayed_states
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
@@ -71,6 +72,7 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         section,
         references=_references(state, known, main),
         tools=_tools(state, table, known, command),
+        **_states(known, table),
     )
     section = accuracy.with_wanted(section, state.resolved.wanted_accuracy)
     if isinstance(state, Fitted) and known.sent is not None:
@@ -78,6 +80,15 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         estimate = with_controller(state.estimate_section, machine, known.sent)
         state = state.with_sections(estimate=estimate)
     return state.with_sections(prediction=accuracy.with_realised(section, realised))
+
+
+def _states(known: ParameterKnowledge, table: PredictionTable) -> dict[str, Any]:
+    """Fields of the section: the states in which effects act."""
+    used = {} if known.effects is None else known.effects.session.used
+    if not used:
+        return {}
+    source = "study" if table.states else "readings"
+    return {"states": displayed_states(used), "states_from": source}
 
 
 def _realised(

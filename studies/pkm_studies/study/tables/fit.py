@@ -121,7 +121,9 @@ class PredictionTable(StudyTable, frozen=True, kw_only=True):
                       reported beside the predicted one. A claim of [expect] tests it
     states            what the machine is used at, by column of the readings file:
                       `{ payload_N = [0, 500], temp_frame_C = [18, 26] }`. Effects of
-                      [identify] act there; anything else is as in the session
+                      [identify] act there; anything else is as in the session. By
+                      default both directions, all payloads, and each leg and the frame
+                      cold and warm, as far as readings recorded them
     further           coordinates of the grid, as in [[design.candidates]]
     """
 

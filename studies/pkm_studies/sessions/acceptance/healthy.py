@@ -1,0 +1,54 @@
+"""What a plan said that a healthy machine of its kind reaches, beside the measured error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from oed.result import PromiseRecord, StudyResult, VerificationSection
+from pkm_studies.base.errors import InputError
+from pkm_studies.stages import result_folder
+
+
+def healthy_accuracy(
+    result: StudyResult, plan: Path | None, demands: Mapping[str, PromiseRecord]
+) -> dict[str, float]:
+    """Rms of each demanded component that a plan with effects predicted, in its unit.
+
+    plan  folder of `oed plan` or `oed run`; by default the result's own plan. Raises
+          InputError where a folder's plan allows for no effects.
+    """
+    planned = result if plan is None else result_folder.load_result(plan)
+    accuracy = _predicted(planned)
+    if plan is not None and not accuracy:
+        raise InputError(
+            "its plan allows for no effects, and says nothing of a healthy machine",
+            'plan with effects = "catalogue" in [plan] or [design]',
+            file=str(plan / "result.json"),
+            field="--plan",
+        )
+    keys = {name: f"{name}_{demand.unit}" for name, demand in demands.items()}
+    return {name: accuracy[key] for name, key in keys.items() if key in accuracy}
+
+
+def _predicted(result: StudyResult) -> Mapping[str, float]:
+    """Accuracy of the plan, else of the design, on a machine with effects."""
+    if result.plan is not None and result.plan.effects is not None:
+        return result.plan.accuracy
+    if result.design is not None and result.design.effects is not None:
+        return result.design.effects.accuracy
+    return {}
+
+
+def healthy_sentences(section: VerificationSection) -> list[str]:
+    """The measured errors beside those of a healthy machine; none without a plan."""
+    sentences = []
+    for name, rms in section.healthy.items():
+        verdict = section.components[name]
+        times = verdict.rms / rms
+        sentences.append(
+            f"{name}: the plan predicted {rms:.3g} {verdict.unit} rms for a healthy machine,"
+            f" with all that is known corrected; measured are {verdict.rms:.3g}"
+            f" {verdict.unit}, {times:.2g} times that."
+        )
+    return sentences

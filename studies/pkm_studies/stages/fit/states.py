@@ -1,0 +1,55 @@
+"""States in which a machine is used: as the study states them, else as recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.dataset.columns import (
+    TEMPERATURE,
+    column_name,
+    covariate_unit,
+    is_temperature,
+    parse_column,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: beginnings of the names of a machine's own bodies; a bar is none
+OWN_BODIES = ("leg", "frame")
+#: covariates of which every recorded value is one of use
+VALUES = ("direction", "payload")
+
+
+def recorded_states(covariates: pd.DataFrame | None) -> dict[str, Array]:
+    """States of use that readings recorded, by covariate, SI.
+
+    Both directions and all payloads, where several were recorded, and each body of the
+    machine as cold and as warm as it was. None where nothing is recorded.
+    """
+    if covariates is None:
+        return {}
+    states = {}
+    for name in map(str, covariates.columns):
+        body = name.removeprefix(TEMPERATURE)
+        warms = is_temperature(name) and body.startswith(OWN_BODIES)
+        if not warms and name not in VALUES:
+            continue
+        values = np.unique(covariates[name].dropna().to_numpy(dtype=float))
+        if len(values) > 1:
+            states[name] = values[[0, -1]] if warms else values
+    return states
+
+
+def displayed_states(states: Mapping[str, Array]) -> dict[str, list[float]]:
+    """States by column of the readings file, in its unit."""
+    shown = {}
+    for name, values in states.items():
+        column = column_name(name, covariate_unit(name))
+        factor = parse_column(column).factor
+        shown[column] = [float(value) / factor for value in values]
+    return shown

@@ -1,0 +1,55 @@
+"""`oed verify` beside what a plan said of a healthy machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from oed.result import (
+    AlternativePlan,
+    PlanEffects,
+    PlanSection,
+    PromiseRecord,
+    VerdictRecord,
+    VerificationSection,
+)
+from pkm_studies.base.errors import InputError
+from pkm_studies.sessions.acceptance import healthy
+
+DEMANDS = {
+    "z": PromiseRecord(promised=30.0, limit=36.0, power=0.9, uncertainty=6.0, unit="um")
+}
+
+
+def planned(*, effects: bool) -> SimpleNamespace:
+    """A result with a plan that leaves 40 um in z."""
+    without = AlternativePlan(["bar"], [12], 30.0, 1.0, {"z_um": 55.0})
+    allowed = PlanEffects(3, 2, without, {"z_um": 1.0}, "") if effects else None
+    accuracy = {"z_um": 40.0, "theta_arcsec": 2.0}
+    plan = PlanSection([], 30.0, [], accuracy=accuracy, effects=allowed)
+    return SimpleNamespace(plan=plan, design=None)
+
+
+def test_the_plan_says_what_a_healthy_machine_reaches() -> None:
+    said = healthy.healthy_accuracy(planned(effects=True), None, DEMANDS)
+    assert said == {"z": 40.0}
+    assert healthy.healthy_accuracy(planned(effects=False), None, DEMANDS) == {}
+    verdict = VerdictRecord(
+        rms=60.0, max=90.0, limit=36.0, promised=30.0, unit="um", passed=False
+    )
+    section = VerificationSection(False, 6, {"z": verdict}, healthy=said)
+    (sentence,) = healthy.healthy_sentences(section)
+    assert "40 um rms for a healthy machine" in sentence
+    assert "1.5 times that" in sentence
+
+
+def test_a_plan_without_effects_says_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        healthy.result_folder, "load_result", lambda folder: planned(effects=False)
+    )
+    with pytest.raises(InputError, match="nothing of a healthy machine"):
+        healthy.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
