@@ -209,7 +209,8 @@ def _weights(problem: GapProblem) -> dict[str, Array]:
     runs = problem.rows["run"].to_numpy()
     for members in problem.members:
         inside = np.isin(np.arange(len(problem)), members)
-        weights[f"run {runs[members[0]]}"] = inside.astype(float)
+        name = f"run {runs[members[0]]}"
+        weights[name] = weights.get(name, 0.0) + inside
     return weights
 
 
