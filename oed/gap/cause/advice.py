@@ -131,8 +131,9 @@ def _without_effect(
     if unstated is not None:
         return [
             f"A reading scatters {unstated:.2g} times as much as stated, with what its run"
-            " shares: take the same run again before you compensate the geometry. What"
-            " repeats is an effect; what does not is noise, to be stated in [noise]."
+            " shares: take one run twice in a row before you compensate the geometry. What"
+            " changes between the two is noise, to be stated in [noise]; what changes over"
+            " the session alone is an effect."
         ]
     return [
         "Nothing beyond the geometry and the noise is seen: compensate the geometry."
