@@ -107,9 +107,9 @@ def _for_scatter(scatter: ExcessScatter) -> str:
         )
     if scatter.against == AGAIN:
         return (
-            "Do not compensate yet: what recurs in runs taken again is no noise. Take a"
-            " run in the other direction, and one at poses between those of another:"
-            " a step smaller than what recurs shows its form."
+            "Do not compensate yet: what recurs in runs taken again is no noise. Take one"
+            " of them in the other direction, and one with half the step: they show its"
+            " form."
         )
     return (
         "Do not compensate yet: take the same run again. What recurs at its poses is an"
