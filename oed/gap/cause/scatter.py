@@ -207,10 +207,8 @@ def _weights(problem: GapProblem) -> dict[str, Array]:
     legs = problem.in_noise_units(np.vstack(slopes)) ** 2
     weights = {f"leg {k + 1}": legs[:, k] for k in range(legs.shape[1])}
     runs = problem.rows["run"].to_numpy()
-    for members in problem.members:
-        inside = np.isin(np.arange(len(problem)), members)
-        name = f"run {runs[members[0]]}"
-        weights[name] = weights.get(name, 0.0) + inside
+    for run in np.unique(runs):
+        weights[f"run {run}"] = (runs == run).astype(float)
     return weights
 
 
