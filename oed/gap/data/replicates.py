@@ -19,6 +19,8 @@ from oed.noise.law import NoiseLaw
 
 #: share of the largest value of a column below which two values are the same
 ROUNDING = 1e-9
+#: poses that count, evenly over all of them: time and memory stay linear in the readings
+MOST = 200
 #: columns of the readings' rows that say how a pose was reached
 CONDITIONS = ("direction", "feed", "payload")
 
@@ -60,7 +62,9 @@ def replicates(problem: GapProblem) -> Replicates:
     """Readings of one channel that share poses, senses of motion and conditions."""
     cell = pd.factorize(pd.Series(list(map(tuple, _keys(problem)))))[0]
     often = np.bincount(cell)[cell] > 1
-    rows = np.flatnonzero(often)
+    poses = np.unique(cell[often])
+    chosen = np.linspace(0, len(poses) - 1, min(len(poses), MOST)).astype(np.intp)
+    rows = np.flatnonzero(np.isin(cell, poses[chosen]))
     numbers = np.unique(cell[rows], return_inverse=True)[1].astype(np.intp)
     run = np.empty(len(problem), dtype=np.intp)
     for k, members in enumerate(problem.members):

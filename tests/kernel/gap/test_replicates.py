@@ -62,6 +62,17 @@ def test_what_differs_between_readings_taken_again_is_the_variance_within_poses(
     assert freedom == (TIMES - 1) * 2 * POSES * 3
 
 
+def test_long_sessions_count_some_of_their_poses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    of = problem(3.0, on_the_spot=False)
+    monkeypatch.setattr("oed.gap.data.replicates.MOST", 20)
+    again = replicates(of)
+    _, freedom = again.energy(of, stated_law(of))
+    assert len(again.rows) == TIMES * 20
+    assert freedom == (TIMES - 1) * 20
+
+
 def test_the_evidence_of_what_recurs_is_the_integral_over_the_noise_level() -> None:
     parts = Energies(18.0, 20, 60.0, 30)
 
