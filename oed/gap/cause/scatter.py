@@ -89,13 +89,11 @@ def energies(problem: GapProblem, law: NoiseLaw, again: Replicates) -> Energies:
 class Roughness:
     """Errors that recur at each pose in no smooth form, with no effect beside them.
 
-    share     part of an unknown alone that they are
-    energies  under the law that suits best
-    again     the readings taken again
+    share  part of an unknown alone that they are
+    again  the readings taken again
     """
 
     share: float
-    energies: Energies
     again: Replicates
 
 
@@ -106,17 +104,16 @@ def with_roughness(
     nothing = next(h for h in hypotheses if not h.is_gap)
     given = searches[nothing.law].given
     again = replicates(given)
-    of_law: dict[int, Energies] = {}
     base, rough = [], []
-    for number, search in enumerate(searches):
+    for search in searches:
         none = next((h for h in search.run() if not h.is_gap), None)
         if none is None or search.given is not given:
             continue
-        of_law[number] = energies(search.problem, search.law, again)
+        parts = energies(search.problem, search.law, again)
         base.append(none.log_evidence)
-        rough.append(none.log_evidence + of_law[number].log_evidence)
+        rough.append(none.log_evidence + parts.log_evidence)
     ratio = float(special.logsumexp(rough) - special.logsumexp(base))
-    if given.statement.is_assumed and not of_law[nothing.law].pure_freedom:
+    if given.statement.is_assumed and not len(again.rows):
         ratio = -np.inf  # nothing measures the noise, and nothing states it
     recurring = nothing.log_evidence + ratio + float(np.log(ROUGH_SHARE))
     share, results = 0.0, []
@@ -127,7 +124,7 @@ def with_roughness(
             h = dataclasses.replace(h, log_evidence=total)
         results.append(h)
     results.sort(key=lambda h: -h.score)
-    return results, Roughness(share, of_law[nothing.law], again)
+    return results, Roughness(share, again)
 
 
 def excess_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter | None:
