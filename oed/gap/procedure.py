@@ -12,7 +12,12 @@ from oed.gap.cause import advice, answers, closure
 from oed.gap.cause.compare import compare_expanded, probabilities
 from oed.gap.cause.explained import explain
 from oed.gap.cause.hypothesis import Hypothesis
-from oed.gap.cause.scatter import excess_scatter
+from oed.gap.cause.scatter import (
+    excess_scatter,
+    rough_scatter,
+    unstated_scatter,
+    with_roughness,
+)
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Closure, Diagnosis
@@ -33,6 +38,8 @@ SPLITS: tuple[closure.Split, ...] = ("within", "whole")
 FACTORS, FORMS = (1.0, 0.5, 2.0), 5
 #: share from which a form counts where the gap is located
 LEAST_SHARE = 0.01
+#: part of an unknown alone from which it is rough rather than smooth
+EVEN = 0.5
 
 
 def diagnose(
@@ -107,10 +114,14 @@ def conclude(
 
     The second result is the hypothesis that the first answer stands for.
     """
+    hypotheses, rough = with_roughness(search_results, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(search_results, hypotheses, shares)
     ranked, best = answers.rank(groups)
     first = ranked[0]
+    is_rough = answers.verdict(first) == "unknown" and rough.share > EVEN
+    if is_rough:
+        best = next(h for h in hypotheses if not h.is_gap)
     search = search_results[best.law]
     named = {name for members in first.classes for name in members}
     if not named & set(best.effects):
@@ -119,7 +130,11 @@ def conclude(
     law = search.law_at(parts.level)
     untested = search.library.not_testable
     verdict = answers.verdict(first)
-    scatter = excess_scatter(search.given, law) if verdict == "none" else None
+    scatter = None
+    if is_rough:
+        scatter = rough_scatter(search.problem, law, rough)
+    elif verdict == "none":
+        scatter = excess_scatter(search.given, law)
     diagnosis = Diagnosis(
         problem=search.given,
         verdict=verdict if scatter is None else "scatter",
@@ -134,14 +149,20 @@ def conclude(
         sizes=parts.sizes,
         explained=parts.explained * problem.sigma,
         unexplained=parts.unexplained * problem.sigma,
-        likeness=_likeness(search, best) if UNKNOWN in first.effects else {},
+        likeness=_likeness(search, best),
         before=parts.before * problem.sigma,
         after=parts.after * problem.sigma,
         where=(),
         closure=(),
         not_testable=untested,
         confusable=tuple(dict.fromkeys(c for c in first.classes if len(c) > 1)),
-        next=advice.advise(ranked, effects, untested, scatter is not None),
+        next=advice.advise(
+            ranked,
+            effects,
+            untested,
+            scatter=scatter,
+            unstated=unstated_scatter(search.given, law),
+        ),
         effective_laws=best.effective_laws if _is_estimated(search_results) else None,
     )
     return diagnosis, best

@@ -67,14 +67,7 @@ def reading_structure(
     decouple = sparse.csr_array(sparse.block_diag(blocks))
     diagonal = decouple.diagonal()
     independent = decouple.nnz == len(run)
-    errors = _RunErrors(
-        decouple=decouple,
-        channel=channel,
-        shared=np.concatenate(parts.shared),
-        stated=np.concatenate(parts.stated),
-        renewed=renewed_slopes(measurement, series, theta) / diagonal[:, None],
-        seated=seated_slopes(measurement, series, theta),
-    )
+    errors = _run_errors(measurement, series, theta, parts, decouple)
     columns, kinds = errors.columns()
     group = np.concatenate(parts.group).astype(np.intp)
     statement = common_statement(measurement, series)
@@ -91,6 +84,25 @@ def reading_structure(
         course=_course(measurement, series, group, statement),
         statement=statement,
         sigma=np.concatenate(parts.sigma),
+    )
+
+
+def _run_errors(
+    measurement: Measurement,
+    series: Sequence[Series],
+    theta: Array,
+    parts: _Parts,
+    decouple: sparse.csr_array,
+) -> _RunErrors:
+    """What the errors that runs share follow from."""
+    renewed = renewed_slopes(measurement, series, theta)
+    return _RunErrors(
+        decouple=decouple,
+        channel=np.concatenate(parts.channel).astype(np.intp),
+        shared=np.concatenate(parts.shared),
+        stated=np.concatenate(parts.stated),
+        renewed=renewed / decouple.diagonal()[:, None],
+        seated=seated_slopes(measurement, series, theta),
     )
 
 

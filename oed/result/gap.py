@@ -150,7 +150,9 @@ class GapSection(Record, frozen=True):
     verdict   none, effect, class (one of several that cannot be distinguished), mixture
               (several, or one and an unknown remainder), unknown, scatter (beyond the
               instrument, and no effect explains it)
-    scatter   of readings within runs over the stated one, with that verdict
+    scatter   of readings over the stated one, or over that between readings taken again
+              (`scatter_against`), with that verdict
+    scatter_shape  white, along the run, `run ID` or `leg K`
     set95     the fewest sets of named effects that hold 95 % of the probability
               together, whatever is beside them
     constants  of each selected effect, SI
@@ -192,6 +194,8 @@ class GapSection(Record, frozen=True):
     constants: dict[str, dict[str, float]] = {}
     unknown: dict[str, float] = {}
     scatter: float | None = None
+    scatter_against: str = ""
+    scatter_shape: str = ""
     effective_laws: float | None = None
 
     @property

@@ -1,20 +1,133 @@
-"""Whether readings scatter beyond what their instrument is stated to.
+"""Whether readings scatter beyond their instrument, and in which shape.
 
-A data sheet states the scatter of single readings, and is right to a factor. What exceeds
-it is noise that the data sheet excludes, or an effect of a form that no answer has.
+A data sheet states the scatter of single readings, and is right to a factor. Readings
+taken again the same way measure it (`oed.gap.data.replicates`). What exceeds both is noise
+that the data sheet excludes, or an effect of a form that no answer has. With P the energy
+of what differs between such readings and R that of the rest, f and n degrees of freedom,
+errors of variance t^2 that recur at each pose, in units of the noise, have over none
+
+    log BF(t) = -n/2 log(1 + t^2)
+                - ((f + n)/2 + a) log[ (b + (P + R / (1 + t^2))/2) / (b + (P + R)/2) ],
+
+the noise level integrated over its prior about the stated one, inverse gamma (a, b). It
+is the lack-of-fit test of a regression, with the stated noise as a further reference.
 """
 
 from __future__ import annotations
 
-import numpy as np
+import dataclasses
+from collections.abc import Sequence
 
+import numpy as np
+from scipy import special
+
+from oed.base.arrays import Array
 from oed.checks.judgement import KNOWN_TO
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
+from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
+from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw
+from oed.gap.data.replicates import Replicates, energy_beyond, replicates
+from oed.model.size_prior import UNKNOWN_SIZES
+from oed.noise.law import NoiseLaw, stated_law
 from oed.result.trust import chi2_is_large
 
+#: share of an unknown alone that recurs at each pose and is not smooth: as likely
+ROUGH_SHARE = 0.5
+#: shares of the scatter of one run or leg that are tried
+SHARES = np.linspace(0.1, 0.9, 9)
+#: odds over even scatter from which a run or leg is named, one of all that are tried
+CLEAR = 20.0
 
-def excess_scatter(problem: GapProblem, law: NoiseLaw) -> float | None:
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Energies:
+    """Whitened energy of residuals, and its degrees of freedom.
+
+    pure, pure_freedom  of what differs between readings taken again
+    rest, rest_freedom  of all else that the parameters do not explain
+    """
+
+    pure: float
+    pure_freedom: int
+    rest: float
+    rest_freedom: int
+
+    @property
+    def log_evidence(self) -> float:
+        """Log evidence of errors that recur at each pose, over all sizes, over none."""
+        inflation = 1.0 + UNKNOWN_SIZES.values**2
+        power = 0.5 * (self.pure_freedom + self.rest_freedom) + SHAPE
+        rough = RATE + 0.5 * (self.pure + self.rest / inflation)
+        none = RATE + 0.5 * (self.pure + self.rest)
+        values = -0.5 * self.rest_freedom * np.log(inflation)
+        values -= power * np.log(rough / none)
+        shown = np.array([float(self.rest_freedom)])
+        prior = UNKNOWN_SIZES.log_visible_shares(shown)[0]
+        return float(special.logsumexp(values + prior))
+
+    @property
+    def factor(self) -> float:
+        """Scatter of the rest over that between readings taken again."""
+        variance = self.rest / self.rest_freedom
+        return float(np.sqrt(variance / (self.pure / self.pure_freedom)))
+
+
+def energies(problem: GapProblem, law: NoiseLaw, again: Replicates) -> Energies:
+    """Energies of the residuals, whitened by a law."""
+    pure, pure_freedom = again.energy(problem, law)
+    factor = law.factor(problem)
+    white = factor.whiten(problem.residual[:, None])[:, 0]
+    whole, freedom = energy_beyond(white, factor.whiten(problem.slopes))
+    return Energies(
+        pure, pure_freedom, max(whole - pure, 0.0), max(freedom - pure_freedom, 0)
+    )
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Roughness:
+    """Errors that recur at each pose in no smooth form, with no effect beside them.
+
+    share  part of an unknown alone that they are
+    again  the readings taken again
+    """
+
+    share: float
+    again: Replicates
+
+
+def with_roughness(
+    searches: Sequence[Search], hypotheses: Sequence[Hypothesis]
+) -> tuple[list[Hypothesis], Roughness]:
+    """Hypotheses of which an unknown alone may be rough as well, best first."""
+    nothing = next(h for h in hypotheses if not h.is_gap)
+    given = searches[nothing.law].given
+    again = replicates(given)
+    base, rough = [], []
+    for search in searches:
+        none = next((h for h in search.run() if not h.is_gap), None)
+        if none is None or search.given is not given:
+            continue
+        parts = energies(search.problem, search.law, again)
+        base.append(none.log_evidence)
+        rough.append(none.log_evidence + parts.log_evidence)
+    ratio = float(special.logsumexp(rough) - special.logsumexp(base))
+    if given.statement.is_assumed and not len(again.rows):
+        ratio = -np.inf  # nothing measures the noise, and nothing states it
+    recurring = nothing.log_evidence + ratio + float(np.log(ROUGH_SHARE))
+    share, results = 0.0, []
+    for h in hypotheses:
+        if h.unknown and not h.effects:
+            total = float(np.logaddexp(h.log_evidence, recurring))
+            share = float(np.exp(recurring - total))
+            h = dataclasses.replace(h, log_evidence=total)
+        results.append(h)
+    results.sort(key=lambda h: -h.score)
+    return results, Roughness(share, again)
+
+
+def excess_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter | None:
     """Scatter of readings within their runs over the stated one; None where it is as stated.
 
     It holds single errors and those carried along a run, not what a run repeats to, of
@@ -22,10 +135,87 @@ def excess_scatter(problem: GapProblem, law: NoiseLaw) -> float | None:
     """
     if problem.statement.is_assumed:
         return None
+    factor = _within_runs(law)
+    freedom = float(len(problem.residual) - problem.slopes.shape[1])
+    chi2 = freedom * (factor / KNOWN_TO) ** 2
+    if freedom <= 0.0 or not chi2_is_large(chi2, freedom):
+        return None
+    return ExcessScatter(factor, DATA_SHEET, shape(problem, law))
+
+
+def unstated_scatter(problem: GapProblem, law: NoiseLaw) -> float | None:
+    """Scatter of a reading with all that no data sheet states, over the stated one.
+
+    None where it is within what a data sheet is good for, or nothing is stated.
+    """
+    between_runs = law.level * float(np.hypot(law.run_sd, law.seat_sd))
+    factor = float(np.hypot(_within_runs(law), between_runs))
+    is_usual = problem.statement.is_assumed or factor <= KNOWN_TO
+    return None if is_usual else factor
+
+
+def _within_runs(law: NoiseLaw) -> float:
     variance = law.variance + law.ar1_sd**2
     if law.channel_ratio is not None:
         variance = variance * law.channel_ratio**2
-    factor = law.level * float(np.sqrt(np.mean(variance)))
-    freedom = float(len(problem.residual) - problem.slopes.shape[1])
-    chi2 = freedom * (factor / KNOWN_TO) ** 2
-    return factor if freedom > 0.0 and chi2_is_large(chi2, freedom) else None
+    return law.level * float(np.sqrt(np.mean(variance)))
+
+
+def rough_scatter(
+    problem: GapProblem, law: NoiseLaw, rough: Roughness
+) -> ExcessScatter:
+    """Scatter of readings over that between readings taken again, or over the stated."""
+    parts = energies(problem, stated_law(problem), rough.again)
+    if not parts.pure_freedom:
+        factor = float(np.sqrt(parts.rest / max(parts.rest_freedom, 1)))
+        return ExcessScatter(factor, DATA_SHEET, shape(problem, law))
+    against = ON_THE_SPOT if rough.again.on_the_spot else AGAIN
+    return ExcessScatter(parts.factor, against, shape(problem, law))
+
+
+# -- shape -----------------------------------------------------------------------------
+
+
+def shape(problem: GapProblem, law: NoiseLaw) -> str:
+    """How the scatter is spread: one run or leg has much of it, or none does.
+
+    Then what is carried along the runs, or what is not, has most.
+    """
+    factor = law.factor(problem)
+    white = factor.whiten_in_order(problem.residual[:, None])[:, 0]
+    slopes = factor.whiten_in_order(problem.slopes)
+    axes = np.linalg.svd(slopes, full_matrices=False)[0]
+    squares = np.empty(len(problem))
+    squares[factor.order] = (white - axes @ (axes.T @ white)) ** 2
+    weights = _weights(problem)
+    gains = {name: _gain(squares, weight) for name, weight in weights.items()}
+    best = max(gains, key=lambda name: gains[name], default="")
+    if best and gains[best] > np.log(CLEAR * len(gains)):
+        return best
+    return "along the run" if law.ar1_sd**2 > np.mean(law.variance) else "white"
+
+
+def _weights(problem: GapProblem) -> dict[str, Array]:
+    """Variance (N,) of the readings by an error of each leg, and of each run."""
+    slopes = [
+        np.abs(response.joints[0]).reshape(-1, response.joints[0].shape[-1])
+        for response in problem.responses
+    ]
+    legs = problem.in_noise_units(np.vstack(slopes)) ** 2
+    weights = {f"leg {k + 1}": legs[:, k] for k in range(legs.shape[1])}
+    runs = problem.rows["run"].to_numpy()
+    for run in np.unique(runs):
+        weights[f"run {run}"] = (runs == run).astype(float)
+    return weights
+
+
+def _gain(squares: Array, weight: Array) -> float:
+    """Log likelihood of squares (N,) with a part of their variance by weights (N,)."""
+    mean = float(np.mean(weight))
+    if not mean > 0.0:
+        return 0.0
+    variance = 1.0 - SHARES[:, None] + SHARES[:, None] * weight / mean
+    level = np.mean(squares / variance, axis=1)
+    even = np.log(np.mean(squares))
+    gains = even - np.log(level) - np.mean(np.log(variance), axis=1)
+    return 0.5 * len(squares) * float(gains.max())

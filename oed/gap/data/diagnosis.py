@@ -15,6 +15,22 @@ Verdict = Literal["none", "effect", "class", "mixture", "unknown", "scatter"]
 #: verdicts without an effect: noise as stated, and more scatter than the instrument has
 NO_EFFECT: tuple[Verdict, ...] = ("none", "scatter")
 UNKNOWN = "unknown"
+#: what the scatter of readings is compared with
+DATA_SHEET, ON_THE_SPOT, AGAIN = "data sheet", "repeats on the spot", "repeated runs"
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ExcessScatter:
+    """Scatter of readings beyond their instrument.
+
+    factor   scatter over that of the reference
+    against  the reference: the data sheet, or readings taken again
+    shape    `white`, `along the run`, `run NAME` or `leg K`
+    """
+
+    factor: float
+    against: str
+    shape: str
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -84,8 +100,8 @@ class Diagnosis:
     not_testable    {effect: why these readings cannot test it}
     confusable      groups of effects that these readings cannot distinguish
     next            advice, in sentences
-    scatter         of readings within runs over the stated one, where that is more than
-                    the instrument has and nothing explains it; None otherwise
+    scatter         of readings, where that is more than the instrument has and nothing
+                    explains it; None otherwise
     effective_laws  number of equally good noise laws that the evidence of the answer
                     rests on; None under a known law
     """
@@ -110,5 +126,5 @@ class Diagnosis:
     not_testable: Mapping[str, str]
     confusable: tuple[tuple[str, ...], ...]
     next: tuple[str, ...]
-    scatter: float | None = None
+    scatter: ExcessScatter | None = None
     effective_laws: float | None = None

@@ -68,6 +68,17 @@ def test_what_is_too_small_to_be_seen_is_no_rival() -> None:
     assert advice[-1] == "To make sure that it is not slip: both ways."
 
 
+def test_geometry_is_compensated_where_no_effect_and_no_unstated_noise_is_probable() -> (
+    None
+):
+    sure = [_answer(0.97), _answer(0.03, "bow")]
+    assert "compensate the geometry" in advise(sure, EFFECTS, {})[0]
+    doubtful = advise([_answer(0.92), _answer(0.08, "bow")], EFFECTS, {})
+    assert doubtful[0].startswith("An effect is not excluded: take the same run again")
+    noisy = advise(sure, EFFECTS, {}, unstated=1.83)
+    assert noisy[0].startswith("A reading scatters 1.8 times as much as stated")
+
+
 def test_what_is_unknown_may_be_what_could_not_be_tested() -> None:
     lost = {
         "drift": "the readings do not have time",

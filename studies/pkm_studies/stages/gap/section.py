@@ -53,6 +53,7 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
     channel_units, channels = _channels(diagnosis)
     factor = np.array([units.factor(channel_units[name]) for name in channels])
     spots, spots_unit = traces.spots(diagnosis)
+    scatter = diagnosis.scatter
     likeliest_first = sorted(diagnosis.marginal.items(), key=lambda item: -item[1])
     section = GapSection(
         verdict=diagnosis.verdict,
@@ -79,7 +80,9 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         words=[],
         next=list(diagnosis.next),
         unknown={form: float(p) for form, p in diagnosis.likeness.items()},
-        scatter=diagnosis.scatter,
+        scatter=None if scatter is None else scatter.factor,
+        scatter_shape="" if scatter is None else scatter.shape,
+        scatter_against="" if scatter is None else scatter.against,
         effective_laws=diagnosis.effective_laws,
     )
     return sentences.with_sentences(section)

@@ -15,7 +15,7 @@ from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
 from oed.result.gap import ClosureRecord, GapSection, SizeRecord
-from pkm_studies.stages.gap import implausible
+from pkm_studies.stages.gap import implausible, scatter
 from pkm_studies.stages.gap.places import named_places, place_sentences
 from pkm_studies.stages.gap.words import (
     capitalised,
@@ -71,7 +71,7 @@ def with_sentences(gap: GapSection) -> GapSection:
 def _verdict(gap: GapSection) -> list[str]:
     best = gap.answers[0]
     if gap.scatter is not None:
-        return _scatter(gap, gap.scatter)
+        return scatter.sentences(gap, gap.scatter)
     if gap.verdict == "none":
         return _no_gap(gap)
     chance = f"(probability {format_probability(best.probability)})"
@@ -95,16 +95,6 @@ def _verdict(gap: GapSection) -> list[str]:
         ]
     together = " together" if len(gap.selected) > 1 else ""
     return [f"The gap {comes} from {causes}{together} {chance}."]
-
-
-def _scatter(gap: GapSection, factor: float) -> list[str]:
-    """That readings scatter beyond the instrument, and how."""
-    return [
-        f"The readings scatter {factor:.2g} times as much as stated, and no effect explains"
-        " it: either the instrument is worse than stated, or something acts in a form that"
-        " no effect has.",
-        f"What scatters: {'; '.join(gap.noise)}.",
-    ]
 
 
 def _no_gap(gap: GapSection) -> list[str]:

@@ -1,0 +1,25 @@
+"""Sentences of a diagnosis whose readings scatter beyond their instrument."""
+
+from __future__ import annotations
+
+from oed.gap.data.diagnosis import DATA_SHEET
+from oed.result.gap import GapSection
+
+
+def sentences(gap: GapSection, factor: float) -> list[str]:
+    """That readings scatter beyond the instrument, and how."""
+    if gap.scatter_against in ("", DATA_SHEET):
+        first = (
+            f"The readings scatter {factor:.2g} times as much as stated, and no effect"
+            " explains it: either the instrument is worse than stated, or something acts"
+            " in a form that no effect has."
+        )
+    else:
+        first = (
+            f"The readings scatter {factor:.2g} times as much from pose to pose as where"
+            f" they were taken again ({gap.scatter_against}), and no effect explains it."
+        )
+    words = [first, f"What scatters: {'; '.join(gap.noise)}."]
+    if gap.scatter_shape.startswith(("leg", "run")):
+        words.append(f"Most of it is in {gap.scatter_shape}.")
+    return words
