@@ -35,7 +35,7 @@ def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide() -> None:
     sure, unsure = (second_visit.sentences(visit(p)) for p in (0.93, 0.6))
     assert "13 poses" in sure[0]
     assert "93 %" in sure[0]
-    assert "50 % now" in sure[0]
+    assert "now it is 50 %" in sure[0]
     assert any("hardly decide" in words for words in unsure)
     assert not any("hardly decide" in words for words in sure)
     assert "bar length from encoder scale and gravity" in sure[-1]

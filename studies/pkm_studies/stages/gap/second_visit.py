@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -76,7 +76,7 @@ def with_visit(gap: GapSection, visit: SecondVisitRecord) -> GapSection:
 def _record(visit: SecondVisit) -> SecondVisitRecord:
     record = SecondVisitRecord(
         runs=[
-            ChosenRun(run.setup, run.name, dict(run.condition), run.seconds)
+            ChosenRun(run.setup, run.name, _untimed(run.condition), run.seconds)
             for run in visit.runs
         ],
         poses=[len(run.command) for run in visit.runs],
@@ -88,6 +88,11 @@ def _record(visit: SecondVisit) -> SecondVisitRecord:
     return msgspec.structs.replace(record, words=sentences(record))
 
 
+def _untimed(condition: Mapping[str, float]) -> dict[str, float]:
+    """A condition without its time: the visit may be at any."""
+    return {name: value for name, value in condition.items() if name != "time"}
+
+
 def sentences(visit: SecondVisitRecord) -> list[str]:
     """What to read, what it is expected to decide, and what it cannot."""
     count, runs = sum(visit.poses), len(visit.runs)
@@ -96,8 +101,8 @@ def sentences(visit: SecondVisitRecord) -> list[str]:
     )
     sentences = [
         f"Take the {count} poses of second_visit.csv ({runs} run{'s' * (runs > 1)}) at a"
-        f" second visit: the likeliest cause is then right with {after}, expected, and"
-        f" with {now} now.",
+        " second visit. Expected probability that the likeliest cause is then the right"
+        f" one: {after}; now it is {now}.",
         "The expectation is over what these readings leave possible, in the forms of the"
         " library: a cause of another form is not in it.",
     ]
