@@ -75,11 +75,7 @@ def diagnose(
     >>> diagnose(problem, [effect], rng).verdict
     'none'
     """
-    comparison = compare_expanded(
-        problem, effects, lambda about: _searches(about, effects, law)
-    )
-    search_results, hypotheses = comparison.searches, comparison.hypotheses
-    diagnosis, best = conclude(problem, search_results, hypotheses, effects)
+    diagnosis, best, search_results, hypotheses = _conclusion(problem, effects, law)
     clean = search_results[best.law].problem  # without outliers, where there are any
     where: tuple[PlaceRecord, ...] = ()
     if diagnosis.verdict in NO_EFFECT:
@@ -91,6 +87,26 @@ def diagnose(
         where = _locate(search, best, effects, diagnosis.law, rng)
     closures = _closures(clean, search_results[best.law], best, diagnosis.law, rng)
     return dataclasses.replace(diagnosis, where=where, closure=closures)
+
+
+def explain_residuals(
+    problem: GapProblem, effects: Sequence[Effect], *, law: NoiseLaw | None = None
+) -> Diagnosis:
+    """As `diagnose`, without places and closure: which effects act."""
+    return _conclusion(problem, effects, law)[0]
+
+
+def _conclusion(
+    problem: GapProblem, effects: Sequence[Effect], law: NoiseLaw | None
+) -> tuple[Diagnosis, Hypothesis, Sequence[Search], Sequence[Hypothesis]]:
+    """The diagnosis, its hypothesis, and the searches and hypotheses behind it."""
+    comparison = compare_expanded(
+        problem, effects, lambda about: _searches(about, effects, law)
+    )
+    diagnosis, best = conclude(
+        problem, comparison.searches, comparison.hypotheses, effects
+    )
+    return diagnosis, best, comparison.searches, comparison.hypotheses
 
 
 def _searches(
@@ -164,6 +180,8 @@ def conclude(
             unstated=unstated_scatter(search.given, law),
         ),
         effective_laws=best.effective_laws if _is_estimated(search_results) else None,
+        clean=search.problem,
+        shares=dict(zip([h.key for h in hypotheses], shares.tolist(), strict=True)),
     )
     return diagnosis, best
 

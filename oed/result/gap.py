@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import msgspec
 
+from oed.result.gap_before import ChosenRun, SeparationRecord
 from oed.result.record import Record
 
 
@@ -144,6 +145,27 @@ class Spot(Record, frozen=True):
     after: float
 
 
+class SecondVisitRecord(Record, frozen=True):
+    """Runs to read at a second visit, which separate the answers of a diagnosis best.
+
+    poses                of each run, a reference pose among them
+    probability_now      that the likeliest set of effects is right, members of a class
+                         apart
+    probability_after    the same after the visit, expected
+    separations          what the runs separate, in the forms and sizes as estimated
+    inseparable          pairs of answers that no run of these separates further
+    words                what the visit is worth, in sentences
+    """
+
+    runs: list[ChosenRun]
+    poses: list[int]
+    probability_now: float
+    probability_after: float
+    separations: list[SeparationRecord]
+    inseparable: list[tuple[str, str]]
+    words: list[str] = []
+
+
 class GapSection(Record, frozen=True):
     """The diagnosis of one set of readings.
 
@@ -166,6 +188,7 @@ class GapSection(Record, frozen=True):
     effective_laws  number of equally good noise laws that the first answer rests on
     words     one finding a sentence, the most important first
     next      what to do about it
+    second_visit  readings that separate the answers; null where the first is sure
     """
 
     verdict: str
@@ -197,6 +220,7 @@ class GapSection(Record, frozen=True):
     scatter_against: str = ""
     scatter_shape: str = ""
     effective_laws: float | None = None
+    second_visit: SecondVisitRecord | None = None
 
     @property
     def effect_reported(self) -> bool:

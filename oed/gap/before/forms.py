@@ -34,6 +34,11 @@ class Form:
         return plain if plain.size else np.arange(len(self.at))
 
     @property
+    def effect(self) -> str:
+        """Name of its effect."""
+        return self.signature.effect
+
+    @property
     def precision(self) -> Array:
         """Prior precision (k,) of its coefficients as a rival's."""
         return np.where(self.signature.shape, 1.0, ROOM**-2)

@@ -154,16 +154,33 @@ def pool_runs(
                 targets += _targets(forms.by_effect[effect.name], rival_forms)
     if not targets:
         raise ValueError("there is nothing to tell apart: give two effects at least")
-    whiten = [law.factor(problem, at).whiten for at in rows]
-    n, values = problem.slopes.shape[1], np.hstack([problem.slopes, forms.columns])
+    return separation(problem, law, rows, forms.columns, targets)
+
+
+def separation(
+    problem: GapProblem,
+    law: NoiseLaw,
+    rows: Sequence[Index],
+    columns: Array,
+    targets: Sequence[Target],
+    taken: Index | None = None,
+) -> Separation:
+    """The separation of targets among columns (N, K) by candidate runs.
+
+    rows   (C,) readings of each run
+    taken  readings that any plan has
+    """
+    n, values = problem.slopes.shape[1], np.hstack([problem.slopes, columns])
     prior = np.eye(n, values.shape[1])
-    white = [whiten_run(values) for whiten_run in whiten]
-    whole = np.vstack([*white, prior])
-    change, log_scale = _convenient_coordinates(whole, n)
+    white = [law.factor(problem, at).whiten(values) for at in rows]
+    known = prior
+    if taken is not None:
+        known = np.vstack([prior, law.factor(problem, taken).whiten(values)])
+    change, log_scale = _convenient_coordinates(np.vstack([*white, known]), n)
     changed = [x @ change for x in white]
     return Separation(
         grams=np.array([x.T @ x for x in changed]),
-        base=(prior @ change).T @ (prior @ change),
+        base=(known @ change).T @ (known @ change),
         size=n,
         targets=tuple(targets),
         log_scale=log_scale,

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from scipy import special
@@ -28,7 +29,6 @@ from scipy import special
 from oed.base.arrays import Array, Index
 from oed.design.evaluator import PlanEvaluator
 from oed.design.objective import Objective, Tangent
-from oed.gap.before.forms import Form
 from oed.result.gap_before import SeparationRecord
 
 #: least lambda that counts: its logarithm must stay finite
@@ -37,6 +37,22 @@ LEAST = 1e-9
 SHARP = (2.0, 8.0, 32.0, 128.0, 512.0)
 #: the same at the levels of an exchange search, which ends with the minimum itself
 SHARPNESS = (SHARP[0], np.inf)
+
+
+class ColumnSet(Protocol):
+    """Columns of one explanation among those of all: `at` (k,), with prior precision (k,)."""
+
+    @property
+    def effect(self) -> str:
+        """What it explains the readings by."""
+
+    @property
+    def at(self) -> Index:
+        """Numbers (k,) of its columns."""
+
+    @property
+    def precision(self) -> Array:
+        """Prior precision (k,) of its coefficients as a rival's."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -49,15 +65,15 @@ class Target:
     rival     form of the rival
     """
 
-    form: Form
+    form: ColumnSet
     shares: Array
     words: str
-    rival: Form
+    rival: ColumnSet
 
     @property
     def key(self) -> tuple[str, str, str]:
         """Effect, rival and combination, whatever the rival's form."""
-        return self.form.signature.effect, self.rival.signature.effect, self.words
+        return self.form.effect, self.rival.effect, self.words
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -104,6 +104,8 @@ class Diagnosis:
                     explains it; None otherwise
     effective_laws  number of equally good noise laws that the evidence of the answer
                     rests on; None under a known law
+    clean           the problem without outliers; None where it was not searched
+    shares          {(effects, whether an unknown acts): probability}
     """
 
     problem: GapProblem
@@ -128,3 +130,7 @@ class Diagnosis:
     next: tuple[str, ...]
     scatter: ExcessScatter | None = None
     effective_laws: float | None = None
+    clean: GapProblem | None = None
+    shares: Mapping[tuple[frozenset[str], bool], float] = dataclasses.field(
+        default_factory=dict
+    )

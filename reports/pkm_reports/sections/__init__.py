@@ -24,6 +24,7 @@ from pkm_reports.sections.appendix import claims, figures, record
 from pkm_reports.sections.design import chapter as design
 from pkm_reports.sections.gap import before as gap_before
 from pkm_reports.sections.gap import chapter as gap
+from pkm_reports.sections.gap import second_visit
 from pkm_reports.sections.stages import chapter as stages
 
 #: chapters in order; one that does not apply to a result is absent from its report
@@ -38,6 +39,7 @@ CHAPTERS: Final = (
     accuracy.CHAPTER,
     held_out.CHAPTER,
     gap.CHAPTER,
+    second_visit.CHAPTER,
     corrected.CHAPTER,
     adjustment.CHAPTER,
     forecast.CHAPTER,

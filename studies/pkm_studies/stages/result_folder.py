@@ -31,6 +31,8 @@ __all__ = ["checkpoint", "load_result", "prepare", "rewrite", "write", "write_re
 #: folder of an unfinished posterior
 UNFINISHED = "posterior.unfinished"
 RESULT, POSTERIOR = "result.json", "posterior.nc"
+#: readings of a second visit, to fill in
+VISIT = "second_visit.csv"
 #: files that are written after the result
 PAGES = ("report.html", "report.pdf", "measurement_sheet.pdf")
 
@@ -136,6 +138,8 @@ def _texts(result: StudyResult, state: RunState) -> dict[str, str]:
     texts = {**state.forecast_files, **state.session_files}
     if state.gap_poses is not None:
         texts["gap_poses.csv"] = state.gap_poses
+    if state.visit_poses is not None:
+        texts[VISIT] = state.visit_poses
     if result.design is not None or state.planned:
         measurement = (
             state.measurement if state.plan is None else state.plan.measurement

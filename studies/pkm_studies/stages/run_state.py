@@ -63,6 +63,7 @@ class Stream(enum.IntEnum):
     UNMODELLED = 17
     REFERENCES = 18
     TOOLS = 19
+    VISIT = 20
     LAPLACE = 20
     SIZES = 21
     FORECAST = 22
@@ -114,6 +115,7 @@ class RunState:
     design           the chosen design
     plan             the plan of stages
     gap_poses        readings of the runs of [gap.design], as CSV
+    visit_poses      readings of a second visit, as CSV
     forecast_files   nodes to measure, and the table of measured ones, as CSV by name
     session_files    text of the readings files that are diagnosed, by name
     planned          readings to write down as poses, in working order
@@ -133,6 +135,7 @@ class RunState:
     design: ChosenDesign | None = None
     plan: PlanOutcome | None = None
     gap_poses: str | None = None
+    visit_poses: str | None = None
     forecast_files: Mapping[str, str] = dataclasses.field(default_factory=dict)
     session_files: Mapping[str, str] = dataclasses.field(default_factory=dict)
     planned: tuple[Series, ...] = ()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from oed.base import units
 from oed.result import (
-    ChosenRun,
     ChosenRuns,
     DetectabilityRecord,
     DetectabilityTable,
@@ -31,6 +30,7 @@ from pkm_reports.page.blocks import (
     number_columns,
     wide_column,
 )
+from pkm_reports.sections.gap import runs
 
 #: rows of the table of imitated combinations
 MOST: Final = 16
@@ -38,7 +38,6 @@ MOST: Final = 16
 TIE_BREAK: Final = 1e-3
 #: rms, in the unit of its channel, from which an effect shows in a channel
 VISIBLE: Final = 1e-9
-DIRECTION_SIGNS: Final = {True: "+1", False: f"{text.MINUS}1"}
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -65,58 +64,9 @@ def blocks(result: StudyResult) -> list[Block]:
 # -- chosen runs -----------------------------------------------------------------------
 
 
-def _direction(value: float) -> str:
-    return DIRECTION_SIGNS[value > 0.0]
-
-
-def _payload(value: float) -> str:
-    return text.trimmed(value)
-
-
-def _feed(value: float) -> str:
-    return text.trimmed(units.number(value, "mm") * units.factor("min"))
-
-
-def _start(value: float) -> str:
-    return text.trimmed(units.number(value, "min"))
-
-
-#: column title and text of each condition of a run, from its SI value
-CONDITIONS: Final[Mapping[str, tuple[str, Callable[[float], str]]]] = {
-    "direction": ("Direction", _direction),
-    "payload": ("Payload [N]", _payload),
-    "feed": ("Feed [mm/min]", _feed),
-    "time": ("Start [min]", _start),
-}
-
-
 def _runs(chosen: ChosenRuns) -> Block:
-    known = [
-        name for name in CONDITIONS if any(name in run.condition for run in chosen.runs)
-    ]
-    titles = [CONDITIONS[name][0] for name in known]
-    columns = [
-        TableColumn("Set-up"),
-        wide_column("Run"),
-        *number_columns(*titles, "Takes [min]"),
-    ]
-    rows = [
-        [
-            run.setup,
-            run.run,
-            *[_condition(run, name) for name in known],
-            text.number(units.number(run.seconds, "min"), 2),
-        ]
-        for run in chosen.runs
-    ]
-    return Table(columns, rows, _runs_caption(chosen))
-
-
-def _condition(run: ChosenRun, name: str) -> str:
-    if name not in run.condition:
-        return text.MISSING
-    _, written = CONDITIONS[name]
-    return written(run.condition[name])
+    minutes = [text.number(units.number(run.seconds, "min"), 2) for run in chosen.runs]
+    return runs.table(chosen.runs, "Takes [min]", minutes, _runs_caption(chosen))
 
 
 def _runs_caption(chosen: ChosenRuns) -> str:

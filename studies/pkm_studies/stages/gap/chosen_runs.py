@@ -81,7 +81,7 @@ def choose_runs(
         separations=separations,
         table=detect.detect(taken, stated_law(taken), request.effects, rng),
     )
-    return chosen, _poses_csv(measurement, series, covariates)
+    return chosen, poses_csv(measurement, series, covariates)
 
 
 def _pool(
@@ -131,10 +131,10 @@ def _times(covariates: pd.DataFrame, design: GapDesignRequest, rules: Rules) -> 
     return np.concatenate(times)
 
 
-def _poses_csv(
+def poses_csv(
     measurement: Measurement, series: Sequence[Series], covariates: pd.DataFrame
 ) -> str:
-    """The chosen runs as a readings file; readings and times are to be filled in."""
+    """Runs as a readings file; readings and times are to be filled in."""
     columns = covariates.drop(columns=["setup", "run", "order"]).assign(time=np.nan)
     empty = np.full(len(measurement.setup_of_readings(series)), np.nan)
     readings = dataset.from_series(series, empty, measurement, columns)

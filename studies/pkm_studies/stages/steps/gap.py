@@ -9,7 +9,7 @@ from oed.design.rules import Rules
 from oed.measurement.measurement import Measurement
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
-from pkm_studies.stages.gap import detectability, section
+from pkm_studies.stages.gap import detectability, second_visit, section
 from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
 from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT, Stream
 
@@ -103,4 +103,11 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     gap = section.gap_section(diagnosis, request.effects)
     if state.fit_is_bad and gap.verdict == "none":
         gap = msgspec.structs.replace(gap, next=[AFTER_BAD_FIT])
-    return state.with_sections(gap=gap)
+    design = state.resolved.gap_design
+    further = () if design is None else design.runs
+    rng = state.rng(Stream.VISIT)
+    visit = second_visit.advise(diagnosis, request, further, rng)
+    if visit is None:
+        return state.with_sections(gap=gap)
+    gap = second_visit.with_visit(gap, visit.record)
+    return state.replace(visit_poses=visit.csv).with_sections(gap=gap)

@@ -1,0 +1,1 @@
+"""Second visits to cases of the second generator: what the advised readings decide."""

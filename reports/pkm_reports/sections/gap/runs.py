@@ -1,0 +1,63 @@
+"""Table of runs to take, each under its condition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+from oed.base import units
+from oed.result import ChosenRun
+from pkm_reports.page import text
+from pkm_reports.page.blocks import Table, TableColumn, number_columns, wide_column
+
+DIRECTION_SIGNS: Final = {True: "+1", False: f"{text.MINUS}1"}
+
+
+def _direction(value: float) -> str:
+    return DIRECTION_SIGNS[value > 0.0]
+
+
+def _payload(value: float) -> str:
+    return text.trimmed(value)
+
+
+def _feed(value: float) -> str:
+    return text.trimmed(units.number(value, "mm") * units.factor("min"))
+
+
+def _start(value: float) -> str:
+    return text.trimmed(units.number(value, "min"))
+
+
+#: column title and text of each condition of a run, from its SI value
+CONDITIONS: Final[Mapping[str, tuple[str, Callable[[float], str]]]] = {
+    "direction": ("Direction", _direction),
+    "payload": ("Payload [N]", _payload),
+    "feed": ("Feed [mm/min]", _feed),
+    "time": ("Start [min]", _start),
+}
+
+
+def table(
+    runs: Sequence[ChosenRun], title: str, cells: Sequence[str], caption: str
+) -> Table:
+    """Set-up, run and conditions of each run, and a further column of a title."""
+    known = [name for name in CONDITIONS if any(name in run.condition for run in runs)]
+    titles = [CONDITIONS[name][0] for name in known]
+    columns = [
+        TableColumn("Set-up"),
+        wide_column("Run"),
+        *number_columns(*titles, title),
+    ]
+    rows = [
+        [run.setup, run.run, *[_condition(run, name) for name in known], cell]
+        for run, cell in zip(runs, cells, strict=True)
+    ]
+    return Table(columns, rows, caption)
+
+
+def _condition(run: ChosenRun, name: str) -> str:
+    if name not in run.condition:
+        return text.MISSING
+    _, written = CONDITIONS[name]
+    return written(run.condition[name])

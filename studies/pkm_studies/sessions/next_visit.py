@@ -1,0 +1,89 @@
+"""Reads the second visit that a diagnosis advises from its result, in lines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from oed.base import units
+from oed.result import ChosenRun, GapSection, StudyResult
+from pkm_studies.base.errors import InputError
+from pkm_studies.stages.result_folder import VISIT, load_result
+from pkm_studies.study import Study
+
+
+def check_alone(
+    after: Path, readings: Path | None, wanted: str, *, follow: bool
+) -> None:
+    """Raises InputError where options of the next reading go with a diagnosis."""
+    if readings is None and not wanted and not follow:
+        return
+    raise InputError(
+        "a diagnosis has its own readings: --readings, --wanted and --follow are of the"
+        " next single reading",
+        "give --after alone, or leave it out",
+        field="--after",
+        value=str(after),
+    )
+
+
+def no_readings() -> InputError:
+    """The error where neither readings nor a diagnosis is given."""
+    return InputError(
+        "there is nothing to advise from",
+        "give --readings FILE.csv, or --after DIR with the folder of a diagnosis",
+        field="--readings",
+    )
+
+
+def lines(study: Study, folder: Path) -> list[str]:
+    """What the visit is worth, its runs, and the file to fill in.
+
+    Raises InputError where the folder holds no diagnosis of this study.
+    """
+    result = load_result(folder)
+    gap = _diagnosis(study, result, folder)
+    visit = gap.second_visit
+    if visit is None:
+        return [
+            "No second visit is advised: the first answer is sure, or no run of those"
+            " read so far makes it clearer.",
+            *gap.next,
+        ]
+    return [
+        *visit.words,
+        "",
+        *(
+            f"  {run.setup}: {run.run}: {count} poses{_condition(run)}"
+            for run, count in zip(visit.runs, visit.poses, strict=True)
+        ),
+        "",
+        f"Fill in {folder / VISIT}, then: oed diagnose {study.path.name} --readings"
+        f" {folder / VISIT} --after {folder} --out DIR",
+    ]
+
+
+def _diagnosis(study: Study, result: StudyResult, folder: Path) -> GapSection:
+    if result.gap is None or result.study != study.name:
+        content = "no diagnosis" if result.gap is None else f"study {result.study}"
+        raise InputError(
+            f"that is not a diagnosis of {study.name}: {content}",
+            "name a folder that `oed diagnose` wrote for this study",
+            field="--after",
+            value=str(folder),
+        )
+    return result.gap
+
+
+def _condition(run: ChosenRun) -> str:
+    words = list(_words(run.condition))
+    return f" ({', '.join(words)})" if words else ""
+
+
+def _words(condition: Mapping[str, float]) -> Iterator[str]:
+    if "direction" in condition:
+        yield f"direction {condition['direction']:+.0f}"
+    if "feed" in condition:
+        yield f"{condition['feed'] / units.MM_PER_MIN:g} mm/min"
+    if "payload" in condition:
+        yield f"{condition['payload']:g} N"

@@ -1,0 +1,108 @@
+"""A second visit as a user does it: advised, printed, read and diagnosed with the first."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import cast
+
+import msgspec
+import pytest
+
+from oed.result import ChosenRun, GapSection, SecondVisitRecord, StudyResult
+from pkm_reports.page.blocks import Paragraph, Table
+from pkm_reports.sections.gap import second_visit as chapter
+from pkm_studies.stages.gap import second_visit
+
+Run = Callable[..., tuple[int, str, str]]
+CONDITION = {"direction": -1.0, "feed": 1.0 / 60.0, "payload": 1500.0}
+
+
+def visit(after: float) -> SecondVisitRecord:
+    return SecondVisitRecord(
+        runs=[ChosenRun("rm5", "line again", CONDITION, 60.0)],
+        poses=[13],
+        probability_now=0.5,
+        probability_after=after,
+        separations=[],
+        inseparable=[("bar_length", "encoder_scale + gravity")],
+    )
+
+
+def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide() -> None:
+    sure, unsure = (second_visit.sentences(visit(p)) for p in (0.93, 0.6))
+    assert "13 poses" in sure[0]
+    assert "93 %" in sure[0]
+    assert "now it is 50 %" in sure[0]
+    assert any("hardly decide" in words for words in unsure)
+    assert not any("hardly decide" in words for words in sure)
+    assert "bar length from encoder scale and gravity" in sure[-1]
+
+
+def test_the_advice_of_a_diagnosis_begins_with_the_visit() -> None:
+    gap = GapSection("class", [], [], [], [], [], [], next=["Preload the nuts."])
+    record = SecondVisitRecord([], [], 0.5, 0.9, [], [], ["Take the poses."])
+    steps = second_visit.with_visit(gap, record).next
+    assert steps == ["Take the poses.", "Preload the nuts."]
+
+
+def test_the_report_has_the_visit_as_a_table() -> None:
+    class Result:
+        gap = GapSection("class", [], [], [], [], [], [])
+
+    assert chapter.blocks(cast("StudyResult", Result())) == []
+    Result.gap = second_visit.with_visit(Result.gap, worded(visit(0.9)))
+    paragraph, table = chapter.blocks(cast("StudyResult", Result()))
+    assert isinstance(paragraph, Paragraph)
+    assert isinstance(table, Table)
+    assert table.rows == [
+        ["rm5", "line again", "\N{MINUS SIGN}1", "1500", "1000", "13"]
+    ]
+
+
+def worded(record: SecondVisitRecord) -> SecondVisitRecord:
+    return msgspec.structs.replace(record, words=second_visit.sentences(record))
+
+
+@pytest.mark.slow
+def test_two_visits_name_what_one_leaves_open(tmp_path: Path, oed: Run) -> None:
+    """Lines without a load leave gravity in a class; one line under it names it."""
+    every, first, second = (tmp_path / f"{n}.csv" for n in ("all", "first", "second"))
+    assert oed("simulate", "planar_gap", "--out", every)[0] == 0
+    header, *rows = every.read_text().splitlines(keepends=True)
+    first.write_text("".join([header, *(r for r in rows if "(2)" not in r)]))
+    loaded = [r for r in rows if r.startswith("rm5,z=0mm (2)")]
+    second.write_text("".join([header, *loaded]))
+    one, both = tmp_path / "one", tmp_path / "both"
+    oed("diagnose", "planar_gap", "--readings", first, "--out", one, "--quiet")
+    result = json.loads((one / "result.json").read_text())
+    assert result["gap"]["verdict"] == "class"
+    advised = result["gap"]["second_visit"]
+    assert advised["probability_after"] > advised["probability_now"]
+    assert 1500.0 in {run["condition"]["payload"] for run in advised["runs"]}
+    lines = (one / "second_visit.csv").read_text().splitlines()
+    table = list(csv.reader(line for line in lines if not line.startswith("#")))
+    assert len(table) - 1 == sum(advised["poses"]) <= 18
+    code, printed, _ = oed("next", "planar_gap", "--after", one)
+    assert code == 0
+    assert advised["runs"][0]["run"] in printed
+    oed(
+        *("diagnose", "planar_gap", "--readings", second),
+        *("--after", one, "--out", both, "--quiet"),
+    )
+    gap = json.loads((both / "result.json").read_text())["gap"]
+    assert set(gap["selected"]) == {"gravity", "frame_bending"}
+    assert gap["confusable"] == []
+
+
+def test_next_needs_readings_or_a_diagnosis(oed: Run, tmp_path: Path) -> None:
+    code, _, error = oed("next", "planar_gap")
+    assert code == 2
+    assert "--after" in error
+    code, _, error = oed(
+        "next", "planar_gap", "--after", tmp_path, "--wanted", "y_um=1"
+    )
+    assert code == 2
+    assert "--wanted" in error
