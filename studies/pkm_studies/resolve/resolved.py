@@ -27,6 +27,8 @@ from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.plan import PlanRequest, plan_request
 from pkm_studies.resolve.prediction import (
     PredictionRequest,
+    check_reach,
+    check_states,
     prediction_request,
     wanted_accuracy,
 )
@@ -93,16 +95,17 @@ class ResolvedStudy:
         """The study with these readings. Raises InputError where its prior has them."""
         warnings = self.warnings
         if dataset is not None:
-            new = self.digests(dataset)
+            fitted = self.fitted(dataset)
+            check_states(self.study, fitted.covariates)
+            new = digests(fitted.series, fitted.y, self.setups)
             warnings = (*warnings, *doubtful_sessions(self.study, new))
         return dataclasses.replace(self, dataset=dataset, warnings=warnings)
 
-    def digests(self, dataset: Dataset) -> list[str]:
-        """Digests of the readings that are fitted."""
+    def fitted(self, dataset: Dataset) -> Dataset:
+        """The readings that are fitted."""
         fitted, held_out = self.fitted_setups, self.held_out_setups
         names = [name for name in dataset.setups if name not in held_out]
-        taken = dataset.take([n for n in names if fitted is None or n in fitted])
-        return digests(taken.series, taken.y, self.setups)
+        return dataset.take([n for n in names if fitted is None or n in fitted])
 
 
 def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> ResolvedStudy:
@@ -125,7 +128,10 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     ]
     fitted, held_out = roles.reading_roles(study, mounted)
     roles.check_stages(study, everything)
+    _check_free(study, everything)
     prediction = prediction_request(study, machine)
+    if prediction is not None:
+        check_reach(study, prediction, kinematics)
     used = roles.used_setups(study, pool, design, references, mounted)
     resolved = ResolvedStudy(
         study=study,
@@ -151,6 +157,20 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         warnings=warnings,
     )
     return resolved.with_dataset(roles.dataset(study, everything, readings))
+
+
+def _check_free(study: Study, everything: Measurement) -> None:
+    """Raises InputError where no parameter of machine and set-ups is free."""
+    if not everything.free.any():
+        raise (
+            study.place.key("machine")
+            .key("fixed")
+            .error(
+                "every parameter is fixed: nothing is left to identify",
+                "leave the ones that the readings are to say",
+                study.machine.fixed,
+            )
+        )
 
 
 def with_readings(resolved: ResolvedStudy) -> ResolvedStudy:

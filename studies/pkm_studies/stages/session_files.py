@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from oed.dataset import dialect
-from oed.dataset.digests import is_counted
+from oed.dataset.digests import digests, is_counted
 from pkm_studies.base.errors import InputError
 from pkm_studies.stages.result_folder import load_result
 from pkm_studies.stages.run_state import RunState
@@ -40,7 +40,8 @@ def with_sessions(
     resolved = state.resolved
     earlier, counted = _stored(after, resolved.machine.name)
     every = resolved.measurement_with(resolved.setups)
-    new = resolved.digests(sources.from_files(latest, every))
+    further = resolved.fitted(sources.from_files(latest, every))
+    new = digests(further.series, further.y, resolved.setups)
     if is_counted(new, counted):
         raise InputError(
             "these readings are among those of that diagnosis: they would count twice",
