@@ -21,6 +21,7 @@ import numpy as np
 from oed.base.arrays import Array
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, suggest
+from pkm_studies.base.plain_number import plain_number
 
 #: bytes of the largest file
 LIMIT = 64_000_000
@@ -211,8 +212,5 @@ def _body(lines: Sequence[Line], width: int, file: str) -> list[Line]:
 def _number(cell: str) -> float | None:
     """A finite number, with a point or a comma; None for other text."""
     text = cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
+    value = plain_number(text)
+    return value if value is not None and math.isfinite(value) else None
