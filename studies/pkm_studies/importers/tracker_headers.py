@@ -1,9 +1,9 @@
 """Columns of a tracker's file that its header explains: points and their uncertainties.
 
-Read are the forms that files of trackers are known to have: `X  [mm]` and `U(95) X  [mm]`
-of Hexagon's tracker software, with a unit each, and `// Collection,  Group,  Point,  X,
-Y,  Z` of SpatialAnalyzer, without one. Points without a unit are taken for millimetres,
-which their best fit to the machine confirms or refuses. Everything else needs a map.
+Read are the forms that files of trackers are known to have: X [mm] and U(95) X [mm] of
+Hexagon's tracker software, with a unit each, and SpatialAnalyzer's names of the columns in
+a comment, without one. Points without a unit are taken for millimetres, which their best
+fit to the machine confirms or refuses. Everything else needs a map.
 """
 
 from __future__ import annotations
