@@ -218,7 +218,7 @@ def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePr
     """The prior that goes with readings of a structure.
 
     freedom  readings beyond the unknowns. Where an assumed noise has few for each group,
-             all groups have one scale, and the fit is that of the assumed weights. Where
+             all groups have one scale, and their weights are near the assumed ones. Where
              a course's terms leave few in all, it is not in the model
     """
     statement = structure.statement
