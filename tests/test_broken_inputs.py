@@ -237,3 +237,75 @@ def test_in_a_process_of_its_own(content: bytes, tmp_path: Path) -> None:
     finished = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (finished.returncode, finished.stdout) == (2, "")
     assert str(path) in one_paragraph(finished.stderr)
+
+
+# -- what a run refuses, a check refuses -----------------------------------------------
+
+WIDE = """\
+[machine.workspace]
+x_mm = [-400.0, 400.0]
+y_mm = [-400.0, 400.0]
+z_mm = [-50.0, 600.0]
+"""
+GRID = """\
+setup = "probe"
+x_mm = [-60.0, 0.0, 60.0]
+y_mm = [-60.0, 0.0, 60.0]
+z_mm = [20.0, 60.0]
+"""
+PLAN = f'[readings]\nsimulate = true\n[[design.reference]]\nname = "grid"\n{GRID}'
+CANDIDATES = f"[[design.candidates]]\n{GRID}"
+WHERE = "[prediction]\nx_mm = [-40.0, 40.0]\ny_mm = [0.0]\nz_mm = [20.0, 60.0]\n"
+FAR = WIDE + PLAN + WHERE.replace("40.0", "390.0", 2)
+UNUSABLE = {
+    "prediction out of reach": (FAR, "prediction: 4 poses cannot be reached"),
+    "forecast of no component": (
+        f"{WHERE}[forecast]\nexpected = {{ q_um = 60.0 }}\n",
+        "forecast.expected.q_um",
+    ),
+    "forecast without a workspace": (
+        "[forecast]\nexpected = { x_um = 60.0 }\n",
+        "prediction: the study does not say where",
+    ),
+    "effects without a workspace": (
+        '[design]\nreadings = 9\neffects = "catalogue"\nscaling = "tolerance"\n'
+        + CANDIDATES,
+        "design.effects",
+    ),
+    "more readings than candidates": (
+        f"[design]\nreadings = 999\n{CANDIDATES}",
+        "cannot choose 999",
+    ),
+    "too few readings": (f"[design]\nreadings = 1\n{CANDIDATES}", "cannot determine"),
+    "a reference of two poses": (
+        "[design]\nreadings = 9\n[design.order]\nreference_every_min = 5.0\n"
+        f"reference = {{ x_mm = [0.0, 1.0], y_mm = 0.0, z_mm = 20.0 }}\n{CANDIDATES}",
+        "design.order.reference: the reference is one pose",
+    ),
+    "a virtual machine that does not close": (
+        PLAN.replace("true\n", "true\ntruth = { radius_mm = 900.0 }\n", 1),
+        "readings.truth: the virtual machine cannot be assembled at 18 of the poses",
+    ),
+    "no such coefficient": (
+        f'[gap]\n[[gap.acting]]\neffect = "gravity"\ncoefficients = {{ no = 1.0 }}\n{PLAN}',
+        "gap.acting[1].coefficients.no",
+    ),
+    "nothing is free": (f'[machine]\nfixed = ["*"]\n{PLAN}', "machine.fixed"),
+}
+
+
+@pytest.mark.parametrize("name", UNUSABLE)
+def test_a_check_refuses_what_a_run_refuses(
+    name: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    addition, words = UNUSABLE[name]
+    text = sample.DELTA.split('[[setup]]\nname = "calliper"')[0]
+    if addition.startswith("[machine]\n"):
+        fixed, _, addition = addition.removeprefix("[machine]\n").partition("\n")
+        text = text.replace("[machine]\n", f"[machine]\n{fixed}\n")
+    path = tmp_path / "s.study.toml"
+    path.write_text(text + addition, encoding="utf-8")
+    checked = refusal(capsys, "check", path)
+    assert words in checked
+    code = cli.main(["run", str(path), "--out", str(tmp_path / "out"), "--quiet"])
+    assert (code, capsys.readouterr().err) == (2, checked)

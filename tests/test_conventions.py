@@ -194,7 +194,7 @@ CARRIAGES = {
     "tripod_prs": None,
     "orthoglide": None,
 }
-CRANKS = ("five_bar", "hexapod_rus", "rotary_delta")  # test_new_families.py
+CRANKS = ("five_bar", "hexapod_rus", "rotary_delta", "tripod_wrist")  # new_families
 
 
 @pytest.mark.parametrize("name", [n for n in MACHINES if n not in CRANKS])

@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 import pytest
-from oracles import machine_shapes
+from oracles import machine_shapes, wrist_shapes
 from sample import refused, resolved
 
 from oed.accuracy.maps import error_maps
@@ -19,6 +19,7 @@ from oed.model.machine import Family
 #: relative to the machine's size
 CLOSURE = 1e-12
 POSES = 60
+FAMILIES = machine_shapes.FAMILIES | wrist_shapes.FAMILIES
 
 
 def _family(name: str) -> Family:
@@ -43,7 +44,7 @@ def _size(geometry: machine_shapes.Geometry) -> float:
 
 def _refusal(name: str, rng: np.random.Generator) -> str | None:
     """Draw a machine and judge it: the sentence of its refusal, or None."""
-    draw, judge = machine_shapes.FAMILIES[name]
+    draw, judge = FAMILIES[name]
     geometry = draw(rng)
     machine = _family(name).build(geometry)
     kinematics, command = Kinematics(machine), _commands(machine, rng)
@@ -61,7 +62,7 @@ def _refusal(name: str, rng: np.random.Generator) -> str | None:
     return None
 
 
-@pytest.mark.parametrize("name", machine_shapes.FAMILIES)
+@pytest.mark.parametrize("name", FAMILIES)
 def test_a_drawn_machine_closes_in_the_mode_that_is_meant(
     name: str, rng: np.random.Generator
 ) -> None:
@@ -71,7 +72,7 @@ def test_a_drawn_machine_closes_in_the_mode_that_is_meant(
 @pytest.mark.slow
 def test_two_hundred_drawn_machines_close_or_are_refused_with_a_sentence() -> None:
     rng = np.random.default_rng(28)
-    names = list(machine_shapes.FAMILIES)
+    names = list(FAMILIES)
     refusals = [_refusal(names[k % len(names)], rng) for k in range(200)]
     sentences = [r for r in refusals if r is not None]
     print(f"{len(sentences)} of {len(refusals)} refused", *sentences, sep="\n")

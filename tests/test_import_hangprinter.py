@@ -66,6 +66,25 @@ def test_other_machines_are_refused(
 
 
 @pytest.mark.parametrize(
+    ("factor", "places"),
+    [(np.pi / 180.0, True), (np.pi / 180.0, False), (-1.0, True)],
+)
+def test_motors_in_radians_or_wound_the_other_way_are_refused(
+    factor: float, places: bool, shared_data: Path, tmp_path: Path
+) -> None:
+    source = shared_data / "hangprinter_hp4"
+    motors = np.loadtxt(source / "motor_deg.csv", delimiter=",", skiprows=1)
+    rows = [",".join(map(repr, row)) for row in (factor * motors).tolist()]
+    (tmp_path / "motors.csv").write_text("\n".join(["A,B,C,D", *rows]))
+    (tmp_path / "config.g").write_text(CONFIG)
+    files = [tmp_path / "config.g", tmp_path / "motors.csv"]
+    if places:
+        files.append(source / "known_xyz_mm.csv")
+    with pytest.raises(InputError, match="radians times 57"):
+        session.import_files("hangprinter", files, tmp_path / "out", name="h")
+
+
+@pytest.mark.parametrize(
     ("content", "problem"),
     [("A,B,C,D\n1,2,3,4\n", "has the columns A, B, C, D too"), ("F1,F2\n1,2\n", "F1")],
 )
@@ -74,7 +93,7 @@ def test_a_table_that_would_not_be_read_is_refused(
 ) -> None:
     for name, text in (
         ("config.g", CONFIG.lower()),
-        ("motors.csv", "A,B,C,D\n0,0,0,0\n"),
+        ("motors.csv", "A,B,C,D\n0,0,0,0\n9000,0,0,0\n"),
         ("more.csv", content),
     ):
         (tmp_path / name).write_text(text)

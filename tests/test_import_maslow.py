@@ -103,6 +103,10 @@ def test_belts_calibrate_the_anchors_as_scipy_does(tmp_path: Path) -> None:
         (YAML, log(belts())[:-40], "the line is cut off"),
         (YAML, log(belts() / 1000.0), "do not meet"),
         (YAML, log(-belts()), "do not meet"),
+        (YAML.replace("tlY: 2000.0", "tlY: 2_000"), None, "no number"),
+        (YAML, log(belts()).replace(".", ","), "four belts"),
+        (YAML, log(belts()).replace("br:2", "br:2_"), "four belts"),
+        (YAML, log(belts()).replace("br:2", "br:2e12", 1), "four belts"),
         (YAML, log(belts()[:, [1, 0, 2, 3]]), "do not meet"),
     ],
 )

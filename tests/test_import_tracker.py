@@ -190,3 +190,109 @@ def test_a_machine_table_that_does_not_fit_names_its_field(tmp_path: Path) -> No
         session.import_files(
             "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
         )
+
+
+LEICA = (
+    "X  [mm],Y  [mm],Z  [mm],U(95)  [mm],U(95) X  [mm],U(95) Y  [mm],U(95) Z  [mm],"
+    "Tilt  [deg],Q0 ,Q1 ,Q2 ,Q3 ,Image RMS  [µm],Target,Temperature  [°C],"
+    "Pressure  [mBar],Humidity  [%],Time Stamp,OTG Applied,Delete"
+)
+SPATIAL_ANALYZER = (
+    "// SpatialAnalyzer 2021\n// Frame: A::WORLD\n// Axes: right-handed, cartesian\n"
+    "// Collection,  Group,  Point,  X,  Y,  Z"
+)
+
+
+def exported(folder: Path, header: str, line: str, points: np.ndarray) -> list[Path]:
+    """Files of a tracker's export and of the poses, side by side."""
+    grid = np.meshgrid([-60.0, 0.0, 60.0], [-60.0, 0.0, 60.0], [20.0, 120.0])
+    commanded = np.column_stack([axis.ravel() for axis in grid])
+    turned = Rotation.from_euler("zyx", [70.0, 5.0, -3.0], degrees=True)
+    shift = np.array([3000.0, -500.0, 800.0])
+    seen = points * (turned.apply(true_points(commanded)) + shift)
+    lines = [
+        line.format(k=k, x=repr(x), y=repr(y), z=repr(z))
+        for k, (x, y, z) in enumerate(seen.tolist())
+    ]
+    files = [folder / "points.csv", folder / "poses.csv"]
+    files[0].write_text("\n".join([header, *lines]), encoding="utf-8")
+    poses = [",".join(map(str, row)) for row in commanded.tolist()]
+    files[1].write_text("\n".join(["x_mm,y_mm,z_mm", *poses]))
+    return files
+
+
+LEICA_LINE = (
+    "{x},{y},{z},0.01,0.008,0.008,0.008,29.9,0.2,-0.1,0.5,0.7,0.22,TMC 30-B #5320,"
+    "22.8,1018,32,'11.10.2022 15:06:{k:02d}.043,FALSE,"
+)
+METRES = LEICA.replace("[mm]", "[m]"), LEICA_LINE.replace("0.008", "0.000008")
+
+
+@pytest.mark.parametrize("form", [(LEICA, LEICA_LINE, 1.0), (*METRES, 1e-3)])
+def test_points_and_uncertainties_of_a_leica_need_no_map(
+    form: tuple[str, str, float], tmp_path: Path
+) -> None:
+    header, line, factor = form
+    files = exported(tmp_path, header, line, np.array(factor))
+    study, imported = session.import_files(
+        "tracker", files, tmp_path / "out", machine="linear_delta"
+    )
+    said = " ".join(imported.statements)
+    assert "U(95) X" in said
+    assert "over k = 2" in said
+    assert "Not used: U(95)  [" in said
+    readings = oed.read_readings(oed.load_study(study))
+    # 8 um of 95 % are 4 um in each coordinate, in every direction
+    names = [name for name in imported.rows[0] if name.startswith("sigma_")]
+    sigma = [factor * float(row[name]) for row in imported.rows for name in names]
+    assert sigma == pytest.approx([4e-3 * factor**2] * 54, rel=1e-6)
+    assert max(oed.identify(readings).section.rms_after.values()) < 2.0
+
+
+def test_points_of_spatial_analyzer_have_their_names_in_a_comment(
+    tmp_path: Path,
+) -> None:
+    line = "A,  Main,  p{k},  {x},  {y},  {z}"
+    files = exported(tmp_path, SPATIAL_ANALYZER, line, np.array(1.0))
+    _, imported = session.import_files(
+        "tracker", files, tmp_path / "out", machine="linear_delta"
+    )
+    assert "X as read_x_mm" in " ".join(imported.statements)
+    # the file states no unit: another one is refused
+    files = exported(tmp_path, SPATIAL_ANALYZER, line, np.array(1 / 25.4))
+    with pytest.raises(InputError, match="their units"):
+        session.import_files("tracker", files, tmp_path / "b", machine="linear_delta")
+
+
+@pytest.mark.parametrize(
+    ("header", "line", "words"),
+    [
+        (LEICA, LEICA_LINE + "TRUE", "the point was deleted"),
+        (LEICA.replace("Tilt", "x_meas"), LEICA_LINE, "may both be the measured x"),
+        (
+            "azimuth,zenith,distance",
+            "{x},{y},{z}",
+            r"add read_x_mm to \[columns\] of a --map file",
+        ),
+        (
+            "X [ft],Y [ft],Z [ft]",
+            "{x},{y},{z}",
+            r"add read_x_mm to \[columns\] of a --map file",
+        ),
+    ],
+)
+def test_what_a_header_does_not_say_needs_a_map(
+    header: str, line: str, words: str, tmp_path: Path
+) -> None:
+    header = header.replace("x_meas  [deg]", "x_meas")
+    files = exported(tmp_path, header, line, np.array(1.0))
+    with pytest.raises(InputError, match=words):
+        session.import_files("tracker", files, tmp_path / "out", machine="linear_delta")
+
+
+def test_an_uncertainty_of_unknown_coverage_is_stated(tmp_path: Path) -> None:
+    files = exported(tmp_path, "X,Y,Z,Ux,Uy,Uz", "{x},{y},{z},1,1,1", np.array(1.0))
+    _, imported = session.import_files(
+        "tracker", files, tmp_path / "out", machine="linear_delta"
+    )
+    assert "want of a coverage factor: Ux, Uy, Uz" in " ".join(imported.statements)

@@ -17,7 +17,7 @@ from oed.model.machine import Machine
 
 Run = Callable[..., tuple[int, str, str]]
 NAMES = tuple(new_families.CLOSURES)
-WITH_LEGS = ("pentapod", "tripod_upr_spr")
+WITH_LEGS = ("pentapod", "tripod_upr_spr", "tripod_wrist")
 
 
 def model(name: str) -> Machine:
@@ -72,7 +72,7 @@ def test_readings_see_what_the_description_lets_them_see(
     ]
     ours, oracle = ours.reshape(-1, ours.shape[2]), np.vstack(theirs)
     ranks = [
-        np.linalg.matrix_rank(scaled(h), tol=1e-5)
+        np.linalg.matrix_rank(scaled(h), tol=1e-6)
         for h in (ours, oracle, np.hstack([scaled(ours), scaled(oracle)]))
     ]
     assert ranks == [len(machine.parameters)] * 3

@@ -208,7 +208,7 @@ def pose(
     rules: Rules,
     criterion: Criterion | str,
     prior: Array | None,
-    tolerance: float,
+    tolerance: float = 1e-6,
 ) -> Problem:
     """The problem of a choice. Raises ValueError where no plan can keep the rules."""
     blocks = as_blocks(rows)

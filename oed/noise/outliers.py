@@ -33,6 +33,8 @@ WORTH = 3.0
 #: turns by which outliers are detected from what others are predicted to be without them;
 #: change at which they end
 TURNS, STILL = 12, 1e-3
+#: share of a reading's precision that is rounding, where parameters take the rest
+ROUNDING = 1e-12
 #: weight below which, and pull above which, a reading is named
 FAR_WEIGHT, FAR_PULL = 0.5, 3.5
 #: errors over which the information is integrated
@@ -178,7 +180,8 @@ def with_columns(factor: Factor, columns: Array) -> Precision:
     """The precision of C + G G^T, for the factor of C and columns G (N, k).
 
     It is C^-1 - A A^T with A = C^-1 G V / sqrt(1 + s), G^T C^-1 G = V s V^T. The numbers s
-    of columns that follow from others are rounding about 0.
+    of columns that follow from others are rounding about 0, and so is the diagonal of
+    readings that the columns alone determine.
     """
     solved = factor.precision(columns)
     squares, axes = np.linalg.eigh(columns.T @ solved)
@@ -188,8 +191,9 @@ def with_columns(factor: Factor, columns: Array) -> Precision:
         alone = factor.precision(values[:, None])[:, 0]
         return np.asarray(alone - shared @ (shared.T @ values))
 
-    diagonal = factor.precision_diagonal() - np.einsum("nk,nk->n", shared, shared)
-    return Precision(apply, diagonal)
+    alone = factor.precision_diagonal()
+    diagonal = alone - np.einsum("nk,nk->n", shared, shared)
+    return Precision(apply, np.maximum(diagonal, ROUNDING * alone))
 
 
 def detect(

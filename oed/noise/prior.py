@@ -111,7 +111,8 @@ class NoisePrior:
     groups     number of groups of readings with a noise of their own
     amounts    of what is not stated
     statement  what is stated
-    is_common  whether all groups have one scale, and keep their weights
+    is_common  whether all groups have one scale, and weights near the stated ones: with
+               several groups, each has a factor of its own as of a stated noise
     """
 
     names: tuple[str, ...]
@@ -152,12 +153,16 @@ class NoisePrior:
 
     def _scale(self, u: Array) -> Array:
         """Noise (L, groups) of single readings over the stated one."""
-        scales = u[:, : 1 if self.is_common else self.groups]
-        is_assumed = self.statement.is_assumed
-        log = (
-            ASSUMED_SCALE_SD * scales if is_assumed else SCALE_SD * heavy_scale(scales)
-        )
-        return np.repeat(np.exp(log), self.groups // scales.shape[1], axis=1)
+        if self.is_common:
+            by_group = (
+                u[:, 1 : 1 + self.groups] if self.groups > 1 else np.zeros((1, 1))
+            )
+            log = ASSUMED_SCALE_SD * u[:, :1] + SCALE_SD * heavy_scale(by_group)
+            return np.asarray(np.exp(log))
+        by_group = u[:, : self.groups]
+        if self.statement.is_assumed:
+            return np.asarray(np.exp(ASSUMED_SCALE_SD * by_group))
+        return np.asarray(np.exp(SCALE_SD * heavy_scale(by_group)))
 
     def _share(self, u: Array) -> Array:
         """Share (L,) of the variance that is carried along."""
@@ -213,13 +218,16 @@ def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePr
     """The prior that goes with readings of a structure.
 
     freedom  readings beyond the unknowns. Where an assumed noise has few for each group,
-             all groups have one scale, and the fit is that of the assumed weights. Where
+             all groups have one scale, and their weights are near the assumed ones. Where
              a course's terms leave few in all, it is not in the model
     """
     statement = structure.statement
     is_few = freedom < LEAST_OF_WEIGHTS * len(structure.names)
     is_common = statement.is_assumed and is_few
-    scales = ("all readings",) if is_common else structure.names
+    groups = len(structure.names)
+    scales = structure.names
+    if is_common:
+        scales = ("all readings", *(scales if groups > 1 else ()))
     carried = () if statement.carried == 0.0 else (CARRIED, REACH)
     of_kind = {
         LEVEL: RUN,
@@ -232,5 +240,4 @@ def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePr
     has_course = terms and freedom - terms >= LEAST_FREEDOM
     course = (COURSE,) if has_course else ()
     names = (*(f"noise of {name}" for name in scales), *carried, *shared, *course)
-    groups = len(structure.names)
     return NoisePrior(names, groups, statement=statement, is_common=is_common)

@@ -124,6 +124,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     machine: MachineInfo
     setups: list[SetupInfo] = []
     study_text: str = ""
+    #: digests of the fitted readings and of those behind the prior, sorted
+    readings: list[str] = []
     versions: dict[str, str] = {}
     headline: list[str] = []  # the five numbers that matter, as sentences
     identifiability: IdentifiabilitySection | None = None

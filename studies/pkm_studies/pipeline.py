@@ -11,9 +11,11 @@ import msgspec
 
 from oed import dataset
 from oed.dataset import Dataset
+from oed.dataset.digests import digests
 from oed.result import StudyResult
 from pkm_studies.base import files
 from pkm_studies.base.progress import Progress, Silent
+from pkm_studies.resolve.counted import counted
 from pkm_studies.results import claims
 from pkm_studies.stages import describe, headline, result_folder
 from pkm_studies.stages.plan.earlier import read_earlier_session, stored_knowledge
@@ -302,10 +304,14 @@ def assemble_result(state: RunState) -> StudyResult:
     )
     recorded = state.resolved.dataset is not None
     series = state.readings.series if isinstance(state, Scheduled) else ()
+    readings: list[str] = []
+    if isinstance(state, Measured):
+        readings = digests(series, state.readings.y, state.measurement.setups)
     return msgspec.structs.replace(
         state.result,
         seed=state.seed,
         machine=info,
+        readings=counted(state.study, readings),
         setups=[describe.setup_info(machine, setup, series) for setup in setups],
         versions=describe.package_versions(),
         headline=headline.sentences(state.result, recorded, info),

@@ -261,7 +261,7 @@ def _prs(geometry: Geometry, x: Array, q: Array) -> Verdict:
     return np.hstack([error, _hinge_errors(geometry, v)]), mirrored
 
 
-def _passive_leg(geometry: Geometry, x: Array, q: Array) -> Verdict:
+def passive_leg(geometry: Geometry, x: Array, q: Array) -> Verdict:
     error, mirrored = _legs(geometry, x, q)
     r, offset = rotations(x), geometry["pivot"] - x[:, :3]
     distance = np.linalg.norm(offset, axis=1)
@@ -385,7 +385,7 @@ FAMILIES: dict[str, tuple[Callable[[np.random.Generator], Geometry], Any]] = {
     "hexapod_pus": (hexapod_pus, _sliders),
     "tripod_rps": (tripod_rps, _rps),
     "tripod_prs": (tripod_prs, _prs),
-    "tripod_passive_leg": (tripod_passive_leg, _passive_leg),
+    "tripod_passive_leg": (tripod_passive_leg, passive_leg),
     "tripod_upr_spr": (tripod_upr_spr, _upr_spr),
     "cables_planar": (cables_planar, _cables),
     "cables_spatial": (cables_spatial, _cables),

@@ -119,6 +119,32 @@ def _tripod_upr_spr(x: Array, q: Array, e: Errors) -> Array:
     return np.array(rows)
 
 
+def _tripod_wrist(x: Array, q: Array, e: Errors) -> Array:
+    """Tool on two wrist axes on a tripod whose passive leg runs through a pivot."""
+    base, joint = _ring(0.4, [90, 210, 330]), _ring(0.2, [90, 210, 330])
+    tool = Rotation.from_rotvec([x[3], x[4], 0.0]) * Rotation.from_rotvec([0, 0, x[5]])
+    place, turn = np.zeros(3), Rotation.identity()
+    for i, axis in ((5, [1.0, 0.0, 0.0]), (4, [0.0, 0.0, 1.0])):
+        axis = Rotation.from_rotvec(_vector(e, f"turn{i}")).apply(axis)
+        centre = np.array([0.0, 0.0, 0.25]) + _vector(e, f"c{i}")
+        step = Rotation.from_rotvec((q[i - 1] + e.get(f"zero{i}", 0.0)) * axis)
+        place, turn = centre + step.apply(place - centre), step * turn
+    head = tool * turn.inv()
+    origin = x[:3] - head.apply(place)
+    rows = []
+    for k in range(3):
+        end = origin + head.apply(joint[k] + [0.0, 0.0, 0.3] + _vector(e, f"a{k + 1}"))
+        length = np.linalg.norm(end - base[k] - _vector(e, f"b{k + 1}"))
+        rows.append(length - e.get(f"l{k + 1}", 0.0) - q[k])
+    pivot = head.inv().apply(_vector(e, "pivot_") - origin)
+    for k, n in enumerate("xy"):
+        line = e.get(f"leg_{n}", 0.0) + e.get(f"lean_{n}", 0.0) * pivot[2]
+        rows.append(pivot[k] - line)
+    first = np.array([1.0, e.get("axis_turn", 0.0), e.get("axis_rise", 0.0)])
+    square = first @ head.apply([0.0, 1.0, 0.0]) / np.linalg.norm(first)
+    return np.array([*rows, square - e.get("square", 0.0)])
+
+
 CLOSURES: dict[str, Callable[[Array, Array, Errors], Array]] = {
     "rotary_delta": _rotary_delta,
     "hexapod_rus": _hexapod_rus,
@@ -126,6 +152,7 @@ CLOSURES: dict[str, Callable[[Array, Array, Errors], Array]] = {
     "orthoglide": _orthoglide,
     "pentapod": _pentapod,
     "tripod_upr_spr": _tripod_upr_spr,
+    "tripod_wrist": _tripod_wrist,
 }
 
 

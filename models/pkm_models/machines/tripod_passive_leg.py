@@ -54,7 +54,7 @@ DIMENSIONS = (
 )
 
 
-def _pivot(p: Values) -> Expr:
+def pivot(p: Values) -> Expr:
     return ca.vertcat(*[p[f"pivot_{k}"] for k in XYZ])
 
 
@@ -68,22 +68,28 @@ def _axes(p: Values, angle: float) -> tuple[Expr, Expr]:
 
 
 def _closure(x: Values, q: Values, p: Values, angle: float, size: float) -> list[Expr]:
-    """Leg lengths, the pivot on the leg's line, and square axes; m."""
-    rotation, origin = six_dof.platform(x)
-    w = rotation.T @ (_pivot(p) - origin)
+    """Leg lengths, and what the passive leg holds; m."""
+    lengths = [legs.leg_length(x, p, i) - q[f"q{i}"] for i in LEGS]
+    return [*lengths, *held_rows(*six_dof.platform(x), p, angle, size)]
+
+
+def held_rows(
+    rotation: Expr, origin: Expr, p: Values, angle: float, size: float
+) -> list[Expr]:
+    """The pivot on the passive leg's line, and square axes, of a platform; m."""
+    w = rotation.T @ (pivot(p) - origin)
     first, second = _axes(p, angle)
     square = size * (ca.dot(first, rotation @ second) - p["square"])
-    lengths = [legs.leg_length(x, p, i) - q[f"q{i}"] for i in LEGS]
     sideways = [
         w[k] - p[f"leg_{n}"] - p[f"lean_{n}"] * w[2] for k, n in enumerate("xy")
     ]
-    return [*lengths, *sideways, square]
+    return [*sideways, square]
 
 
 def _guess(c: Values, p: Values, up: float) -> Start:
     """The platform's axis towards the pivot (up = 1) or away from it (-1)."""
     tip = ca.vertcat(c["x"], c["y"], c["z"])
-    axis = up * (_pivot(p) - tip) / ca.norm_2(_pivot(p) - tip)
+    axis = up * (pivot(p) - tip) / ca.norm_2(pivot(p) - tip)
     pose = [c["x"], c["y"], c["z"], -axis[1], axis[0], 0.0]
     x = families.by_name(six_dof.POSE, pose)
     return pose, [legs.leg_length(x, p, i) for i in LEGS]
@@ -95,11 +101,11 @@ def _passive_joints(
     """Length of the passive leg, its turn about the first axis, its lean along it."""
     _, origin = six_dof.platform(x)
     first, _ = _axes(p, angle)
-    strut = (_pivot(p), origin)
+    strut = (pivot(p), origin)
     upright = passive.DOWN if up > 0.0 else passive.UP
     swing, side = passive.universals([strut], [first], upright)
     about = "length of the passive leg, from its pivot to the tool point"
-    length = PassiveJoint("slide", "m", ca.norm_2(origin - _pivot(p)), about)
+    length = PassiveJoint("slide", "m", ca.norm_2(origin - pivot(p)), about)
     return [
         length,
         dataclasses.replace(swing, name="swing"),
@@ -109,11 +115,11 @@ def _passive_joints(
 
 def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     """Base, legs, platform, tool, passive leg."""
-    passive = [_pivot(p), six_dof.platform(x)[1]]
+    passive = [pivot(p), six_dof.platform(x)[1]]
     return [*legs.legs_skeleton(x, p, 3), passive]
 
 
-def _passive_parameters(pivot: list[float], sd: float) -> list[Parameter]:
+def passive_parameters(pivot: list[float], sd: float) -> list[Parameter]:
     rad = legs.DIRECTION_SD
     return [
         *(
@@ -164,7 +170,7 @@ def build(geometry: Geometry) -> Machine:
             *families.places("b", base, sd, "base joint"),
             *families.places("a", platform, sd, "platform joint"),
             *families.numbers("l", [0.0] * 3, sd, "m", "zero of leg"),
-            *_passive_parameters(pivot.tolist(), sd),
+            *passive_parameters(pivot.tolist(), sd),
         ),
         components=legs.errors(XYZ),
         home=dict(zip(XYZ, home.tolist(), strict=True)),

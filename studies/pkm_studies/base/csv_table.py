@@ -1,8 +1,8 @@
 """A CSV file of another program: any separator, decimal commas, lines above the header.
 
 The numbers start at the first line with as many cells as most lines have, at least half
-of them numbers. The line above them with as many cells is the header; without one,
-columns have the names 1, 2, 3. Facts above the header, as in `Feed,1500`, are no
+of them numbers. The line above them with as many cells is the header, or else a comment
+with as many names; without one, columns have the names 1, 2, 3. Facts above the header, as in `Feed,1500`, are no
 readings, and a header that is repeated within the file is passed over.
 """
 
@@ -21,6 +21,7 @@ import numpy as np
 from oed.base.arrays import Array
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, suggest
+from pkm_studies.base.plain_number import plain_number
 
 #: bytes of the largest file
 LIMIT = 64_000_000
@@ -97,6 +98,8 @@ def read(path: Path) -> CsvTable:
     lines, width = _split(written)
     start = _first_numbers(lines, width, str(path))
     header = _header(lines[:start], width, str(path))
+    if header == _numbered(width):
+        header = _commented_header(text, width) or header
     below = [line for line in lines[start:] if tuple(line[1]) != header]
     return CsvTable(
         file=str(path),
@@ -172,7 +175,26 @@ def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:
             field = f"line {number}"
             raise InputError(problem, remedy, file=file, field=field, value=repeated[0])
         return tuple(cell or str(k) for k, cell in enumerate(cells, start=1))
+    return _numbered(width)
+
+
+def _numbered(width: int) -> tuple[str, ...]:
+    """Names of columns without a header."""
     return tuple(str(k) for k in range(1, width + 1))
+
+
+def _commented_header(text: str, width: int) -> tuple[str, ...]:
+    """Names of the columns in the last comment that has one for each; () without."""
+    for line in reversed(text.splitlines()):
+        if not line.lstrip().startswith(COMMENTS):
+            continue
+        names = line.strip().lstrip("".join(COMMENTS))
+        for separator in SEPARATORS:
+            cells = tuple(cell.strip() for cell in names.split(separator))
+            distinct = len(set(cells)) == width == len(cells) and all(cells)
+            if distinct and not any(map(_is_number, cells)):
+                return cells
+    return ()
 
 
 def _body(lines: Sequence[Line], width: int, file: str) -> list[Line]:
@@ -190,8 +212,5 @@ def _body(lines: Sequence[Line], width: int, file: str) -> list[Line]:
 def _number(cell: str) -> float | None:
     """A finite number, with a point or a comma; None for other text."""
     text = cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
+    value = plain_number(text)
+    return value if value is not None and math.isfinite(value) else None

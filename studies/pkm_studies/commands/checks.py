@@ -14,13 +14,15 @@ from oed.checks import Severity, blind
 from oed.dataset import Dataset
 from oed.mechanism.kinematics import AssemblyError
 from pkm_studies.base.errors import InputError, Place, SourceAbsentError
+from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent, Origin
 from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve.machine import has_own_numbers, unreachable
 from pkm_studies.resolve.planned_effects import check_effect_names
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
 from pkm_studies.stages.fit.goodness import check_dataset
-from pkm_studies.stages.run_state import Stream
+from pkm_studies.stages.input_checks import check_inputs
+from pkm_studies.stages.run_state import Stream, state_of
 from pkm_studies.study import Study, load, shipped, sources
 
 
@@ -89,10 +91,14 @@ def _check_study(
         check_effect_names(study, without_readings.gap_or_default)
         resolved.append(without_readings)
         complete = with_readings(without_readings)
+        state = state_of(complete, study.seed, Silent())
+        remarks = check_inputs(state)
         content = _content(study, complete)
         if complete.dataset is not None:
             return _with_findings(content, complete, complete.dataset)
-        return Verdict(content, remarks=_unseen(complete) if alone else ())
+        if alone:
+            remarks += _unseen(complete)
+        return Verdict(content, remarks=remarks)
     except SourceAbsentError as error:
         problem = f"the study is sound, but its data is missing: {error.problem}"
         return Verdict(problem)

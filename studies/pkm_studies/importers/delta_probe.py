@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from pkm_studies.base.errors import InputError
 from pkm_studies.importers.base import ImportedSession, MeshUse
 from pkm_studies.importers.bed_mesh import BedMesh, distinct, explanations
 from pkm_studies.importers.delta_study import (
@@ -25,6 +26,10 @@ from pkm_studies.importers.probed_point import ProbedPoint, contact_row
 #: standard deviation of a probed height, the bed's flatness included, um
 HEIGHT_UM = 100.0
 NOISE = "standard deviation of one reading, the bed's flatness included"
+
+
+#: mm; no point of a bed is farther away
+LARGEST = 1e4
 
 
 def delta_session(
@@ -48,6 +53,7 @@ def delta_session(
     meshes         further heights of the same bed, for which use; without points, the
                    first one states where the bed is
     """
+    _check_places([*points, *[point for one in meshes for point in one.points]], files)
     meshes, mesh_notes = distinct(meshes)
     mesh_notes += [one.sentence(mesh) for one in meshes]
     mesh_notes += explanations(meshes, "M665 and M666")
@@ -90,3 +96,15 @@ def delta_session(
         rows=rows,
         statements=[*statements, *notes, *accounts],
     )
+
+
+def _check_places(points: Sequence[ProbedPoint], files: str) -> None:
+    """Raises InputError for a point that no machine has."""
+    for point in points:
+        if max(map(abs, point)) > LARGEST:
+            listed = ", ".join(f"{v:g}" for v in point)
+            raise InputError(
+                f"a point at x, y, z = {listed} mm is on no bed",
+                "correct it in a copy of the file",
+                file=files,
+            )

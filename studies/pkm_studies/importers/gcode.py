@@ -10,11 +10,14 @@ from pathlib import Path
 
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
+from pkm_studies.base.plain_number import plain_number
 from pkm_studies.importers.base import line_field
 from pkm_studies.importers.words import WordAccount, WordTable, WrittenWord, account
 
 LIMIT = 16_000_000
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+#: that a number ends there: no decimal comma follows, and no other sign of one
+ENDS = r"(?![\w.]|,\d)"
 #: what follows a letter: a text in quotes, an expression, or anything up to a blank; a
 #: letter with the rest of an English word is none
 VALUE = r'(?:"[^"]*"|\{[^}]*\}|(?![a-z]+(?:\s|$))[^\s"{A-Z]*)'
@@ -138,10 +141,7 @@ def _word_error(command: Command, letter: str) -> Callable[[str, str], InputErro
 
 def finite(text: str, line: TextLine) -> float:
     """A number of a reply. Raises InputError."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+    value = plain_number(text)
+    if value is None or not math.isfinite(value):
         raise line.error("not a finite number", "correct or remove the line", text)
     return value

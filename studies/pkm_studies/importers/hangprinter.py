@@ -23,6 +23,7 @@ from pkm_studies.importers import gcode, words
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.column_map import Model, imported_study
 from pkm_studies.importers.gcode import Command
+from pkm_studies.importers.motor_angles import check_unit
 from pkm_studies.importers.rrf_sequence import execution_order
 from pkm_studies.importers.words import (
     HARMLESS,
@@ -100,6 +101,7 @@ class HangprinterImporter:
             raise InputError(problem, "give the motors of each place", file="x, y, z")
         table = MachineTable(model=MODEL, nominal=_nominal(anchors, spools))
         machine = described_machine(table, Origin.command(request.consent), Place(""))
+        check_unit(machine, motors, places, _file_of(tables, MOTORS))
         setups = [{"name": "lines", "instrument": "redundancy"}]
         if len(places):
             setups.append({"name": "camera", "instrument": "camera_known_frame"})
@@ -196,6 +198,10 @@ def _check_tables(tables: Sequence[CsvTable], paths: Sequence[Path]) -> None:
                 file=file,
             )
         kinds[kind] = file
+
+
+def _file_of(tables: Sequence[CsvTable], columns: str) -> str:
+    return next(table.file for table in tables if set(columns) <= set(table.header))
 
 
 def _motors(tables: Sequence[CsvTable]) -> Array:

@@ -23,6 +23,8 @@ from pkm_studies.importers.probed_point import ProbedPoint
 PREFIX: Final = "bed_mesh "
 PROBES: Final = ("probe", "bltouch", "smart_effector")
 REMEDY: Final = "import the profile as SAVE_CONFIG wrote it, or remove it"
+#: mm; no mesh has a larger height
+LARGEST: Final = 100.0
 MARGIN: Final = "the firmware filled them up from probed ones"
 
 
@@ -60,14 +62,12 @@ def _heights(config: KlipperConfig, section: str) -> Array:
         problem = f"{len(rows)} rows, where y_count has another number"
         raise entry.error(f"[{section}] points", problem, REMEDY)
     place = f"[{section}] points"
-    return np.array(
-        [
-            klipper_config.numbers(
-                klipper_config.Entry(row, entry.file, entry.line), place, count
-            )
-            for row in rows
-        ]
-    )
+    written = [klipper_config.Entry(row, entry.file, entry.line) for row in rows]
+    heights = np.array([klipper_config.numbers(row, place, count) for row in written])
+    if np.abs(heights).max() > LARGEST:
+        problem = f"no bed is {np.abs(heights).max():.3g} mm uneven"
+        raise entry.error(place, problem, REMEDY)
+    return heights
 
 
 def _places(config: KlipperConfig, section: str, axis: str, count: int) -> Array:

@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from pkm_studies.importers import gcode
-from pkm_studies.importers.gcode import NUMBER, Command, TextLine
+from pkm_studies.importers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_studies.importers.marlin_means import (
     CIRCLES_FROM,
     FINENESS,
@@ -21,7 +21,7 @@ from pkm_studies.importers.marlin_means import (
 )
 from pkm_studies.importers.marlin_version import INNER, RADIUS, PossibleRules
 
-HEIGHT = re.compile(rf"\b(c|x|y|z|yz|zx|xy):\s*({NUMBER})")
+HEIGHT = re.compile(rf"\b(c|x|y|z|yz|zx|xy):\s*({NUMBER}){ENDS}")
 PRINTED_RADIUS = re.compile(r"\bat radius:\s*" + f"({NUMBER})")
 BEGINS = re.compile(r"\bG33 Auto Calibrate")
 #: heights of a report of P3 and more, and P of one with fewer: its places are single

@@ -24,9 +24,12 @@ from pkm_studies.importers.probed_point import ProbedPoint
 HEADING: Final = re.compile(r"Bilinear Leveling Grid:")
 #: a row of the grid, after what a host writes before it
 ROW: Final = re.compile(r"(?:^|[\s:<>])(\d+)((?:\s+(?:[-+]\d*\.\d+|=+|nan))+)\s*$")
+#: the beginning of a row, whatever follows
+ROW_NUMBER: Final = re.compile(r"(?:^|[\s:<>])(\d+)\s+[-+=n.\d]")
 NOT_PROBED: Final = "=nN"
 #: words of G29 for the ends of the grid along x and y
 ENDS: Final = {"mesh_x_mm": ("L", "R"), "mesh_y_mm": ("F", "B")}
+NO_ROW: Final = "this row of the grid does not follow those above"
 WHERE: Final = (
     "The grid of G29 (line {line}) is not read: add lines mesh_x_mm = from, to and mesh_y_mm"
     " = from, to with the places of its first and last nodes, and mesh_radius_mm where it"
@@ -83,12 +86,15 @@ def _heights(lines: Sequence[TextLine], heading: TextLine) -> Array:
     for line in lines:
         match = ROW.search(line.text)
         if match is None:
+            begun = ROW_NUMBER.search(line.text)
+            if begun and rows and int(begun[1]) == len(rows):
+                raise line.error(NO_ROW, "give the grid as printed")
             if rows:
                 break
             continue
         cells = match[2].split()
         if int(match[1]) != len(rows) or (rows and len(cells) != len(rows[0])):
-            raise line.error("this row does not follow", "give the grid as printed")
+            raise line.error(NO_ROW, "give the grid as printed")
         rows.append(
             [math.nan if c[0] in NOT_PROBED else gcode.finite(c, line) for c in cells]
         )

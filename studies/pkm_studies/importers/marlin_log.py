@@ -13,12 +13,14 @@ from collections.abc import Mapping, Sequence
 
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers import gcode
-from pkm_studies.importers.gcode import NUMBER, Command, TextLine
+from pkm_studies.importers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_studies.importers.marlin_g33 import ReportScan, report_contacts
 from pkm_studies.importers.marlin_means import Contact
 from pkm_studies.importers.marlin_version import NOT_READ, RADIUS, PossibleRules
 
-BED = re.compile(rf"Bed\s+X:\s*({NUMBER})\s+Y:\s*({NUMBER})\s+Z:\s*({NUMBER})")
+BED = re.compile(rf"Bed\s+X:\s*({NUMBER})\s+Y:\s*({NUMBER})\s+Z:\s*({NUMBER}){ENDS}")
+#: how such a line begins
+BED_LINE = re.compile(r"Bed\s+X:")
 CHANGED = re.compile(rf"\b(Height|Ex|Ey|Ez|Radius|Tx|Ty|Tz):\s*({NUMBER})")
 #: a line of G33's report, after what a host writes before it
 REPORT = re.compile(r"(?:^|[\s:<>])\.(?=\s|Height:|Tower)")
@@ -164,6 +166,9 @@ class _Scan:
             self._take_command(command)
         self.reports.take_request(line)
         match = BED.search(line.text)
+        if match is None and BED_LINE.search(line.text):
+            problem = "this is no point: Bed X: Y: Z: with a number each"
+            raise line.error(problem, "correct the line, or remove it from a copy")
         if match:
             x, y, z = (gcode.finite(match[k], line) for k in (1, 2, 3))
             contact = Contact.at(x, y, z, is_probe=True)

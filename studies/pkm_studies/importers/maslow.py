@@ -15,11 +15,12 @@ from typing import Final
 import numpy as np
 
 from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base.plain_number import plain_number
 from pkm_studies.base.user_code import Origin
 from pkm_studies.importers import gcode, words
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.column_map import Model, imported_study
-from pkm_studies.importers.gcode import NUMBER, TextLine
+from pkm_studies.importers.gcode import ENDS, NUMBER, TextLine
 from pkm_studies.importers.words import (
     HARMLESS,
     OTHERS,
@@ -40,7 +41,7 @@ MODEL: Final = "cables_planar"
 #: a value of the configuration, `Maslow_tlX: 12.3`, or of the log, `$/Maslow_tlX=12.3`
 VALUE: Final = re.compile(r"[Mm]aslow_(\w+)\s*[:=]\s*(\S+)")
 WAYPOINT: Final = re.compile(r"\{([^{}]*)\}")
-BELT: Final = re.compile(rf"\b(tl|tr|bl|br)\s*:\s*({NUMBER})")
+BELT: Final = re.compile(rf"\b(tl|tr|bl|br)\s*:\s*({NUMBER}){ENDS}")
 MARK: Final = "CLBM:"
 #: a key at the top of a configuration
 KEY: Final = re.compile(r"([A-Za-z]\w*)\s*:")
@@ -176,11 +177,8 @@ def _anchors(written: Sequence[WrittenWord], lines: Sequence[TextLine]) -> np.nd
     for word in written:
         if ANCHORS.get(word.key) is not READ:
             continue
-        try:
-            number = float(word.text)
-        except ValueError:
-            number = np.nan
-        if not abs(number) <= LARGEST:
+        number = plain_number(word.text)
+        if number is None or abs(number) > LARGEST:
             raise word.error("this is no number of mm", "correct the value")
         values[word.key] = number
         if word.key in FRAME and values[word.key] != FRAME[word.key]:
@@ -217,7 +215,8 @@ def _belts(lines: Sequence[TextLine]) -> tuple[list[dict[str, float]], list[str]
                 corner: gcode.finite(value, line)
                 for corner, value in BELT.findall(text)
             }
-            if set(lengths) != set(CORNERS):
+            far = max(map(abs, lengths.values()), default=0.0) > LARGEST
+            if set(lengths) != set(CORNERS) or far:
                 problem = "a waypoint has not the four belts tl, tr, bl, br"
                 raise line.error(problem, "give the line as the firmware prints it")
             count += 1

@@ -7,7 +7,6 @@ nozzle over the trigger height, at the places of the probe; a node that was not 
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
+from pkm_studies.base.plain_number import plain_number
 from pkm_studies.importers.base import line_field
 from pkm_studies.importers.bed_mesh import BedMesh
 from pkm_studies.importers.probed_point import ProbedPoint
@@ -43,7 +43,12 @@ NOT_PROBED: Final = "they were not probed"
 
 
 def is_height_map(path: Path) -> bool:
-    """Whether a file is a height map; a file that cannot be read is none."""
+    """Whether a file is a height map: by its first line, or its name.
+
+    The firmware has no other CSV. A file that cannot be read is none.
+    """
+    if path.suffix.lower() == ".csv":
+        return True
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
             return HEADING.match(file.readline()) is not None
@@ -109,11 +114,8 @@ def _grid(lines: Sequence[str], path: Path) -> dict[str, float]:
 
 
 def _number(cell: str, path: Path, line: int) -> float:
-    try:
-        number = float(cell)
-    except ValueError:
-        number = math.nan
-    if not abs(number) <= LARGEST:
+    number = plain_number(cell)
+    if number is None or abs(number) > LARGEST:
         raise _error(path, line, f"{cell} is no number of a height map")
     return number
 

@@ -8,7 +8,6 @@ frame is free within tolerances, or held there.
 from __future__ import annotations
 
 import math
-import re
 from typing import NamedTuple
 
 import msgspec
@@ -23,21 +22,21 @@ from oed.model.instrument import Instrument
 from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
-from pkm_studies.importers import column_map, column_sources, columns, orientations
+from pkm_studies.importers import column_map, columns, orientations
 from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
     Row,
 )
+from pkm_studies.importers.tracker_headers import (
+    CHANNELS,
+    uncertainty_sentences,
+    with_measured,
+)
 from pkm_studies.resolve.tool_points import ToolPoints
-from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
+from pkm_studies.study.tables.column_map import ColumnMap
 
 INSTRUMENT = "pose_tracker_position"
-CHANNELS = ("read_x", "read_y", "read_z")
-#: names of measured coordinates that need no map: X, x [mm], x_meas
-MEASURED = re.compile(
-    r"\s*([xyz])\s*(?:[\[(]\s*mm\s*[\])]|_?meas(?:ured)?|_?m)?\s*", re.I
-)
 #: tolerances of a frame that is only known by the best fit
 FREE = {
     **{f"shift_{axis}_mm": 10.0 for axis in "xyz"},
@@ -76,7 +75,7 @@ class TrackerImporter:
             request, given, place, model.machine, INSTRUMENT
         )
         table = columns.joined([csv_table.read(path) for path in request.files])
-        given = msgspec.structs.replace(given, columns=_with_measured(given, table))
+        given = msgspec.structs.replace(given, columns=with_measured(given, table))
         mapped = columns.mapped_columns(given, table, model.machine, tool, place)
         complete = msgspec.structs.replace(
             given, machine=model.described, instrument=reference, columns=mapped
@@ -94,6 +93,7 @@ class TrackerImporter:
             rows=rows,
             statements=[
                 *columns.statements(table, mapped, given, tool, model.machine),
+                *uncertainty_sentences(table, mapped),
                 *left_out,
                 *sentence,
             ],
@@ -111,18 +111,6 @@ def best_fit(measured: Array, wanted: Array) -> BestFit:
     shift = target - rotation.apply(middle)
     residual = rotation.apply(measured) + shift - wanted
     return BestFit(rotation, shift, math.sqrt(float(np.mean(residual**2))))
-
-
-def _with_measured(given: ColumnMap, table: CsvTable) -> dict[str, str | ColumnSource]:
-    """The map's columns, with X, Y, Z of the file as the points where it names none."""
-    mapped: dict[str, str | ColumnSource] = dict(given.columns)
-    if any(name.startswith(CHANNELS) for name in [*mapped, *table.header]):
-        return mapped
-    for header in table.header:
-        match = MEASURED.fullmatch(header)
-        if match and header not in column_sources.names(mapped).values():
-            mapped[f"read_{match[1].lower()}_mm"] = header
-    return mapped
 
 
 def _registered(

@@ -8,6 +8,7 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
+from oed.dataset.digests import is_counted
 from oed.estimation.fleet import (
     MachineInformation,
     fleet_prior,
@@ -46,7 +47,7 @@ def fleet_knowledge(
         result = load_result(folder)
         _check(result, machine, free, here, name)
         for other, earlier in results.items():
-            if _are_same(result, earlier):
+            if is_counted(result.readings, earlier.readings):
                 problem = f"its readings are those of {other!r}"
                 raise here.error(problem, "name each machine once", name)
         results[name] = result
@@ -89,14 +90,6 @@ def _check(
             problem = f"{parameter} was not free there"
             remedy = "identify it there, or hold it here: [machine] fixed"
             raise place.error(problem, remedy, name)
-
-
-def _are_same(result: StudyResult, other: StudyResult) -> bool:
-    """Whether two results rest on the same readings: noise is not equal twice."""
-    first, second = result.estimate, other.estimate
-    if first is None or second is None:
-        return False
-    return first.residuals_before == second.residuals_before
 
 
 def _information(

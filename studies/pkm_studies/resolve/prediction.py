@@ -5,16 +5,21 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
 from oed.dataset import columns
+from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from pkm_studies.resolve import grids, quantities
 from pkm_studies.study import Study
 from pkm_studies.study.tables import PredictionTable
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: covariates that place a reading in its session
 FROM_THE_SESSION = ("time", "repeat")
@@ -49,6 +54,38 @@ def prediction_request(study: Study, machine: Machine) -> PredictionRequest | No
         )
     grids.check_workspace(machine, command, keys, place)
     return PredictionRequest(study.prediction, command, _states(study))
+
+
+def check_reach(
+    study: Study, request: PredictionRequest, kinematics: Kinematics
+) -> None:
+    """Raises InputError where the nominal machine cannot reach what is predicted."""
+    machine, place = kinematics.machine, study.place.key("prediction")
+    for number, length in enumerate([0.0, *request.table.tools]):
+        tool = np.array([0.0, 0.0, length * units.MM])
+        at = place.key("tools_mm").item(number - 1) if number else place
+        try:
+            kinematics.inverse(machine.with_tool(request.command, tool), tool=tool)
+        except AssemblyError as error:
+            problem = grids.reach_problem(error, machine)
+            raise at.error(problem, grids.REACH_REMEDY) from error
+
+
+def check_states(study: Study, covariates: pd.DataFrame) -> None:
+    """Raises InputError for a state in use that no reading was recorded at."""
+    states = {} if study.prediction is None else _states(study)
+    for name in states:
+        if name not in covariates or covariates[name].isna().all():
+            raise (
+                study.place.key("prediction")
+                .key("states")
+                .error(
+                    "no reading was taken at a recorded value of it, so that nothing is known"
+                    " of what it does",
+                    "record it in the readings, or leave it out",
+                    columns.column_name(name, columns.covariate_unit(name)),
+                )
+            )
 
 
 def _states(study: Study) -> dict[str, Array]:

@@ -9,14 +9,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
+from oed.dataset.digests import digests
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
 from pkm_studies.resolve import candidates, roles, setups, tolerances
 from pkm_studies.resolve.controller import with_held
+from pkm_studies.resolve.counted import doubtful_sessions
 from pkm_studies.resolve.design import DesignRequest, design_request
 from pkm_studies.resolve.gap import GapRequest, gap_request, stated_request
 from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
@@ -25,6 +27,8 @@ from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.plan import PlanRequest, plan_request
 from pkm_studies.resolve.prediction import (
     PredictionRequest,
+    check_reach,
+    check_states,
     prediction_request,
     wanted_accuracy,
 )
@@ -57,7 +61,7 @@ class ResolvedStudy:
     identification_stages   patterns of the parameters freed in turn
     prediction              what [prediction] requests: where accuracy is predicted
     wanted_accuracy         rms error to reach by component, SI
-    warnings                sentences about candidates that were dropped
+    warnings                sentences about candidates that were dropped, and readings
     """
 
     study: Study
@@ -87,6 +91,22 @@ class ResolvedStudy:
         """What [gap] requests, or its defaults without the table. Raises InputError."""
         return self.gap or gap_request(self.study, self.machine)
 
+    def with_dataset(self, dataset: Dataset | None) -> Self:
+        """The study with these readings. Raises InputError where its prior has them."""
+        warnings = self.warnings
+        if dataset is not None:
+            fitted = self.fitted(dataset)
+            check_states(self.study, fitted.covariates)
+            new = digests(fitted.series, fitted.y, self.setups)
+            warnings = (*warnings, *doubtful_sessions(self.study, new))
+        return dataclasses.replace(self, dataset=dataset, warnings=warnings)
+
+    def fitted(self, dataset: Dataset) -> Dataset:
+        """The readings that are fitted."""
+        fitted, held_out = self.fitted_setups, self.held_out_setups
+        names = [name for name in dataset.setups if name not in held_out]
+        return dataset.take([n for n in names if fitted is None or n in fitted])
+
 
 def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> ResolvedStudy:
     """The objects of a study.
@@ -108,9 +128,12 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
     ]
     fitted, held_out = roles.reading_roles(study, mounted)
     roles.check_stages(study, everything)
+    _check_free(study, everything)
     prediction = prediction_request(study, machine)
+    if prediction is not None:
+        check_reach(study, prediction, kinematics)
     used = roles.used_setups(study, pool, design, references, mounted)
-    return ResolvedStudy(
+    resolved = ResolvedStudy(
         study=study,
         machine=machine,
         setups=mounted,
@@ -123,7 +146,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         reference_plans=references,
         kappa_circles=tuple(circles),
         true_parameters=roles.true_parameters(study, everything),
-        dataset=roles.dataset(study, everything, readings),
+        dataset=None,
         fitted_setups=fitted,
         held_out_setups=held_out,
         identification_stages=tuple(tuple(s) for s in study.identify.stages),
@@ -133,13 +156,28 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         gap_design=gap_design_request(study, references, everything),
         warnings=warnings,
     )
+    return resolved.with_dataset(roles.dataset(study, everything, readings))
+
+
+def _check_free(study: Study, everything: Measurement) -> None:
+    """Raises InputError where no parameter of machine and set-ups is free."""
+    if not everything.free.any():
+        raise (
+            study.place.key("machine")
+            .key("fixed")
+            .error(
+                "every parameter is fixed: nothing is left to identify",
+                "leave the ones that the readings are to say",
+                study.machine.fixed,
+            )
+        )
 
 
 def with_readings(resolved: ResolvedStudy) -> ResolvedStudy:
     """A study that was resolved without readings, with those that its file names."""
     everything = resolved.measurement_with(resolved.setups)
     dataset = roles.dataset(resolved.study, everything, None)
-    return dataclasses.replace(resolved, dataset=dataset)
+    return resolved.with_dataset(dataset)
 
 
 def measurement_factory(

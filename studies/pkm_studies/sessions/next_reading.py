@@ -206,7 +206,7 @@ class Adviser:
         if data is None:
             return None
         state = self.base.replace(
-            resolved=dataclasses.replace(resolved, dataset=data), readings_given=True
+            resolved=resolved.with_dataset(data), readings_given=True
         )
         measured = check_readings(readings_steps.take_recorded(state, data))
         # Candidates may need set-ups that no reading has used yet.

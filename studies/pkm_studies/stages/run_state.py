@@ -274,14 +274,20 @@ def start(
     started = time.perf_counter()
     progress.stage("set-up")
     resolved = resolve(study, readings=readings)
-    seed = study.seed if seed is None else seed
+    state = state_of(resolved, study.seed if seed is None else seed, progress)
+    return state.replace(started=started, readings_given=bool(readings))
+
+
+def state_of(resolved: ResolvedStudy, seed: int, progress: Progress) -> RunState:
+    """The state of a resolved study before the first step."""
+    study = resolved.study
     return RunState(
         study=study,
         seed=seed,
         progress=progress,
-        started=started,
+        started=time.perf_counter(),
         resolved=resolved,
-        readings_given=bool(readings),
+        readings_given=False,
         measurement=resolved.measurement,
         result=describe.first_result(study, resolved.machine, seed),
         warnings=tuple(resolved.warnings),

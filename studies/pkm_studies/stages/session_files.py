@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import collections
-import dataclasses
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from oed.dataset import dialect
+from oed.dataset.digests import digests, is_counted
 from pkm_studies.base.errors import InputError
 from pkm_studies.stages.result_folder import load_result
 from pkm_studies.stages.run_state import RunState
@@ -37,14 +37,23 @@ def with_sessions(
             field="--after",
             value=str(after),
         )
-    earlier = _stored(after, state.resolved.machine.name)
-    _check_further(earlier, latest, after)
-    sessions = [*earlier, latest]
     resolved = state.resolved
+    earlier, counted = _stored(after, resolved.machine.name)
     every = resolved.measurement_with(resolved.setups)
+    further = resolved.fitted(sources.from_files(latest, every))
+    new = digests(further.series, further.y, resolved.setups)
+    if is_counted(new, counted):
+        raise InputError(
+            "these readings are among those of that diagnosis: they would count twice",
+            "give the readings of a further session",
+            file=", ".join(map(str, latest)),
+            field="--after",
+            value=str(after),
+        )
+    sessions = [*earlier, latest]
     data, restarted = sources.from_sessions(sessions, every)
     return state.replace(
-        resolved=dataclasses.replace(resolved, dataset=data),
+        resolved=resolved.with_dataset(data),
         session_files=_texts(sessions),
         readings_given=True,
     ).with_warnings(*_assumptions(restarted))
@@ -58,8 +67,11 @@ def _files_of(study: Study) -> list[Path]:
     return [study.folder / name for name in table.files]
 
 
-def _stored(folder: Path, machine: str) -> list[list[Path]]:
-    """Files of each session of an earlier diagnosis, the earliest first."""
+def _stored(folder: Path, machine: str) -> tuple[list[list[Path]], list[str]]:
+    """Files of each session of an earlier diagnosis, the earliest first.
+
+    And the digests of their readings.
+    """
     stored = load_result(folder)
     if stored.machine.name != machine:
         raise InputError(
@@ -81,34 +93,7 @@ def _stored(folder: Path, machine: str) -> list[list[Path]]:
             field="--after",
             value=str(folder),
         )
-    return [sessions[number] for number in sorted(sessions)]
-
-
-def _check_further(
-    earlier: Sequence[Sequence[Path]], latest: Sequence[Path], folder: Path
-) -> None:
-    """Raises InputError where the readings are those of an earlier session."""
-    rows = _rows(latest)
-    for number, paths in enumerate(earlier, start=1):
-        if rows and rows <= _rows(paths):
-            raise InputError(
-                f"these readings are those of its session {number}: they would count"
-                " twice",
-                "give the readings of a further session",
-                file=", ".join(map(str, latest)),
-                field="--after",
-                value=str(folder),
-            )
-
-
-def _rows(paths: Sequence[Path]) -> set[str]:
-    """The lines of readings files, whatever their ends, without comments and headers."""
-    lines = set()
-    for path in filter(Path.is_file, paths):
-        text = dialect.decode(path.read_bytes())
-        rows = [line.strip() for line in text.splitlines()]
-        lines |= set([row for row in rows if row and not row.startswith("#")][1:])
-    return lines
+    return [sessions[number] for number in sorted(sessions)], stored.readings
 
 
 def _texts(sessions: Sequence[Sequence[Path]]) -> dict[str, str]:

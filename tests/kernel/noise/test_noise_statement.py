@@ -47,7 +47,7 @@ NOTHING_ELSE = NoiseStatement(
 def test_an_assumed_noise_has_one_scale_that_follows_the_readings(
     factor: float,
 ) -> None:
-    """Within a decade, whatever was assumed; two channels keep their weights."""
+    """Within a decade, whatever was assumed; weights stay near the assumed ones."""
     statement = dataclasses.replace(NOTHING_ELSE, is_assumed=True)
     m = stating(statement)
     series = circles(m)
@@ -61,10 +61,11 @@ def test_an_assumed_noise_has_one_scale_that_follows_the_readings(
     scale = posterior.prior.laws(posterior.draws).scale
     # some ten degrees of freedom: two standard deviations of a scale
     assert posterior.weights @ scale[:, 0] == pytest.approx(factor, rel=0.45)
-    names = posterior.prior.names
+    names = ("noise of all readings", "noise of a", "noise of b")
     two = prior.NoisePrior(names, 2, statement=statement, is_common=True)
-    scales = two.laws(np.array([[-1.0], [1.0]])).scale
-    assert scales == pytest.approx(np.array([[0.1, 0.1], [10.0, 10.0]]))
+    scales = two.laws(np.array([[-1.0, 0, 0], [1.0, 0, 0], [0.0, -1.0, 0.0]])).scale
+    expected = [[0.1, 0.1], [10.0, 10.0], [np.exp(-prior.SCALE_SD), 1.0]]
+    assert scales == pytest.approx(np.array(expected))
 
 
 def stating(statement: NoiseStatement, run: float = 0.0) -> Measurement:

@@ -48,6 +48,16 @@ def test_what_the_machine_may_do_is_no_outlier() -> None:
     assert clean[4] == pytest.approx(residual[4], abs=1.0)
 
 
+def test_a_reading_that_the_machine_takes_whole_is_no_outlier() -> None:
+    """A column of any size determines it: what is left of 1 - 1 is rounding."""
+    structure = single_run(30)
+    residual = np.random.default_rng(3).standard_normal(30)
+    residual[4] += 60.0
+    slopes = 1e9 * np.eye(30)[:, [4]]
+    clean = robust_residuals(structure, stated_laws(structure), residual, slopes)
+    assert np.abs(clean - residual).max() < 1.0
+
+
 def test_few_readings_stay_as_they_are() -> None:
     structure = single_run(FEWEST - 1)
     residual = np.zeros(FEWEST - 1)

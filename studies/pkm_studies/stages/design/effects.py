@@ -14,7 +14,6 @@ from oed.design.exchange import Choice
 from oed.identifiability.information import prior_information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
-from pkm_studies.base.errors import Place
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.planned_effects import (
     NONE,
@@ -24,6 +23,7 @@ from pkm_studies.resolve.planned_effects import (
     named_effects,
     pose_error_slopes,
 )
+from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
@@ -44,28 +44,25 @@ def allowed_effects(
     """
     if table.effects == NONE:
         return None
+    where = check_allowed(resolved, table, request)
     place = resolved.study.place.key("design").key("effects")
-    _check(resolved, table, request, place)
     gap = resolved.gap_or_default
-    if resolved.prediction is None:
-        raise place.error(
-            "what effects do to the tool needs a workspace",
-            "add [prediction], or leave effects out",
-        )
     return effects_of_planned(
         resolved.measurement,
         resolved.candidates,
         named_effects(gap, table.effects, place),
         gap,
-        resolved.prediction,
+        where,
         rng,
         UNKNOWNS,
     )
 
 
-def _check(
-    resolved: ResolvedStudy, table: DesignTable, request: DesignRequest, place: Place
-) -> None:
+def check_allowed(
+    resolved: ResolvedStudy, table: DesignTable, request: DesignRequest
+) -> PredictionRequest:
+    """Where accuracy counts. Raises InputError where a design can allow for no effect."""
+    place = resolved.study.place.key("design").key("effects")
     reasons = {
         'need scaling = "tolerance"': table.scaling != "tolerance",
         "are not known of readings that are part of the plan": bool(request.retained),
@@ -81,6 +78,12 @@ def _check(
             raise place.error(
                 f"effects beside the geometry {reason}", 'write effects = "none"'
             )
+    if resolved.prediction is None:
+        raise place.error(
+            "what effects do to the tool needs a workspace",
+            "add [prediction], or leave effects out",
+        )
+    return resolved.prediction
 
 
 def compare_without(

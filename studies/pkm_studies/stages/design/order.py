@@ -19,8 +19,10 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import WorkingOrder
 from pkm_studies.base.errors import Place
+from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.thermal_reference import (
     RouteTiming,
+    reference_command,
     with_reference_readings,
 )
 from pkm_studies.study.tables import DesignTable, OrderTable
@@ -96,6 +98,17 @@ def order_plan(
         scheduled=_joined_plan(setups, retained, scheduled),
         summary=summary,
     )
+
+
+def check_reference(resolved: ResolvedStudy) -> None:
+    """Raises InputError for thermal reference readings that no set-up can take."""
+    table = resolved.study.design
+    if table is None or table.order.reference_every_min is None:
+        return
+    place = resolved.study.place.key("design").key("order")
+    for name in dict.fromkeys(s.setup for s in resolved.candidates):
+        every = table.order.reference_every_min
+        reference_command(resolved.measurement, name, table.order, every, place)
 
 
 def _joined_plan(

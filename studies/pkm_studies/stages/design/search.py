@@ -95,6 +95,14 @@ class DesignProblem:
         return log_phi, criterion.conventional_value(log_phi, len(chosen))
 
 
+def check_plan(problem: DesignProblem, criterion: Criterion) -> None:
+    """Raises ValueError where no plan can keep the rules, whatever the search."""
+    c = problem.candidates
+    if not problem.selects_setups:
+        rules = problem.rules.without_most_setups
+        exchange.pose(c.blocks, rules, criterion, c.prior)
+
+
 def best_plan(
     problem: DesignProblem, criterion: Criterion, rng: np.random.Generator
 ) -> Choice:

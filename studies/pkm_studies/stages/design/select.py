@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -26,6 +28,7 @@ from oed.result import (
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import Circles
+from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import (
     effects,
@@ -138,6 +141,24 @@ def select_design(
     )
 
 
+def check_design(resolved: ResolvedStudy) -> None:
+    """Raises InputError as `select_design`, for what needs no search."""
+    table, request = resolved.study.design, resolved.design
+    if table is None or request is None or not resolved.candidates:
+        return
+    if table.effects != NONE:
+        effects.check_allowed(resolved, table, request)
+    place = resolved.study.place.key("design")
+    study_criteria = StudyCriteria(resolved, table, request)
+    problem = _problem(resolved, study_criteria, place)
+    name = table.judged_by
+    field = "compound" if table.compound else "criterion"
+    with _refused(name, place.key(field)):
+        search.check_plan(
+            problem, study_criteria.over_candidates(name, problem.candidates)
+        )
+
+
 def _main_choice(
     problem: DesignProblem,
     study_criteria: StudyCriteria,
@@ -231,9 +252,16 @@ def _best(
     rng: np.random.Generator,
     place: Place,
 ) -> Choice:
-    try:
+    with _refused(name, place):
         criterion = study_criteria.over_candidates(name, problem.candidates)
         return search.best_plan(problem, criterion, rng)
+
+
+@contextlib.contextmanager
+def _refused(name: str, place: Place) -> Iterator[None]:
+    """Errors of a search for a plan by a criterion as InputError."""
+    try:
+        yield
     except ValueError as error:
         remedy = "see `oed list criteria`"
         if ":" not in str(error):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from oed.design import move_times, order, schedule
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve import grids
-from pkm_studies.study.tables import Axis, OrderTable
+from pkm_studies.study.tables import OrderTable
 
 #: run of thermal reference readings
 REFERENCE_RUN = "reference"
@@ -40,15 +40,10 @@ def with_reference_readings(
     Raises InputError where the set-up has a reference of its own, or time is too short.
     """
     every = place.key("reference_every_min")
-    setup = measurement.setups[series.setup]
-    if setup.instrument.reference == "run":
-        raise every.error(
-            f"the first pose of each run is the reference of {series.setup}",
-            "remove it",
-            every_min,
-        )
-    at = place.key("reference")
-    command = _reference_command(measurement, series, timing.route, table.reference, at)
+    command = reference_command(measurement, series.setup, table, every_min, place)
+    if command is None:
+        first = timing.route.indices[0]
+        command = np.asarray(series.reading_commands()[first])
     reference = measurement.series(series.setup, command[None])
     joints = series.q[series.index[:, 0]]
     travel = move_times.travel_times(reference.q[:1], joints, timing.speeds)[0]
@@ -78,26 +73,34 @@ def with_reference_readings(
     return planned, timed.seconds
 
 
-def _reference_command(
+def reference_command(
     measurement: Measurement,
-    series: Series,
-    route: order.Route,
-    axes: Mapping[str, Axis],
+    name: str,
+    table: OrderTable,
+    every_min: float,
     place: Place,
-) -> Array:
-    """The reference's command (n_dof,): as the study says, or the route's first pose."""
-    if not axes:
-        return np.asarray(series.reading_commands()[route.indices[0]])
-    machine, setup = measurement.machine, measurement.setups[series.setup]
-    command, hold, keys = grids.grid_commands(axes, machine, place)
+) -> Array | None:
+    """The reference's command (n_dof,) in a set-up; None for the route's first pose.
+
+    Raises InputError where the set-up has a reference of its own, or the pose is none.
+    """
+    setup = measurement.setups[name]
+    if setup.instrument.reference == "run":
+        raise place.key("reference_every_min").error(
+            f"the first pose of each run is the reference of {name}",
+            "remove it",
+            every_min,
+        )
+    if not table.reference:
+        return None
+    at, machine = place.key("reference"), measurement.machine
+    command, hold, keys = grids.grid_commands(table.reference, machine, at)
     if len(command) != 1:
-        raise place.error(
+        raise at.error(
             "the reference is one pose", "give one value for each coordinate"
         )
     if hold is not None:
         command = grids.mid_range(command, hold, machine, setup)
-    grids.check_workspace(machine, command, keys, place, setup.tool)
-    command, _ = grids.solve_held(
-        measurement, series.setup, command, hold, place, strict=True
-    )
+    grids.check_workspace(machine, command, keys, at, setup.tool)
+    command, _ = grids.solve_held(measurement, name, command, hold, at, strict=True)
     return np.asarray(command[0])

@@ -16,7 +16,6 @@ from oed.checks.judgement import KNOWN_TO
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.compensate.effects.fit import EffectReadings
-from oed.dataset.columns import column_name, covariate_unit
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.estimation.left_out import left_out_errors
@@ -27,6 +26,7 @@ from oed.model.machine import Machine
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.planned_effects import NONE, named_effects
+from pkm_studies.resolve.prediction import check_states
 from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.fit.states import recorded_states
 from pkm_studies.stages.gap.virtual_readings import covariates_of
@@ -111,16 +111,7 @@ def states_in_use(state: Fitted) -> SessionStates:
     used = {} if resolved.prediction is None else resolved.prediction.states
     if not used:
         used = recorded_states(state.readings.covariates)
-    for name in used:
-        recorded = problem.covariates.get(name)
-        if recorded is None or recorded.isna().all():
-            place = state.study.place.key("prediction").key("states")
-            raise place.error(
-                "no reading was taken at a recorded value of it, so that nothing is known"
-                " of what it does",
-                "record it in the readings, or leave it out",
-                column_name(name, covariate_unit(name)),
-            )
+    check_states(state.study, problem.covariates)
     return SessionStates.of(problem, used)
 
 

@@ -85,6 +85,20 @@ def exact_readings(
     return y, entries
 
 
+def check_coefficients(
+    measurement: Measurement, series: Sequence[Series], request: GapRequest
+) -> None:
+    """Raises InputError for coefficients that an acting effect does not have."""
+    planned = empty_readings(measurement, series, request)
+    nominal, covariates = measurement.nominal, planned.covariates
+    states = states_of(
+        measurement, planned.series, covariates, nominal, request.gravity
+    )
+    rng = np.random.default_rng(0)
+    for acting in request.acting:
+        _factors(acting, states, rng)
+
+
 def _priors(
     acting: ActingEffect, states: Sequence[State]
 ) -> dict[str, CoefficientPrior]:

@@ -12,6 +12,7 @@ from oed.dataset import Dataset
 from oed.dataset.columns import tension_columns
 from oed.measurement import simulation
 from oed.measurement.measurement import Series
+from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
 from pkm_studies.stages.gap import virtual_readings
 from pkm_studies.stages.run_state import (
@@ -124,6 +125,18 @@ def planned_series(state: RunState) -> tuple[Series, ...]:
 
 def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
     """Readings of the study's virtual machine, with the effects of [gap] if any."""
+    try:
+        return _simulated(state, series)
+    except AssemblyError as error:
+        place = state.study.place.key("readings").key("truth")
+        raise place.error(
+            f"the virtual machine cannot be assembled at {error.indices.size} of the"
+            " poses",
+            "give parameters nearer to nominal, or narrow the grid",
+        ) from error
+
+
+def _simulated(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
     measurement, request = state.measurement, state.resolved.gap
     truth = _true_parameters(state)
     if request is None:

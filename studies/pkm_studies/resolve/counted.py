@@ -1,0 +1,62 @@
+"""Readings that a study's prior rests on, and whether new ones are among them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+from oed.dataset.digests import SAME, shared
+from oed.result import StudyResult
+from pkm_studies.base.errors import Place
+from pkm_studies.resolve.earlier_result import result_folder
+from pkm_studies.results.stored_result import load_result
+from pkm_studies.study import Study
+
+#: share of readings that equal those of the prior, from which a user must know
+DOUBTFUL = 0.2
+
+
+def prior_results(study: Study) -> Iterator[tuple[Place, str, StudyResult]]:
+    """Results that [prior] takes, each with the place and the name in the study.
+
+    Raises InputError.
+    """
+    prior, place = study.prior, study.place.key("prior")
+    named = [(place.key("from").item(i), name) for i, name in enumerate(prior.from_)]
+    if prior.earlier is not None:
+        named.append((place.key("earlier"), prior.earlier))
+    for at, name in named:
+        yield at, name, load_result(result_folder(study, name, at))
+
+
+def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
+    """Sentences on results of the prior that share some readings with new ones.
+
+    new  digests of readings
+
+    Raises InputError where the readings are those of a result, or have those in them.
+    """
+    sentences = []
+    for place, name, result in prior_results(study):
+        share = shared(new, result.readings)
+        if share >= SAME:
+            raise place.error(
+                "the readings are among those that this result rests on: they would"
+                " count twice",
+                "give the readings of another session, or take its result out of"
+                " [prior]",
+                name,
+            )
+        if share >= DOUBTFUL:
+            sentences.append(
+                f"{share:.0%} of the readings equal some that the prior of {name} rests"
+                " on: take those out that were taken once; a coarse scale repeats values"
+            )
+    return sentences
+
+
+def counted(study: Study, new: Collection[str]) -> list[str]:
+    """Digests of new readings and of those behind the prior, sorted."""
+    known = set(new)
+    for _, _, result in prior_results(study):
+        known.update(result.readings)
+    return sorted(known)
