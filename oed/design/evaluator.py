@@ -8,9 +8,14 @@ from typing import Protocol
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design import row_exchange, tabu
+from oed.design import eigenvalue_tabu, row_exchange, tabu
 from oed.design.blocks import information
-from oed.design.criterion import Criterion, Determinant, Variance
+from oed.design.criterion import (
+    Criterion,
+    Determinant,
+    ExtremeEigenvalues,
+    Variance,
+)
 from oed.design.criterion.protocol import is_positive_definite
 from oed.design.row_exchange import RowExchange
 
@@ -132,13 +137,18 @@ class CriterionEvaluator:
     def search_plans(
         self, starts: Index, steps: int, rng: np.random.Generator
     ) -> Index | None:
-        """Tabu search, for D of single rows."""
+        """Tabu search, for D and E of single rows."""
         size, count = starts.shape[1], self.count
         directions = self.blocks.shape[2]
         searchable = directions <= size < count and size * count <= tabu.LARGEST
-        if not (searchable and self._rows_by_determinant):
+        if not searchable:
             return None
-        return tabu.search_plans(self.blocks[:, 0], starts, self.base, steps, rng)
+        rows = self.blocks.reshape(-1, directions)
+        if self._rows_by_determinant:
+            return tabu.search_plans(rows, starts, self.base, steps, rng)
+        if self._rows_by_least_eigenvalue:
+            return eigenvalue_tabu.search_plans(rows, starts, self.base, steps, rng)
+        return None
 
     @property
     def _rows_by_determinant(self) -> bool:
@@ -146,6 +156,13 @@ class CriterionEvaluator:
         criterion = self.criterion
         of_all = isinstance(criterion, Determinant) and criterion.interest is None
         return of_all and self.blocks.shape[1] == 1
+
+    @property
+    def _rows_by_least_eigenvalue(self) -> bool:
+        """Whether single rows are judged by the least eigenvalue alone."""
+        criterion = self.criterion
+        least = isinstance(criterion, ExtremeEigenvalues) and criterion.concave
+        return least and self.blocks.shape[1] == 1
 
     @property
     def _rows_by_variance(self) -> bool:
