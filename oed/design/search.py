@@ -1,7 +1,7 @@
 """Iterated local search over plans: exchange sweeps, then restarts from a changed plan.
 
-D and E of single rows have faster searches of their own in place of restarts
-(`oed.design.tabu`, `oed.design.eigenvalue_tabu`).
+D, and E of single rows, have faster searches of their own in place of restarts
+(`oed.design.tabu`, `oed.design.block_tabu`, `oed.design.eigenvalue_tabu`).
 
 The search runs over a pool of candidates that an optimal plan may want, by the slopes
 and weights of a relaxation. One more improvement over all candidates ends it. The
