@@ -171,8 +171,8 @@ class _EigenvalueSearch:
         with np.errstate(over="ignore", invalid="ignore"):
             q = _determinant_series(chosen, others, relative, power)
             factor = np.maximum(q[0], np.float32(SINGULAR))
-            scaled = [term / factor for term in q[1:]]
-            traces = before[:, None, None] - _last_power_sum(scaled)
+            scaled: list[Single] = [np.divide(term, factor) for term in q[1:]]
+            traces: Single = before[:, None, None] - _last_power_sum(scaled)
         unsound = (q[0] < SINGULAR) | np.isnan(traces)
         traces[unsound] = np.inf
         return traces

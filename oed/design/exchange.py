@@ -111,7 +111,8 @@ def choose(
 ) -> Choice:
     """Chooses different candidates out of whitened, scaled rows.
 
-    rows       (C, n), or blocks (C, k, n)
+    rows       (C, n), or blocks (C, k, n). Those that are mapped from a file stay there,
+               for a number of candidates and a smooth criterion (`oed.design.large`)
     size       number of candidates to choose, unless `rules` are given
     prior      (n, n) prior information: tolerances, earlier stages, readings kept.
                Without it the design lives in the estimable subspace
@@ -134,6 +135,21 @@ def choose(
     >>> round(design.efficiency, 3)
     1.0
     """
+    if isinstance(rows, np.memmap) and size is not None and rules is None:
+        from oed.design import large  # it imports this module
+        from oed.design.candidate_file import NumpyCandidates
+
+        if large.serves(criterion):
+            source = NumpyCandidates(rows)
+            return large.choose_from_file(
+                source,
+                size,
+                rng,
+                criterion,
+                prior=prior,
+                rounds=rounds,
+                tolerance=tolerance,
+            )
     columns = as_blocks(rows).shape[2]
     rules = Rules(size=size) if rules is None else rules
     problem = pose(rows, rules, criterion, prior, tolerance)
