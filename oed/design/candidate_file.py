@@ -95,8 +95,14 @@ class ArrowCandidates:
     """Rows (C, n) of an Arrow IPC file: one column a parameter, one row a candidate."""
 
     def __init__(self, path: Path) -> None:
-        """Raises ImportError without pyarrow, ValueError where a column is no number."""
-        arrow = importlib.import_module("pyarrow")
+        """Raises ValueError without pyarrow, and where a column is no number."""
+        try:
+            arrow = importlib.import_module("pyarrow")
+        except ImportError:
+            raise ValueError(
+                f"{path}: Arrow files need pyarrow: pip install pkm-oed[parquet], or write"
+                " a .npy file"
+            ) from None
         source = arrow.memory_map(str(path))
         self._table = (
             importlib.import_module("pyarrow.ipc").open_file(source).read_all()

@@ -7,7 +7,8 @@
 
 A line above the criterion bounds every plan, wherever it touches (`oed.design.certificate`): the
 bound holds for all candidates, however well the sample stood for them. Where candidates
-outside would raise the relaxation by more than the tolerance, they join, and the third pass is repeated.
+outside would raise the relaxation by more than the tolerance, they join,
+and the third pass is repeated.
 """
 
 from __future__ import annotations
