@@ -22,7 +22,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
 import argparse
 import dataclasses
-import resource
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -34,7 +33,6 @@ from pkm_studies.campaign import runner, tables
 from pkm_studies.campaign.tables import Campaign
 
 WORKERS = 2
-SELF, CHILDREN = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
 #: of a long campaign
 MANY = 10_000
 EMPTY_CAMPAIGN = """schema = 1
@@ -105,11 +103,9 @@ def in_two_processes(campaign: Campaign, out: Path) -> Measured:
     """All cases in processes of this computer; their start, imports included."""
 
     def times() -> list[float]:
-        own, ended = (resource.getrusage(who) for who in (SELF, CHILDREN))
-        return [
-            own.ru_utime + own.ru_stime,
-            ended.ru_utime + ended.ru_stime,
-        ]
+        taken = os.times()
+        own = taken.user + taken.system
+        return [own, taken.children_user + taken.children_system]
 
     return measured(lambda: runner.run_cases(campaign, out, workers=WORKERS), times)
 
