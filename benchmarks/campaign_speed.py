@@ -1,6 +1,10 @@
-"""A campaign in one process and on a local Dask cluster of two workers.
+"""A campaign in one process, in two, and on a local Dask cluster of two workers.
 
     python -m benchmarks.campaign_speed [CAMPAIGN] [--seeds N]
+    python -m benchmarks.campaign_speed --empty 10000  # what starting and storing takes
+
+`--empty` has cases that compute nothing, so many and half as many: what remains is the
+cost of cases as such, and whether it grows in proportion.
 
 The case part alone is measured: imports and report are a fixed start, but compilation
 and the preparation of each combination count, on both sides. Beside the clock stand processor
@@ -24,10 +28,21 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from pkm_studies.base.user_code import Consent
 from pkm_studies.campaign import runner, tables
 from pkm_studies.campaign.tables import Campaign
 
 WORKERS = 2
+#: of a long campaign
+MANY = 10_000
+EMPTY_CAMPAIGN = """schema = 1
+name = "empty"
+case = "empty.py:figures"
+seeds = {seeds}
+"""
+EMPTY_CASE = """def figures(setting, seed):
+    return {"seed_squared": seed * seed}
+"""
 #: seconds for which an idle cluster is watched
 IDLE = 10.0
 
@@ -84,6 +99,11 @@ def in_one_process(campaign: Campaign, out: Path) -> Measured:
     )
 
 
+def in_two_processes(campaign: Campaign, out: Path) -> Measured:
+    """All cases in processes of this computer, their start included; the clock alone."""
+    return measured(lambda: runner.run_cases(campaign, out, workers=WORKERS), list)
+
+
 def on_cluster(campaign: Campaign, out: Path) -> Measured:
     """All cases on two workers of a scheduler in this process, as the guide starts them."""
     import dask
@@ -114,30 +134,66 @@ def _import() -> None:
     import pkm_studies.campaign.runner  # noqa: F401
 
 
-def main() -> None:
-    """Print both, and what two workers gain."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign_speed")
-    parser.add_argument("campaign", nargs="?", type=Path, default=Path("a3_noise"))
-    parser.add_argument("--seeds", type=int, default=100, help="of each combination")
-    options = parser.parse_args()
-    campaign = tables.load_campaign(options.campaign).first(options.seeds)
+def empty(folder: Path, seeds: int) -> Campaign:
+    """A campaign whose cases compute nothing."""
+    path = folder / "empty.campaign.toml"
+    path.write_text(EMPTY_CAMPAIGN.format(seeds=seeds), encoding="utf-8")
+    (folder / "empty.py").write_text(EMPTY_CASE, encoding="utf-8")
+    return tables.load_campaign(path, consent=Consent.GIVEN)
+
+
+def compare(campaign: Campaign) -> None:
+    """Print one row a way of running all cases."""
+    cases = len(campaign.settings()) * campaign.seeds
+    print(
+        f"| {campaign.name}, {cases} cases | s | cases/s | work, s | {MANY} cases, min |"
+    )
+    print("| --- | --: | --: | --: | --: |")
     with tempfile.TemporaryDirectory() as folder:
         one = in_one_process(campaign, Path(folder) / "one")
-        two = on_cluster(campaign, Path(folder) / "two")
-    cases = len(campaign.settings()) * campaign.seeds
-    print(f"{campaign.name}: {cases} cases")
+        print_row("one process", one, cases)
+        two = in_two_processes(campaign, Path(folder) / "two")
+        print_row("two processes", two, cases)
+        cluster = on_cluster(campaign, Path(folder) / "cluster")
+        print_row("Dask cluster of two workers", cluster, cases)
+    print_gain(one, cluster)
+
+
+def print_row(name: str, taken: Measured, cases: int) -> None:
+    """Print seconds by the clock, cases a second, and processor seconds of all processes."""
+    minutes = taken.clock / cases * MANY / 60.0
+    work = f"{sum(taken.processes):.1f}" if taken.processes else "-"
     print(
-        f"one process: {one.clock:.1f} s by the clock, {sum(one.processes):.1f} s of work"
+        f"| {name} | {taken.clock:.1f} | {cases / taken.clock:.1f}"
+        f" | {work} | {minutes:.1f} |",
+        flush=True,
     )
+
+
+def print_gain(one: Measured, two: Measured) -> None:
+    """Print what two workers of the cluster gain."""
     shares = ", ".join(f"{seconds:.1f}" for seconds in two.processes)
-    print(
-        f"two workers: {two.clock:.1f} s by the clock; work of workers and store: {shares} s"
-    )
+    print(f"work of the cluster's workers and store: {shares} s")
     print(f"by the clock {one.clock / two.clock:.2f} times as fast")
     work = sum(one.processes)
     print(f"by the work, on free cores: {work / two.least:.2f} times,")
     idle = ", ".join(f"{100.0 * share:.1f}" for share in two.idle)
     print(f"without what idle processes take ({idle} %): {work / two.least_quiet:.2f}")
+
+
+def main() -> None:
+    """Print the comparison."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.campaign_speed")
+    parser.add_argument("campaign", nargs="?", type=Path, default=Path("a3_noise"))
+    parser.add_argument("--seeds", type=int, default=100, help="of each combination")
+    parser.add_argument("--empty", type=int, help="cases that compute nothing")
+    options = parser.parse_args()
+    if options.empty is None:
+        compare(tables.load_campaign(options.campaign).first(options.seeds))
+        return
+    for seeds in (options.empty // 2, options.empty):
+        with tempfile.TemporaryDirectory() as folder:
+            compare(empty(Path(folder), seeds))
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.design import condition, relaxation
+from oed.design.copies import find_copies
 from oed.design.criterion import Criterion, ExtremeEigenvalues
 from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation
@@ -102,12 +103,48 @@ def _relax(
     """The relaxation, over v = cost w where there is a cost."""
     candidates, total, cost = problem
     scaled = blocks[candidates]
+    if cost is None:
+        return _relax_counted(scaled, criterion, total, prior, tolerance, rounding)
+    scaled = scaled / np.sqrt(cost)[:, None, None]
+    errors = rounding.rows / float(np.sqrt(cost.min())) + quotient_error(scaled)
+    rounding = rounding._replace(rows=errors)
+    return _relax_capped(scaled, criterion, total, prior, cost, tolerance, rounding)
+
+
+def _relax_counted(
+    blocks: Array,
+    criterion: Criterion,
+    total: float,
+    prior: Array,
+    tolerance: float,
+    rounding: Rounding,
+) -> Relaxation:
+    """The relaxation over weights of at most 1, which equal candidates share evenly."""
+    copies = find_copies(blocks)
     cap: Array | float = 1.0
-    if cost is not None:
-        scaled = scaled / np.sqrt(cost)[:, None, None]
-        cap = cost
-        errors = rounding.rows / float(np.sqrt(cost.min())) + quotient_error(scaled)
-        rounding = rounding._replace(rows=errors)
+    if copies.exist:
+        blocks = blocks[copies.first]
+        cap = copies.number.astype(float)
+    optimum = _relax_capped(blocks, criterion, total, prior, cap, tolerance, rounding)
+    if not copies.exist:
+        return optimum
+    return dataclasses.replace(
+        optimum,
+        weights=(optimum.weights / copies.number)[copies.label],
+        slopes=optimum.slopes[copies.label],
+    )
+
+
+def _relax_capped(
+    scaled: Array,
+    criterion: Criterion,
+    total: float,
+    prior: Array,
+    cap: Array | float,
+    tolerance: float,
+    rounding: Rounding,
+) -> Relaxation:
+    """The relaxation over weights of at most `cap`."""
     if isinstance(criterion, ExtremeEigenvalues):
         optimum = condition.e_optimal(scaled, total, prior, cap)
         ends = np.log([max(optimum.value, 1e-300), optimum.bound])

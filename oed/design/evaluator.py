@@ -8,9 +8,20 @@ from typing import Protocol
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design import row_exchange, tabu
+from oed.design import (
+    block_exchange,
+    block_tabu,
+    eigenvalue_tabu,
+    row_exchange,
+    tabu,
+)
 from oed.design.blocks import information
-from oed.design.criterion import Criterion, Determinant, Variance
+from oed.design.criterion import (
+    Criterion,
+    Determinant,
+    ExtremeEigenvalues,
+    Variance,
+)
 from oed.design.criterion.protocol import is_positive_definite
 from oed.design.row_exchange import RowExchange
 
@@ -121,31 +132,50 @@ class CriterionEvaluator:
         return self._row_exchange(ridge).select_greedily(size)
 
     def exchange_all(self, chosen: Index, level: int, sweeps: int) -> Index | None:
-        """Exchange of single rows: of pairs for D, of each in turn for a mean variance."""
+        """Exchange of pairs for D, of each row in turn for a mean variance."""
         if self._rows_by_variance:
             return self._row_exchange(0.0).exchange(chosen, sweeps)
-        if not self._rows_by_determinant:
+        if not self._by_determinant:
             return None
         base = self._matrix(chosen, None) - information(self.blocks[chosen])
-        return row_exchange.exchange_rows(self.blocks[:, 0], chosen, base)
+        if self.blocks.shape[1] == 1:
+            return row_exchange.exchange_rows(self.blocks[:, 0], chosen, base)
+        return block_exchange.exchange_blocks(self.blocks, chosen, base)
 
     def search_plans(
         self, starts: Index, steps: int, rng: np.random.Generator
     ) -> Index | None:
-        """Tabu search, for D of single rows."""
+        """Tabu search, for D and for E of single rows."""
         size, count = starts.shape[1], self.count
-        directions = self.blocks.shape[2]
-        searchable = directions <= size < count and size * count <= tabu.LARGEST
-        if not (searchable and self._rows_by_determinant):
+        _, k, directions = self.blocks.shape
+        if not directions <= k * size < k * count:
             return None
-        return tabu.search_plans(self.blocks[:, 0], starts, self.base, steps, rng)
+        if k > 1 and self._by_determinant:
+            if size * count * k**2 > block_tabu.LARGEST:
+                return None
+            base = self._matrix(starts[0], None) - information(self.blocks[starts[0]])
+            return block_tabu.search_plans(self.blocks, starts, base, steps, rng)
+        if size * count > tabu.LARGEST:
+            return None
+        rows = self.blocks.reshape(-1, directions)
+        if self._by_determinant:
+            return tabu.search_plans(rows, starts, self.base, steps, rng)
+        if self._rows_by_least_eigenvalue:
+            return eigenvalue_tabu.search_plans(rows, starts, self.base, steps, rng)
+        return None
 
     @property
-    def _rows_by_determinant(self) -> bool:
-        """Whether single rows are judged by D of all directions."""
+    def _by_determinant(self) -> bool:
+        """Whether candidates are judged by D of all directions."""
         criterion = self.criterion
-        of_all = isinstance(criterion, Determinant) and criterion.interest is None
-        return of_all and self.blocks.shape[1] == 1
+        return isinstance(criterion, Determinant) and criterion.interest is None
+
+    @property
+    def _rows_by_least_eigenvalue(self) -> bool:
+        """Whether single rows are judged by the least eigenvalue alone."""
+        criterion = self.criterion
+        least = isinstance(criterion, ExtremeEigenvalues) and criterion.concave
+        return least and self.blocks.shape[1] == 1
 
     @property
     def _rows_by_variance(self) -> bool:

@@ -11,6 +11,7 @@ plans, all are looked at (`oed.design.enumeration`).
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from oed.design.blocks import (
     spectrum,
 )
 from oed.design.bounds import Bound, bound, condition_bound
+from oed.design.candidate_file import NumpyCandidates
 from oed.design.criterion import Criterion, Determinant, Variance, named
 from oed.design.enumeration import best_of_all
 from oed.design.evaluator import CriterionEvaluator
@@ -111,7 +113,8 @@ def choose(
 ) -> Choice:
     """Chooses different candidates out of whitened, scaled rows.
 
-    rows       (C, n), or blocks (C, k, n)
+    rows       (C, n), or blocks (C, k, n). Those that are mapped from a file stay there,
+               for a number of candidates and a smooth criterion (`oed.design.large`)
     size       number of candidates to choose, unless `rules` are given
     prior      (n, n) prior information: tolerances, earlier stages, readings kept.
                Without it the design lives in the estimable subspace
@@ -134,6 +137,10 @@ def choose(
     >>> round(design.efficiency, 3)
     1.0
     """
+    if isinstance(rows, np.memmap) and size is not None and rules is None:
+        mapped = _choose_mapped(rows, size, rng, criterion, prior, rounds, tolerance)
+        if mapped is not None:
+            return mapped
     columns = as_blocks(rows).shape[2]
     rules = Rules(size=size) if rules is None else rules
     problem = pose(rows, rules, criterion, prior, tolerance)
@@ -171,6 +178,31 @@ def choose(
     if upper is None:
         return choice
     return choice.with_bound(goal, value, upper.value, upper.duality_gap)
+
+
+def _choose_mapped(
+    rows: np.memmap[Any, Any],
+    size: int,
+    rng: np.random.Generator,
+    criterion: Criterion | str,
+    prior: Array | None,
+    rounds: int,
+    tolerance: float,
+) -> Choice | None:
+    """The choice in passes over the rows' file; None where the criterion needs all."""
+    from oed.design import large  # it imports this module
+
+    if not large.serves(criterion):
+        return None
+    return large.choose_from_file(
+        NumpyCandidates(rows),
+        size,
+        rng,
+        criterion,
+        prior=prior,
+        rounds=rounds,
+        tolerance=tolerance,
+    )
 
 
 def _choice(problem: Problem, best: Index, value: float, columns: int) -> Choice:

@@ -1,6 +1,7 @@
 """Iterated local search over plans: exchange sweeps, then restarts from a changed plan.
 
-D of single rows has a faster search of its own in place of restarts (`oed.design.tabu`).
+D, and E of single rows, have faster searches of their own in place of restarts
+(`oed.design.tabu`, `oed.design.block_tabu`, `oed.design.eigenvalue_tabu`).
 
 The search runs over a pool of candidates that an optimal plan may want, by the slopes
 and weights of a relaxation. One more improvement over all candidates ends it. The
@@ -256,7 +257,9 @@ class _Restarts:
         plans = np.array([*starts, *drawn])
         steps = STEPS_PER_ROUND * rounds
         best = evaluator.search_plans(plans, steps, self.rng)
-        return None if best is None else self.exchange.improve_by_levels(best)
+        if best is None:
+            return None
+        return self.exchange.sweep_until_stable(best, evaluator.levels - 1)
 
     def _draw(self, weights: Array) -> Index:
         """A plan drawn with chances that follow the weights (Gumbel's trick)."""

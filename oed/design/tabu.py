@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed.base.arrays import Array, Index
+from oed.design.copies import find_copies
 
 #: plans that are searched together
 PLANS = 30
@@ -44,7 +45,7 @@ GAIN = 1e-5
 UNSOUND = 1e-3
 #: least share of a row that is its own
 LEAST = 1e-6
-#: added to the factor where a row or a place rests, and where the row is in the plan
+#: added to the factor where a row or a place rests, and where no copy of a row is free
 RESTS, HELD = -1e6, -4e6
 
 Single = NDArray[np.float32]
@@ -62,10 +63,13 @@ def search_plans(
     where the prior alone determines a direction, single precision does not resolve it.
     """
     white, white_base = _whiten(rows, base)
-    search = _TabuSearch(white, white_base, _copies(rows), starts, rng)
+    copies = find_copies(rows)
+    different = white[copies.first]
+    plans = copies.label[starts]
+    search = _TabuSearch(different, white_base, copies.number, plans, rng)
     best_plans = search.run(steps)
-    values = _log_determinants(white, white_base, best_plans)
-    return np.asarray(best_plans[int(values.argmax())])
+    values = _log_determinants(different, white_base, best_plans)
+    return copies.different(best_plans[int(values.argmax())])
 
 
 def _whiten(rows: Array, base: Array) -> tuple[Array, Array]:
@@ -76,12 +80,6 @@ def _whiten(rows: Array, base: Array) -> tuple[Array, Array]:
     inverse = np.linalg.inv(triangle) * np.sqrt(len(rows))
     white_prior = prior_rows @ inverse
     return rows @ inverse, white_prior.T @ white_prior
-
-
-def _copies(rows: Array) -> Index:
-    """A number (C,) for each row; equal rows have that of the first of them."""
-    _, first, label = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return first[label.ravel()]
 
 
 def _information(white: Array, base: Array, plans: Index) -> Array:
@@ -98,7 +96,10 @@ def _log_determinants(white: Array, base: Array, plans: Index) -> Array:
 class _TabuSearch:
     """The plans, their products with all candidates, and what rests.
 
+    Candidates are different rows, of which there may be several copies.
+
     plans     (B, size)
+    free      (B, C) copies that are not in the plan
     inverse   (B, n, n) M^-1
     products  (B, size, C) d_ij of chosen rows with all rows
     leverage  (B, C) d_jj
@@ -108,21 +109,21 @@ class _TabuSearch:
         self,
         white: Array,
         base: Array,
-        copies: Index,
+        number: Index,
         starts: Index,
         rng: np.random.Generator,
     ) -> None:
-        self.white, self.copies, self.rng = white, copies, rng
+        self.white, self.rng = white, rng
         self.base = base + RIDGE * np.eye(len(base))
         self.rows = white.astype(np.float32)
         self.columns = np.ascontiguousarray(self.rows.T)
-        self.has_copies = not np.array_equal(copies, np.arange(len(copies)))
+        self.has_copies = bool(number.max() > 1)
         self.plans = starts.copy()
         self.batch = np.arange(len(starts))
         self.tenures = np.resize(TENURES, len(starts))
         count, size = len(white), starts.shape[1]
-        self.held = np.zeros((len(starts), count), dtype=bool)
-        self.held[self.batch[:, None], starts] = True
+        self.free = np.tile(number, (len(starts), 1))
+        np.subtract.at(self.free, (self.batch[:, None], starts), 1)
         self.row_rests_until = np.zeros((len(starts), count), dtype=np.intp)
         self.place_rests_until = np.zeros(starts.shape, dtype=np.intp)
         self.place_terms = np.ones((len(starts), size, 3), dtype=np.float32)
@@ -175,7 +176,7 @@ class _TabuSearch:
         self.batch = np.arange(len(better))
         self.plans, self.values = self.plans[better], self.values[better]
         self.best, self.best_values = self.best[better], self.best_values[better]
-        self.tenures, self.held = np.resize(TENURES, number), self.held[better]
+        self.tenures, self.free = np.resize(TENURES, number), self.free[better]
         self.inverse, self.products = self.inverse[better], self.products[better]
         self.leverage, self.factors = self.leverage[better], self.factors[better]
         self.row_rests_until = self.row_rests_until[better]
@@ -189,21 +190,19 @@ class _TabuSearch:
         One product of three terms gives (1 - d_ii)(1 + d_jj) with both prohibitions.
         """
         resting = self.row_rests_until > step
-        if self.has_copies:
-            resting = resting[:, self.copies]
         chosen_leverage = self.leverage[self.batch[:, None], self.plans]
         self.place_terms[:, :, 0] = 1.0 - chosen_leverage
         self.row_terms[:, 0] = 1.0 + self.leverage
         self.row_terms[:, 1] = np.where(resting, RESTS, 0.0)
-        self.row_terms[:, 1][self.held] = HELD
+        self.row_terms[:, 1][self.free < 1] = HELD
         place_rests = self.place_rests_until > step
         self.place_terms[:, :, 2] = np.where(place_rests, RESTS, 0.0)
         np.multiply(self.products, self.products, out=self.factors)
         self.factors += np.matmul(self.place_terms, self.row_terms)
         if self.has_copies:
             # a copy in place of its row changes nothing, and would use up the step
-            chosen = self.copies[self.plans]
-            self.factors[chosen[:, :, None] == self.copies] = HELD
+            places = np.arange(self.plans.shape[1])
+            self.factors[self.batch[:, None], places, self.plans] = HELD
         flat = self.factors.reshape(len(self.plans), -1)
         best = flat.argmax(axis=1)
         place, row = np.divmod(best, self.products.shape[2])
@@ -214,11 +213,11 @@ class _TabuSearch:
         removed = self.plans[self.batch, place]
         self.plans[self.batch, place] = row
         self._update_products(place, row, removed)
-        self.held[self.batch, removed] = False
-        self.held[self.batch, row] = True
+        self.free[self.batch, removed] += 1
+        self.free[self.batch, row] -= 1
         share = self.rng.random((2, len(row)))
         rests_until = step + 2 + (share * self.tenures).astype(np.intp)
-        self.row_rests_until[self.batch, self.copies[removed]] = rests_until[0]
+        self.row_rests_until[self.batch, removed] = rests_until[0]
         self.place_rests_until[self.batch, place] = rests_until[1]
 
     def _update_products(self, place: Index, row: Index, removed: Index) -> None:
