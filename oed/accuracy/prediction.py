@@ -156,11 +156,7 @@ def predict(
     if mean is not None or centre is None:
         centre = np.zeros(len(prior)) if mean is None else mean
     unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
-    count = _machines(maps)
-    if draws is None:
-        delta = _draw(posterior, rng, count)
-    else:
-        delta, worth = _choose(draws, rng, count, worth)
+    delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
     estimate = centre + _draw(unknown_estimate, rng, len(delta))
     undetermined = _apply(maps.raw, delta)
     rms_undetermined = _rms(maps.raw, posterior, 0.0)
@@ -185,7 +181,13 @@ def predict(
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),
         "fully_corrected": rms_undetermined,
     }
-    spreads = {k: _spreads(maps.names, errors[k], rms[k], worth) for k in errors}
+    spreads = {
+        k: _spreads(maps.names, errors[k], rms[k], worth)
+        for k in ("before", "fully_corrected")
+    }
+    spreads["after"] = spreads["fully_corrected"]
+    if remaining.any():
+        spreads["after"] = _spreads(maps.names, errors["after"], rms["after"], worth)
     return Prediction(
         reference=reference,
         command=maps.command,
@@ -196,6 +198,36 @@ def predict(
         sd_before=rms["before"],
         sd_after=rms["after"],
     )
+
+
+def spread_after(
+    maps: ErrorMaps,
+    posterior: Array,
+    rng: np.random.Generator,
+    mean: Array,
+    draws: Array | None = None,
+    worth: float | None = None,
+) -> dict[str, Spread]:
+    """`Prediction.after` alone, of a machine that was measured; arguments as there."""
+    delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
+    remaining = maps.remaining @ mean
+    errors = remaining + _apply(maps.raw, delta)
+    rms = _rms(maps.raw, posterior, remaining)
+    return _spreads(maps.names, errors, rms, worth)
+
+
+def _errors_of_estimate(
+    maps: ErrorMaps,
+    posterior: Array,
+    rng: np.random.Generator,
+    draws: Array | None,
+    worth: float | None,
+) -> tuple[Array, float | None]:
+    """Errors (machines, np) of the parameters, and the machines that they are worth."""
+    count = _machines(maps)
+    if draws is None:
+        return _draw(posterior, rng, count), worth
+    return _choose(draws, rng, count, worth)
 
 
 def _ratio(exact: Array, linear: Array) -> Array:
@@ -210,13 +242,14 @@ def error_spread(errors: Array, worth: float | None = None) -> Spread:
 
     worth  number of independent machines that these are worth; all by default
     """
-    size = np.abs(errors)
+    # sorted values are quick to sort again, machine by machine and together
+    size = np.sort(np.abs(errors), axis=1)
     of_machine = {
-        "rms": np.sqrt(np.mean(errors**2, axis=1)),
+        "rms": np.sqrt(np.mean(size**2, axis=1)),
         "p95": np.quantile(size, 0.95, axis=1),
-        "largest": size.max(axis=1),
+        "largest": size[:, -1],
     }
-    rms = root_mean_square(errors, worth)
+    rms = root_mean_square(size, worth)
     p95 = pooled_quantile(size, 0.95, worth)
     largest = quantile(of_machine["largest"], 0.95, worth)
     intervals: dict[str, Interval] = {}
@@ -283,7 +316,8 @@ def _choose(
 
 def _apply(maps: Array, parameters: Array) -> Array:
     """Errors (machines, n, k) of machines with parameter errors (machines, np)."""
-    return np.asarray(np.einsum("nkp,dp->dnk", maps, parameters, optimize=True))
+    by_component = np.matmul(parameters, maps.transpose(1, 2, 0))
+    return np.moveaxis(by_component, 0, 2)
 
 
 def _rms(maps: Array, covariance: Array, mean: Array | float) -> Array:
@@ -318,9 +352,9 @@ def pooled_quantile(values: Array, share: float, worth: float | None = None) -> 
     the quantile differs between machines.
     """
     machines = len(values) if worth is None else worth
-    level = np.quantile(values, share)
-    beyond = (values > level).mean(axis=1)
-    return _quantile(values, share, beyond.std() / np.sqrt(machines))
+    ordered = np.sort(values, axis=None)
+    beyond = (values > np.quantile(ordered, share)).mean(axis=1)
+    return _quantile(ordered, share, beyond.std() / np.sqrt(machines))
 
 
 def root_mean_square(values: Array, worth: float | None = None) -> Drawn:
