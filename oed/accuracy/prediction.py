@@ -19,7 +19,7 @@ digits than the errors here allow.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -158,19 +158,13 @@ def predict(
     unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
     delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
     estimate = centre + _draw(unknown_estimate, rng, len(delta))
-    undetermined = _apply(maps.raw, delta)
     rms_undetermined = _rms(maps.raw, posterior, 0.0)
+    scale = np.ones_like(rms_undetermined)
     if variance is not None:
         linear, rms_undetermined = rms_undetermined, np.sqrt(variance)
-        undetermined = undetermined * _ratio(rms_undetermined, linear)
-    remaining = _apply(maps.remaining, estimate) if known is None else known
+        scale = _ratio(rms_undetermined, linear)
     uncorrected = maps.raw @ centre
     start = uncorrected if before is None else before
-    errors = {
-        "before": _apply(maps.raw, estimate + delta) + (start - uncorrected),
-        "after": remaining + undetermined,
-        "fully_corrected": undetermined,
-    }
     rms_known = (
         _rms(maps.remaining, unknown_estimate, maps.remaining @ centre)
         if known is None
@@ -181,13 +175,21 @@ def predict(
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),
         "fully_corrected": rms_undetermined,
     }
-    spreads = {
-        k: _spreads(maps.names, errors[k], rms[k], worth)
-        for k in ("before", "fully_corrected")
-    }
-    spreads["after"] = spreads["fully_corrected"]
-    if remaining.any():
-        spreads["after"] = _spreads(maps.names, errors["after"], rms["after"], worth)
+    spreads: dict[str, dict[str, Spread]] = {kind: {} for kind in rms}
+    for k, name in enumerate(maps.names):
+        raw = maps.raw[:, k]
+        undetermined = scale[:, k] * (delta @ raw.T)
+        remaining = (
+            known[:, k] if known is not None else estimate @ maps.remaining[:, k].T
+        )
+        uncompensated = (estimate + delta) @ raw.T + (start - uncorrected)[:, k]
+        errors = {"before": uncompensated, "fully_corrected": undetermined}
+        if remaining.any():
+            errors["after"] = remaining + undetermined
+        for kind, drawn in errors.items():
+            spreads[kind][name] = _spread(drawn, rms[kind][:, k], worth)
+        if "after" not in errors:
+            spreads["after"][name] = spreads["fully_corrected"][name]
     return Prediction(
         reference=reference,
         command=maps.command,
@@ -211,9 +213,12 @@ def spread_after(
     """`Prediction.after` alone, of a machine that was measured; arguments as there."""
     delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
     remaining = maps.remaining @ mean
-    errors = remaining + _apply(maps.raw, delta)
     rms = _rms(maps.raw, posterior, remaining)
-    return _spreads(maps.names, errors, rms, worth)
+    spreads = {}
+    for k, name in enumerate(maps.names):
+        errors = remaining[:, k] + delta @ maps.raw[:, k].T
+        spreads[name] = _spread(errors, rms[:, k], worth)
+    return spreads
 
 
 def _errors_of_estimate(
@@ -246,7 +251,7 @@ def error_spread(errors: Array, worth: float | None = None) -> Spread:
     size = np.sort(np.abs(errors), axis=1)
     of_machine = {
         "rms": np.sqrt(np.mean(size**2, axis=1)),
-        "p95": np.quantile(size, 0.95, axis=1),
+        "p95": _of_sorted(size, 0.95),
         "largest": size[:, -1],
     }
     rms = root_mean_square(size, worth)
@@ -271,20 +276,15 @@ def error_spread(errors: Array, worth: float | None = None) -> Spread:
     )
 
 
-def _spreads(
-    names: Sequence[str], errors: Array, rms: Array, worth: float | None
-) -> dict[str, Spread]:
-    """Spread by component, from drawn errors (machines, n, k) and exact rms (n, k).
+def _spread(errors: Array, rms: Array, worth: float | None) -> Spread:
+    """Spread of drawn errors (machines, n) of a component, of exact rms (n,).
 
     Only the percentile and the largest error need the draws.
     """
-    spreads = {}
-    for k, name in enumerate(names):
-        drawn = error_spread(errors[:, :, k], worth)
-        exact = float(np.sqrt(np.mean(rms[:, k] ** 2)))
-        others = {n: e for n, e in drawn.monte_carlo.items() if n != "rms"}
-        spreads[name] = dataclasses.replace(drawn, rms=exact, monte_carlo=others)
-    return spreads
+    drawn = error_spread(errors, worth)
+    exact = float(np.sqrt(np.mean(rms**2)))
+    others = {n: e for n, e in drawn.monte_carlo.items() if n != "rms"}
+    return dataclasses.replace(drawn, rms=exact, monte_carlo=others)
 
 
 def _machines(maps: ErrorMaps) -> int:
@@ -314,15 +314,9 @@ def _choose(
     return np.asarray(chosen), 1.0 / (alone + related)
 
 
-def _apply(maps: Array, parameters: Array) -> Array:
-    """Errors (machines, n, k) of machines with parameter errors (machines, np)."""
-    by_component = np.matmul(parameters, maps.transpose(1, 2, 0))
-    return np.moveaxis(by_component, 0, 2)
-
-
 def _rms(maps: Array, covariance: Array, mean: Array | float) -> Array:
     """Root mean square (n, k) of maps @ N(0, covariance) + mean (n, k)."""
-    variance = np.einsum("nkp,pq,nkq->nk", maps, covariance, maps, optimize=True)
+    variance = np.einsum("nkp,nkp->nk", maps @ covariance, maps)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0) + np.square(mean)))
 
 
@@ -342,7 +336,8 @@ def quantile(values: Array, share: float, worth: float | None = None) -> Drawn:
     the share to either side: it needs no density.
     """
     count = len(values) if worth is None else worth
-    return _quantile(values, share, np.sqrt(share * (1.0 - share) / count))
+    step = np.sqrt(share * (1.0 - share) / count)
+    return _quantile(np.sort(values), share, step)
 
 
 def pooled_quantile(values: Array, share: float, worth: float | None = None) -> Drawn:
@@ -353,7 +348,7 @@ def pooled_quantile(values: Array, share: float, worth: float | None = None) -> 
     """
     machines = len(values) if worth is None else worth
     ordered = np.sort(values, axis=None)
-    beyond = (values > np.quantile(ordered, share)).mean(axis=1)
+    beyond = (values > _of_sorted(ordered, share)).mean(axis=1)
     return _quantile(ordered, share, beyond.std() / np.sqrt(machines))
 
 
@@ -366,7 +361,16 @@ def root_mean_square(values: Array, worth: float | None = None) -> Drawn:
     return Drawn(size, float(error))
 
 
-def _quantile(values: Array, share: float, step: float) -> Drawn:
-    shares = np.clip([share - step, share, share + step], 0.0, 1.0)
-    low, middle, high = np.quantile(values, shares)
-    return Drawn(float(middle), float(0.5 * (high - low)))
+def _quantile(ordered: Array, share: float, step: float) -> Drawn:
+    low, high = np.clip([share - step, share + step], 0.0, 1.0)
+    width = _of_sorted(ordered, high) - _of_sorted(ordered, low)
+    return Drawn(float(_of_sorted(ordered, share)), float(0.5 * width))
+
+
+def _of_sorted(ordered: Array, share: float) -> Array:
+    """Quantile of values that are sorted along the last axis, linear between them."""
+    place = share * (ordered.shape[-1] - 1)
+    below = int(place)
+    above = min(below + 1, ordered.shape[-1] - 1)
+    lower, upper = ordered[..., below], ordered[..., above]
+    return np.asarray(lower + (place - below) * (upper - lower))
