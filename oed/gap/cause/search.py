@@ -70,7 +70,7 @@ class Search:
         candidates: Sequence[Hypothesis] = (),
         given: GapProblem | None = None,
     ) -> None:
-        """Compute the inner products of all columns.
+        """Lay out the forms of all effects.
 
         log_prior    of the noise law
         outliers     those that the problem's residuals are without, if any
@@ -93,25 +93,20 @@ class Search:
             for effect in library.effects
         }
         self._candidates = candidates
-        self._products = self._multiply(self._needed(candidates))
-        log_weights = np.array([atom.log_weight for atom in library.atoms])
-        energy = energies(self._products.diagonal, self._atoms)
-        log_sizes = EFFECT_SIZES.log_visible_shares(energy)
-        #: (atoms, sizes) log prior of each form at each size
-        self._log_prior = log_weights[:, None] + log_sizes
-        self._remainders = Remainders(self._products, processes)
         self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
 
-    def _needed(self, candidates: Sequence[Hypothesis]) -> Index:
+    @property
+    def _needed(self) -> Index:
         """Columns of the candidates' effects, of all effects without candidates."""
-        names = {name for h in candidates for name in h.effects}
-        if not candidates:
+        names = {name for h in self._candidates for name in h.effects}
+        if not self._candidates:
             names = set(self.library.effects)
         columns = [atom.columns for atom in self.library.atoms if atom.effect in names]
         return np.unique(np.concatenate([_NONE, *columns]))
 
-    def _multiply(self, needed: Index) -> ColumnProducts:
+    @functools.cached_property
+    def _products(self) -> ColumnProducts:
         groups = [columns for _, columns in groups_of(self.processes)]
         return ColumnProducts(
             self.problem,
@@ -119,17 +114,44 @@ class Search:
             self.library.columns,
             self.processes.columns,
             groups,
-            needed,
+            self._needed,
         )
+
+    @functools.cached_property
+    def _remainders(self) -> Remainders:
+        return Remainders(self._products, self.processes)
+
+    def _log_prior(self, diagonal: Array) -> Array:
+        """Log prior (atoms, sizes) of each form at each size.
+
+        diagonal  (K,) energy of each column
+        """
+        log_weights = np.array([atom.log_weight for atom in self.library.atoms])
+        energy = energies(diagonal, self._atoms)
+        return log_weights[:, None] + EFFECT_SIZES.log_visible_shares(energy)
+
+    @functools.cached_property
+    def _log_prior_of_needed(self) -> Array:
+        return self._log_prior(self._products.diagonal)
+
+    @functools.cached_property
+    def _log_prior_of_all(self) -> Array:
+        return self._log_prior(self.grams.gram.diagonal())
 
     @functools.cached_property
     def grams(self) -> Grams:
         """Grams of all columns of the effects."""
         every = np.arange(self.library.columns.shape[1])
-        if len(self._needed(self._candidates)) == len(every):
+        if len(self._needed) == len(every):
             return self._products.grams(every)
         metric = Metric(self.problem, self.law)
         return evidence.grams(self.problem, metric, self.library.columns)
+
+    def _release(self) -> None:
+        """Give the memory of all products back; who needs one again computes it."""
+        for name in ("_products", "_remainders", "grams"):
+            self.__dict__.pop(name, None)
+        self._tables.clear()
 
     def with_weight(self, log_prior: float) -> Search:
         """The same search with another log prior of its noise law."""
@@ -217,7 +239,7 @@ class Search:
         if not others.size:
             return {}
         table = grams.log_evidences([self._atoms[k] for k in others], SIZES)
-        posterior = table + self._log_prior[others]
+        posterior = table + self._log_prior_of_all[others]
         best = {}
         for effect in dict.fromkeys(self._effect[others]):
             rows = np.flatnonzero(self._effect[others] == effect)
@@ -312,7 +334,7 @@ class Search:
     ) -> Array:
         """As `_table`, with the prior of forms and sizes."""
         table = self._table(effect, others, sizes)
-        return table + self._log_prior[self._atoms_of[effect]]
+        return table + self._log_prior_of_needed[self._atoms_of[effect]]
 
     def _select(
         self,
@@ -350,6 +372,8 @@ class Search:
             chosen = self._candidates
             unsorted = [self._evaluate(h) for h in chosen] if chosen else self._run()
             self._hypotheses = sorted(unsorted, key=lambda h: -h.score)
+            if self._candidates:  # one of many searches, of which few are asked again
+                self._release()
         return self._hypotheses
 
     def _evaluate(self, candidate: Hypothesis) -> Hypothesis:

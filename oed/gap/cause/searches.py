@@ -72,6 +72,7 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
         further = search_under(list(gaps.values()))
         _add_best_gaps(gaps, clean, further)
     candidates = _candidates([*first, *further])
+    del first, further
 
     def search_all(known: Sequence[Search]) -> list[Search]:
         """Searches under all laws of the posteriors; the first laws may be searched."""
