@@ -42,7 +42,7 @@ def _search(
 def _brute(search: Search, effects: tuple[str, ...]) -> float:
     """Log evidence of a set of effects, summed over every form and size of each."""
     terms = []
-    prior = search._log_prior
+    prior = search._log_prior_of_needed
     for atoms in itertools.product(*[search.library.atoms_of(e) for e in effects]):
         for sizes in itertools.product(range(len(SIZES)), repeat=len(effects)):
             weight = sum(prior[a, s] for a, s in zip(atoms, sizes, strict=True))
@@ -99,7 +99,7 @@ def test_prior_shares_add_up() -> None:
     search = _search(readings(2))
     for effect in search.library.effects:
         mine = search.library.atoms_of(effect)
-        assert np.exp(search._log_prior[mine]).sum() == pytest.approx(1.0)
+        assert np.exp(search._log_prior_of_needed[mine]).sum() == pytest.approx(1.0)
     assert sum(PRIOR.values()) == pytest.approx(1.0)
 
 
