@@ -154,6 +154,28 @@ def test_an_unknown_is_added_to_the_most_probable_sets(
     assert mixed == {frozenset(), *single, *(h.key[0] for h in best)}
 
 
+def test_a_search_of_few_candidates_answers_as_one_of_all_does() -> None:
+    """It whitens the candidates' effects alone, and gives these products back."""
+    problem = planted(readings(1), BOW, {"leg 1": 1.5}, turns=3.0)
+    every = _search(problem)
+    candidates = [h for h in every.run() if len(h.effects) < 2][:2]
+    some = Search(
+        problem, every.library, every.processes, every.law, 0.0, candidates=candidates
+    )
+    by_key = {h.key: h for h in every.run()}
+    for h in some.run():
+        wanted = by_key[h.key].log_evidence
+        assert h.log_evidence == pytest.approx(wanted, abs=1e-8)
+        assert some.noise_level(h) == pytest.approx(every.noise_level(h), rel=1e-9)
+    rivals = every.screen(every.grams_with((), ()), ())
+    for name, further in some.screen(some.grams_with((), ()), ()).items():
+        wanted = rivals[name].log_evidence
+        assert further.log_evidence == pytest.approx(wanted, abs=1e-8)
+    some._hypotheses = []
+    some.run()
+    assert not {"_products", "_remainders", "grams"} & vars(some).keys()
+
+
 def test_pairs_extend_the_most_probable_single_effects_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
