@@ -39,7 +39,7 @@ from benchmarks.blind.loading import Case
 from benchmarks.blind.results import Record
 from benchmarks.blind.run import law_of
 from oed.base.arrays import Array, Index
-from oed.gap.cause import closure as closure_of
+from oed.gap.cause.closure import Split, closure
 from oed.gap.data.diagnosis import Closure
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
@@ -57,7 +57,7 @@ ROUNDING = 1e-9
 TIED = 1e-3
 #: the same that they may at most not absorb
 HALF = 0.5
-SPLITS: tuple[closure_of.Split, ...] = ("within", "whole")
+SPLITS: tuple[Split, ...] = ("within", "whole")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -362,9 +362,8 @@ def _closures(
     closures = []
     for split in SPLITS:
         best = _closure(problem, law, change, split)
-        noiseless = problem.with_residual(change)
-        energy = _without_effects(noiseless, law, split)
-        gain = energy.n * energy.s0 if energy.n else 0.0
+        noiseless = _without_effects(problem.with_residual(change), law, split)
+        gain = noiseless.n * noiseless.s0 if noiseless.n else 0.0
         same_law = None
         if estimated is not None:
             same_law = _closure(problem, estimated, change, split)
@@ -384,7 +383,7 @@ def _closure(
     problem: GapProblem,
     law: NoiseLaw,
     change: Array,
-    split: closure_of.Split,
+    split: Split,
 ) -> dict[str, Any]:
     """The closure of whoever takes the true change (N,) out, of training readings too."""
     given = _without_effects(problem, law, split)
@@ -395,9 +394,7 @@ def _closure(
     return {key: v if math.isfinite(v) else None for key, v in figures.items()}
 
 
-def _without_effects(
-    problem: GapProblem, law: NoiseLaw, split: closure_of.Split
-) -> Closure:
+def _without_effects(problem: GapProblem, law: NoiseLaw, split: Split) -> Closure:
     """Scores without effects; they do not depend on the random stream."""
     nothing, rng = np.zeros((len(problem), 0)), np.random.default_rng(0)
-    return closure_of.closure(problem, law, nothing, rng, split=split)
+    return closure(problem, law, nothing, rng, split=split)

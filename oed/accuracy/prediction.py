@@ -158,11 +158,9 @@ def predict(
     unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
     delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
     estimate = centre + _draw(unknown_estimate, rng, len(delta))
-    rms_undetermined = _rms(maps.raw, posterior, 0.0)
-    scale = np.ones_like(rms_undetermined)
-    if variance is not None:
-        linear, rms_undetermined = rms_undetermined, np.sqrt(variance)
-        scale = _ratio(rms_undetermined, linear)
+    linear = _rms(maps.raw, posterior, 0.0)
+    rms_undetermined = linear if variance is None else np.sqrt(variance)
+    scale = _ratio(rms_undetermined, linear)
     uncorrected = maps.raw @ centre
     start = uncorrected if before is None else before
     rms_known = (
@@ -183,13 +181,12 @@ def predict(
             known[:, k] if known is not None else estimate @ maps.remaining[:, k].T
         )
         uncompensated = (estimate + delta) @ raw.T + (start - uncorrected)[:, k]
-        errors = {"before": uncompensated, "fully_corrected": undetermined}
+        corrected = _spread(undetermined, rms_undetermined[:, k], worth)
+        spreads["before"][name] = _spread(uncompensated, rms["before"][:, k], worth)
+        spreads["fully_corrected"][name] = spreads["after"][name] = corrected
         if remaining.any():
-            errors["after"] = remaining + undetermined
-        for kind, drawn in errors.items():
-            spreads[kind][name] = _spread(drawn, rms[kind][:, k], worth)
-        if "after" not in errors:
-            spreads["after"][name] = spreads["fully_corrected"][name]
+            after = remaining + undetermined
+            spreads["after"][name] = _spread(after, rms["after"][:, k], worth)
     return Prediction(
         reference=reference,
         command=maps.command,

@@ -11,25 +11,18 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import functools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index
+from oed.gap.cause.form_products import FormProducts
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
 from oed.gap.cause.remainder import SIZES as UNKNOWN_SIZES
-from oed.gap.cause.remainder import (
-    Remainders,
-    energies,
-    groups_of,
-)
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams
-from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
 from oed.model.size_prior import EFFECT_SIZES
 from oed.noise.law import NoiseLaw
@@ -93,65 +86,16 @@ class Search:
             for effect in library.effects
         }
         self._candidates = candidates
+        names = {name for h in candidates for name in h.effects}
+        in_question = names if candidates else set(library.effects)
+        self._forms = FormProducts(problem, library, processes, law, in_question)
         self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
 
     @property
-    def _needed(self) -> Index:
-        """Columns of the candidates' effects, of all effects without candidates."""
-        names = {name for h in self._candidates for name in h.effects}
-        if not self._candidates:
-            names = set(self.library.effects)
-        columns = [atom.columns for atom in self.library.atoms if atom.effect in names]
-        return np.unique(np.concatenate([_NONE, *columns]))
-
-    @functools.cached_property
-    def _products(self) -> ColumnProducts:
-        groups = [columns for _, columns in groups_of(self.processes)]
-        return ColumnProducts(
-            self.problem,
-            Metric(self.problem, self.law),
-            self.library.columns,
-            self.processes.columns,
-            groups,
-            self._needed,
-        )
-
-    @functools.cached_property
-    def _remainders(self) -> Remainders:
-        return Remainders(self._products, self.processes)
-
-    def _log_prior(self, diagonal: Array) -> Array:
-        """Log prior (atoms, sizes) of each form at each size.
-
-        diagonal  (K,) energy of each column
-        """
-        log_weights = np.array([atom.log_weight for atom in self.library.atoms])
-        energy = energies(diagonal, self._atoms)
-        return log_weights[:, None] + EFFECT_SIZES.log_visible_shares(energy)
-
-    @functools.cached_property
-    def _log_prior_of_needed(self) -> Array:
-        return self._log_prior(self._products.diagonal)
-
-    @functools.cached_property
-    def _log_prior_of_all(self) -> Array:
-        return self._log_prior(self.grams.gram.diagonal())
-
-    @functools.cached_property
     def grams(self) -> Grams:
         """Grams of all columns of the effects."""
-        every = np.arange(self.library.columns.shape[1])
-        if len(self._needed) == len(every):
-            return self._products.grams(every)
-        metric = Metric(self.problem, self.law)
-        return evidence.grams(self.problem, metric, self.library.columns)
-
-    def _release(self) -> None:
-        """Give the memory of all products back; who needs one again computes it."""
-        for name in ("_products", "_remainders", "grams"):
-            self.__dict__.pop(name, None)
-        self._tables.clear()
+        return self._forms.grams
 
     def with_weight(self, log_prior: float) -> Search:
         """The same search with another log prior of its noise law."""
@@ -178,9 +122,9 @@ class Search:
         """Noise level of what a hypothesis does not explain."""
         columns, sizes = [self._atoms[k] for k in h.atoms], list(h.sizes)
         selected = self._columns_of_set(h)
-        grams = self._products.grams(selected)
+        grams = self._forms.products.grams(selected)
         if h.process is not None:
-            grams = self._remainders.grams_with(grams, selected, h.process)
+            grams = self._forms.remainders.grams_with(grams, selected, h.process)
             columns.append(np.arange(len(selected), len(grams.b)))
             sizes.append(h.process_size)
         return evidence.noise_level(grams.select_in_order(columns, sizes)[0])
@@ -204,7 +148,7 @@ class Search:
     ) -> list[tuple[float, int, float]]:
         """Probability, number and best size of each form of a part, likeliest first."""
         if part == len(h.effects):
-            table = self._remainders.log_evidences(
+            table = self._forms.remainders.log_evidences(
                 self._grams_alone(h), self._selected(h)
             )
             numbers, sizes = np.arange(len(table)), UNKNOWN_SIZES
@@ -239,7 +183,7 @@ class Search:
         if not others.size:
             return {}
         table = grams.log_evidences([self._atoms[k] for k in others], SIZES)
-        posterior = table + self._log_prior_of_all[others]
+        posterior = table + self._forms.log_prior_of_all[others]
         best = {}
         for effect in dict.fromkeys(self._effect[others]):
             rows = np.flatnonzero(self._effect[others] == effect)
@@ -295,7 +239,7 @@ class Search:
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        remainder = self._remainders.best(self._grams_alone(h), self._selected(h))
+        remainder = self._forms.remainders.best(self._grams_alone(h), self._selected(h))
         return dataclasses.replace(
             h,
             unknown=True,
@@ -320,7 +264,7 @@ class Search:
             selected = [self._atoms[k] for k in others]
             forms = [self._atoms[k] for k in self._atoms_of[effect]]
             columns = np.unique(np.concatenate(forms))
-            grams = self._products.grams(np.concatenate([*selected, columns]))
+            grams = self._forms.products.grams(np.concatenate([*selected, columns]))
             grams, start = grams.select_in_order(selected, sizes)
             places = [start + np.searchsorted(columns, form) for form in forms]
             self._tables[key] = grams.log_evidences(places, SIZES)
@@ -334,7 +278,7 @@ class Search:
     ) -> Array:
         """As `_table`, with the prior of forms and sizes."""
         table = self._table(effect, others, sizes)
-        return table + self._log_prior_of_needed[self._atoms_of[effect]]
+        return table + self._forms.log_prior[self._atoms_of[effect]]
 
     def _select(
         self,
@@ -358,7 +302,7 @@ class Search:
     def _grams_alone(self, h: Hypothesis) -> Grams:
         """Grams of the columns of a set of effects alone, these in the model."""
         columns = [self._atoms[k] for k in h.atoms]
-        grams = self._products.grams(self._columns_of_set(h))
+        grams = self._forms.products.grams(self._columns_of_set(h))
         return grams.select_in_order(columns, h.sizes)[0]
 
     # -- the search --------------------------------------------------------------------
@@ -373,7 +317,8 @@ class Search:
             unsorted = [self._evaluate(h) for h in chosen] if chosen else self._run()
             self._hypotheses = sorted(unsorted, key=lambda h: -h.score)
             if self._candidates:  # one of many searches, of which few are asked again
-                self._release()
+                self._forms.release()
+                self._tables.clear()
         return self._hypotheses
 
     def _evaluate(self, candidate: Hypothesis) -> Hypothesis:
@@ -390,7 +335,7 @@ class Search:
         known.sort(key=lambda h: -h.score)
         # an effect may show beside an unknown alone: every single one is tried with it
         extended = [h for k, h in enumerate(known) if k < SETS or len(h.effects) < 2]
-        mixed = [self.add_unknown(h) for h in extended if len(self._remainders)]
+        mixed = [self.add_unknown(h) for h in extended if len(self._forms.remainders)]
         return [*known, *mixed]
 
     def _extend(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:
