@@ -97,6 +97,11 @@ class Search:
         """Grams of all columns of the effects."""
         return self._forms.grams
 
+    def release(self) -> None:
+        """Give the memory of all products back; who needs one again computes it."""
+        self._forms.release()
+        self._tables.clear()
+
     def with_weight(self, log_prior: float) -> Search:
         """The same search with another log prior of its noise law."""
         other = copy.copy(self)
@@ -317,8 +322,7 @@ class Search:
             unsorted = [self._evaluate(h) for h in chosen] if chosen else self._run()
             self._hypotheses = sorted(unsorted, key=lambda h: -h.score)
             if self._candidates:  # one of many searches, of which few are asked again
-                self._forms.release()
-                self._tables.clear()
+                self.release()
         return self._hypotheses
 
     def _evaluate(self, candidate: Hypothesis) -> Hypothesis:
