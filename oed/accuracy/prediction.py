@@ -191,9 +191,7 @@ def predict(
         reference=reference,
         command=maps.command,
         names=maps.names,
-        before=spreads["before"],
-        after=spreads["after"],
-        fully_corrected=spreads["fully_corrected"],
+        **spreads,
         sd_before=rms["before"],
         sd_after=rms["after"],
     )
