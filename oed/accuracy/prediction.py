@@ -19,7 +19,7 @@ digits than the errors here allow.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -156,25 +156,13 @@ def predict(
     if mean is not None or centre is None:
         centre = np.zeros(len(prior)) if mean is None else mean
     unknown_estimate = np.zeros_like(prior) if measured else prior - posterior
-    count = _machines(maps)
-    if draws is None:
-        delta = _draw(posterior, rng, count)
-    else:
-        delta, worth = _choose(draws, rng, count, worth)
+    delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
     estimate = centre + _draw(unknown_estimate, rng, len(delta))
-    undetermined = _apply(maps.raw, delta)
-    rms_undetermined = _rms(maps.raw, posterior, 0.0)
-    if variance is not None:
-        linear, rms_undetermined = rms_undetermined, np.sqrt(variance)
-        undetermined = undetermined * _ratio(rms_undetermined, linear)
-    remaining = _apply(maps.remaining, estimate) if known is None else known
+    linear = _rms(maps.raw, posterior, 0.0)
+    rms_undetermined = linear if variance is None else np.sqrt(variance)
+    scale = _ratio(rms_undetermined, linear)
     uncorrected = maps.raw @ centre
     start = uncorrected if before is None else before
-    errors = {
-        "before": _apply(maps.raw, estimate + delta) + (start - uncorrected),
-        "after": remaining + undetermined,
-        "fully_corrected": undetermined,
-    }
     rms_known = (
         _rms(maps.remaining, unknown_estimate, maps.remaining @ centre)
         if known is None
@@ -185,17 +173,61 @@ def predict(
         "after": np.sqrt(rms_known**2 + rms_undetermined**2),
         "fully_corrected": rms_undetermined,
     }
-    spreads = {k: _spreads(maps.names, errors[k], rms[k], worth) for k in errors}
+    spreads: dict[str, dict[str, Spread]] = {kind: {} for kind in rms}
+    for k, name in enumerate(maps.names):
+        raw = maps.raw[:, k]
+        undetermined = scale[:, k] * (delta @ raw.T)
+        remaining = (
+            known[:, k] if known is not None else estimate @ maps.remaining[:, k].T
+        )
+        uncompensated = (estimate + delta) @ raw.T + (start - uncorrected)[:, k]
+        corrected = _spread(undetermined, rms_undetermined[:, k], worth)
+        spreads["before"][name] = _spread(uncompensated, rms["before"][:, k], worth)
+        spreads["fully_corrected"][name] = spreads["after"][name] = corrected
+        if remaining.any():
+            after = remaining + undetermined
+            spreads["after"][name] = _spread(after, rms["after"][:, k], worth)
     return Prediction(
         reference=reference,
         command=maps.command,
         names=maps.names,
-        before=spreads["before"],
-        after=spreads["after"],
-        fully_corrected=spreads["fully_corrected"],
+        **spreads,
         sd_before=rms["before"],
         sd_after=rms["after"],
     )
+
+
+def spread_after(
+    maps: ErrorMaps,
+    posterior: Array,
+    rng: np.random.Generator,
+    mean: Array,
+    draws: Array | None = None,
+    worth: float | None = None,
+) -> dict[str, Spread]:
+    """`Prediction.after` alone, of a machine that was measured; arguments as there."""
+    delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
+    remaining = maps.remaining @ mean
+    rms = _rms(maps.raw, posterior, remaining)
+    spreads = {}
+    for k, name in enumerate(maps.names):
+        errors = remaining[:, k] + delta @ maps.raw[:, k].T
+        spreads[name] = _spread(errors, rms[:, k], worth)
+    return spreads
+
+
+def _errors_of_estimate(
+    maps: ErrorMaps,
+    posterior: Array,
+    rng: np.random.Generator,
+    draws: Array | None,
+    worth: float | None,
+) -> tuple[Array, float | None]:
+    """Errors (machines, np) of the parameters, and the machines that they are worth."""
+    count = _machines(maps)
+    if draws is None:
+        return _draw(posterior, rng, count), worth
+    return _choose(draws, rng, count, worth)
 
 
 def _ratio(exact: Array, linear: Array) -> Array:
@@ -210,13 +242,14 @@ def error_spread(errors: Array, worth: float | None = None) -> Spread:
 
     worth  number of independent machines that these are worth; all by default
     """
-    size = np.abs(errors)
+    # sorted values are quick to sort again, machine by machine and together
+    size = np.sort(np.abs(errors), axis=1)
     of_machine = {
-        "rms": np.sqrt(np.mean(errors**2, axis=1)),
-        "p95": np.quantile(size, 0.95, axis=1),
-        "largest": size.max(axis=1),
+        "rms": np.sqrt(np.mean(size**2, axis=1)),
+        "p95": _of_sorted(size, 0.95),
+        "largest": size[:, -1],
     }
-    rms = root_mean_square(errors, worth)
+    rms = root_mean_square(size, worth)
     p95 = pooled_quantile(size, 0.95, worth)
     largest = quantile(of_machine["largest"], 0.95, worth)
     intervals: dict[str, Interval] = {}
@@ -238,20 +271,15 @@ def error_spread(errors: Array, worth: float | None = None) -> Spread:
     )
 
 
-def _spreads(
-    names: Sequence[str], errors: Array, rms: Array, worth: float | None
-) -> dict[str, Spread]:
-    """Spread by component, from drawn errors (machines, n, k) and exact rms (n, k).
+def _spread(errors: Array, rms: Array, worth: float | None) -> Spread:
+    """Spread of drawn errors (machines, n) of a component, of exact rms (n,).
 
     Only the percentile and the largest error need the draws.
     """
-    spreads = {}
-    for k, name in enumerate(names):
-        drawn = error_spread(errors[:, :, k], worth)
-        exact = float(np.sqrt(np.mean(rms[:, k] ** 2)))
-        others = {n: e for n, e in drawn.monte_carlo.items() if n != "rms"}
-        spreads[name] = dataclasses.replace(drawn, rms=exact, monte_carlo=others)
-    return spreads
+    drawn = error_spread(errors, worth)
+    exact = float(np.sqrt(np.mean(rms**2)))
+    others = {n: e for n, e in drawn.monte_carlo.items() if n != "rms"}
+    return dataclasses.replace(drawn, rms=exact, monte_carlo=others)
 
 
 def _machines(maps: ErrorMaps) -> int:
@@ -281,14 +309,9 @@ def _choose(
     return np.asarray(chosen), 1.0 / (alone + related)
 
 
-def _apply(maps: Array, parameters: Array) -> Array:
-    """Errors (machines, n, k) of machines with parameter errors (machines, np)."""
-    return np.asarray(np.einsum("nkp,dp->dnk", maps, parameters, optimize=True))
-
-
 def _rms(maps: Array, covariance: Array, mean: Array | float) -> Array:
     """Root mean square (n, k) of maps @ N(0, covariance) + mean (n, k)."""
-    variance = np.einsum("nkp,pq,nkq->nk", maps, covariance, maps, optimize=True)
+    variance = np.einsum("nkp,nkp->nk", maps @ covariance, maps)
     return np.asarray(np.sqrt(np.maximum(variance, 0.0) + np.square(mean)))
 
 
@@ -308,7 +331,8 @@ def quantile(values: Array, share: float, worth: float | None = None) -> Drawn:
     the share to either side: it needs no density.
     """
     count = len(values) if worth is None else worth
-    return _quantile(values, share, np.sqrt(share * (1.0 - share) / count))
+    step = np.sqrt(share * (1.0 - share) / count)
+    return _quantile(np.sort(values), share, step)
 
 
 def pooled_quantile(values: Array, share: float, worth: float | None = None) -> Drawn:
@@ -318,9 +342,9 @@ def pooled_quantile(values: Array, share: float, worth: float | None = None) -> 
     the quantile differs between machines.
     """
     machines = len(values) if worth is None else worth
-    level = np.quantile(values, share)
-    beyond = (values > level).mean(axis=1)
-    return _quantile(values, share, beyond.std() / np.sqrt(machines))
+    ordered = np.sort(values, axis=None)
+    beyond = (values > _of_sorted(ordered, share)).mean(axis=1)
+    return _quantile(ordered, share, beyond.std() / np.sqrt(machines))
 
 
 def root_mean_square(values: Array, worth: float | None = None) -> Drawn:
@@ -332,7 +356,16 @@ def root_mean_square(values: Array, worth: float | None = None) -> Drawn:
     return Drawn(size, float(error))
 
 
-def _quantile(values: Array, share: float, step: float) -> Drawn:
-    shares = np.clip([share - step, share, share + step], 0.0, 1.0)
-    low, middle, high = np.quantile(values, shares)
-    return Drawn(float(middle), float(0.5 * (high - low)))
+def _quantile(ordered: Array, share: float, step: float) -> Drawn:
+    low, high = np.clip([share - step, share + step], 0.0, 1.0)
+    width = _of_sorted(ordered, high) - _of_sorted(ordered, low)
+    return Drawn(float(_of_sorted(ordered, share)), float(0.5 * width))
+
+
+def _of_sorted(ordered: Array, share: float) -> Array:
+    """Quantile of values that are sorted along the last axis, linear between them."""
+    place = share * (ordered.shape[-1] - 1)
+    below = int(place)
+    above = min(below + 1, ordered.shape[-1] - 1)
+    lower, upper = ordered[..., below], ordered[..., above]
+    return np.asarray(lower + (place - below) * (upper - lower))

@@ -8,3 +8,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Mask = NDArray[np.bool_]
+
+
+def rows_by_label(labels: NDArray[np.str_]) -> list[Index]:
+    """Rows of each label, in order; the labels are sorted."""
+    _, number, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    order = np.argsort(number, kind="stable")
+    return np.split(order, np.cumsum(counts)[:-1])

@@ -105,9 +105,6 @@ class Factor(Protocol):
     def whiten(self, values: Array) -> Array:
         """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
 
-    def whiten_in_order(self, values: Array) -> Array:
-        """The same with W lower triangular: the inverse of Cholesky's root of C."""
-
     def precision(self, values: Array) -> Array:
         """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
 
@@ -137,16 +134,12 @@ class LinearFactor:
 
     def whiten(self, values: Array) -> Array:
         """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
-        return self._shared.whiten(self._alone(values))
+        alone = self._banded.whiten(self.errors.standardise(values))
+        return self._shared.whiten(alone)
 
     def whiten_in_place(self, values: Array) -> Array:
         """W Y (N, m), each row where its reading stands, of a factor of all readings."""
         return _in_place(self.order, self.whiten(values))
-
-    def whiten_in_order(self, values: Array) -> Array:
-        """The same with W lower triangular: the inverse of Cholesky's root of C."""
-        shared = SharedFactor(self._columns, self.errors.starts)
-        return shared.whiten(self._alone(values))
 
     def whiten_back(self, white: Array) -> Array:
         """W^T Y (N, m), for Y (k, m) in order and the W of `whiten`."""
@@ -164,10 +157,6 @@ class LinearFactor:
         if errors.unmix is not None:
             values = sparse_linalg.spsolve_triangular(errors.unmix, values)
         return values * errors.scale[:, None]
-
-    def _alone(self, values: Array) -> Array:
-        """Values (N, m) whitened (k, m) as if segments shared no errors."""
-        return self._banded.whiten(self.errors.standardise(values))
 
     def precision(self, values: Array) -> Array:
         """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
@@ -222,10 +211,6 @@ class DenseFactor:
         return np.concatenate(
             [w @ part for w, part in zip(self._inverses, parts, strict=True)]
         )
-
-    def whiten_in_order(self, values: Array) -> Array:
-        """The same: W is lower triangular."""
-        return self.whiten(values)
 
     def precision(self, values: Array) -> Array:
         """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""

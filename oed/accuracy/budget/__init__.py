@@ -4,6 +4,7 @@ from oed.accuracy.budget.lines import (
     Budget,
     Line,
     budget_of,
+    mean_products,
     mean_variance,
     variance_over_machines,
 )
@@ -16,6 +17,7 @@ __all__ = [
     "Part",
     "budget_model",
     "budget_of",
+    "mean_products",
     "mean_variance",
     "variance_over_machines",
 ]

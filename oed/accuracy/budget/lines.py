@@ -81,10 +81,15 @@ class Budget:
     lines: tuple[Line, ...]
 
 
-def mean_variance(maps: Array, covariance: Array) -> Array:
-    """Mean over n poses of the variances (k,) of maps (n, k, p) @ N(0, covariance)."""
-    carried = maps @ covariance
-    return np.asarray(np.einsum("nkp,nkp->k", carried, maps) / len(maps))
+def mean_products(maps: Array) -> Array:
+    """Products (k, p, p) of the rows of maps (n, k, p), their mean over n poses."""
+    by_component = maps.transpose(1, 2, 0)
+    return by_component @ by_component.transpose(0, 2, 1) / len(maps)
+
+
+def mean_variance(products: Array, covariance: Array) -> Array:
+    """Mean variances (k,) of maps @ N(0, covariance) by the maps' `mean_products`."""
+    return np.asarray((products * covariance).sum(axis=(1, 2)))
 
 
 def budget_of(
@@ -103,10 +108,11 @@ def budget_of(
                workspace, SI
     unmodelled (k,) part of it that effects which the model lacks add
     """
-    lines = [_line(model, maps.raw, part) for part in model.parts()]
-    variance = mean_variance(maps.raw, model.covariance())
+    products = mean_products(maps.raw)
+    lines = [_line(model, products, part) for part in model.parts()]
+    variance = mean_variance(products, model.covariance())
     if estimated is not None:
-        of_estimate = mean_variance(maps.raw, estimated)
+        of_estimate = mean_variance(products, estimated)
         lines.append(Line(NOISE_LAW, "noise law", of_estimate - variance))
         variance = of_estimate
     if unmodelled is not None:
@@ -145,13 +151,13 @@ def _with_remainder(lines: Sequence[Line], variance: Array) -> tuple[Line, ...]:
     )
 
 
-def _line(model: BudgetModel, maps: Array, part: Part) -> Line:
+def _line(model: BudgetModel, products: Array, part: Part) -> Line:
     """A line with the rms errors of the linear model without it and with half."""
-    variance = mean_variance(maps, part.covariance)
+    variance = mean_variance(products, part.covariance)
 
     def rms(covariance: Array) -> Array:
         # the difference of two large covariances may be negative by its rounding
-        return np.sqrt(np.maximum(mean_variance(maps, covariance), 0.0))
+        return np.sqrt(np.maximum(mean_variance(products, covariance), 0.0))
 
     changed = _alternatives(model, part)
     without, halved = (None if change is None else rms(change()) for change in changed)

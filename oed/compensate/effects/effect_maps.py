@@ -71,9 +71,16 @@ class SessionStates:
 
 
 def workspace_state(
-    session: SessionStates, theta: Array, command: Array, rng: np.random.Generator
+    session: SessionStates,
+    theta: Array,
+    command: Array,
+    rng: np.random.Generator,
+    *,
+    still: bool = False,
 ) -> State:
     """The machine's state at commands, then at home, in drawn states of the session.
+
+    It moves from one command to the next, or stands at each of them (`still`).
 
     At home the states are those of the session's first reading. Covariates that the
     machine is used at are drawn from their values, each by itself.
@@ -84,7 +91,7 @@ def workspace_state(
     tool = np.array(measurement.setups[first.setup].tool)
     x, q = measurement.kinematics.inverse(poses, None, tool)
     index = np.arange(len(poses))[:, None]
-    run = np.array(["1"] * len(poses))
+    run = index[:, 0].astype(str) if still else np.array(["1"] * len(poses))
     series = Series(first.setup, q, x, poses, index, run)
     rows = session.draw(len(q), rng)
     rows = rows.assign(run="1", order=np.arange(len(q), dtype=float))

@@ -57,11 +57,7 @@ class ExpectedColumns:
         parts = []
         for form in self.forms:
             signature = others.signature(form.effect, form.constants)
-            columns = np.zeros((len(problem.y), len(form.names)))
-            for k, name in enumerate(form.names):
-                if name in signature.names:
-                    columns[:, k] = signature.columns[:, signature.names.index(name)]
-            parts.append(columns)
+            parts.append(signature.columns_of(form.names))
         return np.asarray(np.hstack(parts) @ self.mixing)
 
     def take(self, chosen: Mask) -> ExpectedColumns:

@@ -258,12 +258,7 @@ def _linearised(
     for form in forms:
         wanted = form.signature.names
         signature = problem.signature(form.effect, form.constants)
-        place = {name: k for k, name in enumerate(signature.names)}
-        table = np.zeros((len(problem), len(wanted)))
-        for k, name in enumerate(wanted):
-            if name in place:
-                table[:, k] = signature.columns[:, place[name]]
-        columns.append(table)
+        columns.append(signature.columns_of(wanted))
         names += _coefficient_names(form)
         values = beta[start : start + len(wanted)]
         factors = dict(zip(wanted, values.tolist(), strict=True))

@@ -11,17 +11,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
 from oed.compensate.effects.fit import CorrectedEstimate
 from oed.compensate.effects.forms import FormEvidence, form_evidence
-from oed.gap.data.problem import GapProblem
-
-if TYPE_CHECKING:
-    import pandas as pd
+from oed.gap.data.problem import GapProblem, with_reversed_runs
 
 #: least gain of the log evidence
 GAIN = 20.0
@@ -52,7 +48,7 @@ def find_turned_runs(corrected: CorrectedEstimate) -> TurnedRuns | None:
     readings, theta = corrected.readings, corrected.estimate.theta
     theta = theta[: corrected.parameters]
     given = readings.problem(theta)
-    reversed_rows = _with_reversed_orders(readings.covariates)
+    reversed_rows = with_reversed_runs(readings.covariates)
     other_way = dataclasses.replace(readings, covariates=reversed_rows).problem(theta)
     search = _Search(
         form_evidence(given),
@@ -146,23 +142,12 @@ class _Search:
             turned, value = changed[k], values[k]
 
 
-def _with_reversed_orders(covariates: pd.DataFrame) -> pd.DataFrame:
-    """The rows with the order of each run counted from its end."""
-    orders = covariates.groupby(["setup", "run"], sort=False)["order"]
-    ends = orders.transform("min") + orders.transform("max")
-    return covariates.assign(order=ends - covariates["order"])
-
-
 def _columns(problem: GapProblem, corrected: CorrectedEstimate) -> Array:
     """Columns (N, k) of the effects at their estimated sizes, in noise units."""
     parts = []
     for form in corrected.forms:
         signature = problem.signature(form.effect, form.constants)
-        place = {name: k for k, name in enumerate(signature.names)}
-        table = np.zeros((len(problem), len(form.signature.names)))
-        for k, name in enumerate(form.signature.names):
-            if name in place:
-                table[:, k] = signature.columns[:, place[name]]
-        parts.append(problem.in_noise_units(table))
+        columns = signature.columns_of(form.signature.names)
+        parts.append(problem.in_noise_units(columns))
     sizes = corrected.measurement.tolerance[corrected.parameters :]
     return np.hstack(parts) * sizes

@@ -93,7 +93,8 @@ def _neutral_state(corrected: CorrectedEstimate, command: Array) -> State:
         readings.measurement, readings.covariates, corrected.states, readings.gravity
     )
     theta = corrected.estimate.theta[: corrected.parameters]
-    state = workspace_state(session, theta, command, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    state = workspace_state(session, theta, command, rng, still=True)
     count, still = len(state), np.zeros_like(state.joints)
     started = np.full(count, session.states[0].session_span[0])
     return dataclasses.replace(

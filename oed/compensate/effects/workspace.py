@@ -86,24 +86,24 @@ def predict_corrected(
         before = controller_errors(kinematics, command, theta[:count], reference)
         before = before + of_effects.raw @ mean[count:]
 
-    def predicted(of: ErrorMaps) -> Prediction:
-        return prediction.predict(
-            of,
-            prior,
-            covariance,
-            rng,
-            mean=mean,
-            before=before,
-            draws=changes,
-            worth=worth,
-            reference=reference,
-        )
-
-    compensated = predicted(both)
+    compensated = prediction.predict(
+        both,
+        prior,
+        covariance,
+        rng,
+        mean=mean,
+        before=before,
+        draws=changes,
+        worth=worth,
+        reference=reference,
+    )
     effects_stay = np.concatenate([maps.remaining, of_effects.raw], axis=2)
-    uncorrected = predicted(dataclasses.replace(both, remaining=effects_stay))
+    uncorrected = dataclasses.replace(both, remaining=effects_stay)
+    parameters_only = prediction.spread_after(
+        uncorrected, covariance, rng, mean, changes, worth
+    )
     budget = _budget(corrected, both, compensated, used)
-    return CorrectedAccuracy(compensated, uncorrected.after, budget)
+    return CorrectedAccuracy(compensated, parameters_only, budget)
 
 
 def _budget(

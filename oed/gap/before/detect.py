@@ -26,7 +26,7 @@ from oed.base.arrays import Array, Index
 from oed.gap.before.confusion import SAME, effect_rival, indistinguishable
 from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.power import FALSE_ALARM, needed_lambda, power
-from oed.gap.data.metric import Embedding
+from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement
 from oed.model.effect import Effect
@@ -54,10 +54,10 @@ def detect(
     if not given or len(set(given)) < len(given):
         raise ValueError(f"give at least one effect, each once, not {given}")
     forms = effect_forms(problem, effects)
-    embedding = Embedding(problem, law)
-    white = embedding.whiten(forms.columns)
-    embedded = embedding.absorb(white)
-    gram = embedded.T @ embedded
+    metric = Metric(problem, law)
+    white = metric.whiten(forms.columns)
+    remaining = metric.remaining(white)
+    gram = remaining.T @ remaining
     records = []
     for effect in effects:
         if effect.name in forms.reasons:

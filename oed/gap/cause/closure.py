@@ -41,6 +41,9 @@ from oed.noise.hold_out import Chains, DenseInnovations, Innovations, LinearInno
 from oed.noise.law import NoiseLaw
 from oed.noise.shared import SharedFactor
 
+#: draws of the bootstrap
+DRAWS = 2000
+
 Split = Literal["within", "whole"]
 #: posterior precision (n, n) of coefficients, and its product (n,) with their mean
 Information = tuple[Array, Array]
@@ -53,8 +56,6 @@ def closure(
     rng: np.random.Generator,
     *,
     split: Split,
-    scale: float | Array = 1.0,
-    draws: int = 2000,
 ) -> Closure:
     """Closure by effects with given columns.
 
@@ -62,13 +63,11 @@ def closure(
                several such, one for each value of the effects' constants (equally
                likely before), which the evidence of the training readings weighs fold
                by fold
-    scale      prior standard deviation of the coefficients, one for all or (k,)
     split      `within`: a fifth of the path of every run is held out in turn, the same
                fifth of all its repeats and of both directions. `whole`: whole runs,
                those that repeat one another together, in up to five folds. Where all
                runs repeat one another each is held out by itself; with one run nothing
                can be: NaN, n = 0
-    draws      of the bootstrap
 
     The interval holds 95 % of a bootstrap over runs (stretches of them where they are
     few) of the ratio. A draw without a gap counts as +-inf by the sign of its gain;
@@ -76,7 +75,7 @@ def closure(
     its level too, and the folds do not depend on `rng`.
     """
     several = [columns] if isinstance(columns, np.ndarray) else list(columns)
-    models = _models(problem, several, scale)
+    models = _models(problem, several)
     noise, n = RunNoise(problem, law), problem.slopes.shape[1]
     residual = problem.residual
     scored = [noise.score(np.column_stack([model, residual])) for model in models]
@@ -97,12 +96,10 @@ def closure(
         after = np.einsum("g,gn->n", weight / weight.sum(), np.array(errors))
         return standardise(informations[0], n, parts[0], after)
 
-    return _score(problem, split, predict, rng, draws)
+    return _score(problem, split, predict, rng)
 
 
-def _models(
-    problem: GapProblem, several: Sequence[Array], scale: float | Array
-) -> list[Array]:
+def _models(problem: GapProblem, several: Sequence[Array]) -> list[Array]:
     """Slopes of the parameters and columns, per prior standard deviation, of each."""
     if not several:
         raise ValueError(
@@ -110,62 +107,9 @@ def _models(
         )
     models = []
     for columns in several:
-        scales = np.broadcast_to(np.asarray(scale, dtype=float), columns.shape[1:])
-        scaled = columns * scales
-        _check(problem, scaled)
-        models.append(np.hstack([problem.slopes, scaled]))
+        _check(problem, columns)
+        models.append(np.hstack([problem.slopes, columns]))
     return models
-
-
-def oracle_closure(
-    problem: GapProblem,
-    law: NoiseLaw,
-    change: Array,
-    rng: np.random.Generator,
-    *,
-    split: Split,
-    draws: int = 2000,
-) -> Closure:
-    """Closure of whoever knows the effect's true change (N,) of the readings.
-
-    The change is in units of the stated noise.
-    """
-    _check(problem, change[:, None])
-    noise, n = RunNoise(problem, law), problem.slopes.shape[1]
-    slopes, residual = problem.slopes, problem.residual
-    scored = noise.score(np.column_stack([slopes, residual, change]))
-    information = noise.information(slopes, scored[:, :-1])
-    difference = scored[:, n] - scored[:, n + 1]
-    of_corrected = np.column_stack([scored[:, :n], difference])
-    corrected = noise.information(slopes, of_corrected)
-
-    def predict(held: Index) -> tuple[Array, Array]:
-        white = noise.hold_out(held).innovations(scored)
-        white_residual = white[:, n] - white[:, n + 1]
-        free = np.column_stack([white[:, :n], white_residual])
-        mean, _ = learn(corrected, free)
-        after = free[:, -1] - free[:, :-1] @ mean
-        return standardise(information, n, white[:, : n + 1], after)
-
-    return _score(problem, split, predict, rng, draws)
-
-
-def expected_gain(
-    problem: GapProblem,
-    law: NoiseLaw,
-    change: Array,
-    rng: np.random.Generator,
-    *,
-    split: Split,
-) -> float:
-    """Gain n (S0 - S1) that `oracle_closure` has in expectation.
-
-    It is the energy of what the training readings do not predict of the change (N,), in
-    units of the stated noise. It does not depend on `rng`.
-    """
-    noiseless = problem.with_residual(change)
-    oracle = oracle_closure(noiseless, law, change, rng, split=split, draws=1)
-    return oracle.n * (oracle.s0 - oracle.s1) if oracle.n else 0.0
 
 
 def _check(problem: GapProblem, columns: Array) -> None:
@@ -184,7 +128,6 @@ def _score(
     split: Split,
     predict: Callable[[Index], tuple[Array, Array]],
     rng: np.random.Generator,
-    draws: int,
 ) -> Closure:
     """Closure over all folds.
 
@@ -203,7 +146,7 @@ def _score(
     gain = np.bincount(unit, before**2 - after**2)
     gap = np.bincount(unit, before**2 - 1.0)
     equal = np.full(len(gain), 1.0 / len(gain))
-    drawn = rng.multinomial(len(gain), equal, size=draws).astype(float)
+    drawn = rng.multinomial(len(gain), equal, size=DRAWS).astype(float)
     ratios = _ratio(drawn @ gain, drawn @ gap)
     low, high = np.quantile(ratios, [0.025, 0.975], method="closest_observation")
     value = float("nan")

@@ -182,8 +182,8 @@ def shape(problem: GapProblem, law: NoiseLaw) -> str:
     Then what is carried along the runs, or what is not, has most.
     """
     factor = law.factor(problem)
-    white = factor.whiten_in_order(problem.residual[:, None])[:, 0]
-    slopes = factor.whiten_in_order(problem.slopes)
+    white = factor.whiten(problem.residual[:, None])[:, 0]
+    slopes = factor.whiten(problem.slopes)
     axes = np.linalg.svd(slopes, full_matrices=False)[0]
     squares = np.empty(len(problem))
     squares[factor.order] = (white - axes @ (axes.T @ white)) ** 2

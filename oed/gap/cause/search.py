@@ -11,25 +11,18 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import functools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index
+from oed.gap.cause.form_products import FormProducts
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
 from oed.gap.cause.remainder import SIZES as UNKNOWN_SIZES
-from oed.gap.cause.remainder import (
-    Remainders,
-    energies,
-    groups_of,
-)
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams
-from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
 from oed.model.size_prior import EFFECT_SIZES
 from oed.noise.law import NoiseLaw
@@ -70,7 +63,7 @@ class Search:
         candidates: Sequence[Hypothesis] = (),
         given: GapProblem | None = None,
     ) -> None:
-        """Compute the inner products of all columns.
+        """Lay out the forms of all effects.
 
         log_prior    of the noise law
         outliers     those that the problem's residuals are without, if any
@@ -93,43 +86,21 @@ class Search:
             for effect in library.effects
         }
         self._candidates = candidates
-        self._products = self._multiply(self._needed(candidates))
-        log_weights = np.array([atom.log_weight for atom in library.atoms])
-        energy = energies(self._products.diagonal, self._atoms)
-        log_sizes = EFFECT_SIZES.log_visible_shares(energy)
-        #: (atoms, sizes) log prior of each form at each size
-        self._log_prior = log_weights[:, None] + log_sizes
-        self._remainders = Remainders(self._products, processes)
+        names = {name for h in candidates for name in h.effects}
+        in_question = names if candidates else set(library.effects)
+        self._forms = FormProducts(problem, library, processes, law, in_question)
         self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
 
-    def _needed(self, candidates: Sequence[Hypothesis]) -> Index:
-        """Columns of the candidates' effects, of all effects without candidates."""
-        names = {name for h in candidates for name in h.effects}
-        if not candidates:
-            names = set(self.library.effects)
-        columns = [atom.columns for atom in self.library.atoms if atom.effect in names]
-        return np.unique(np.concatenate([_NONE, *columns]))
-
-    def _multiply(self, needed: Index) -> ColumnProducts:
-        groups = [columns for _, columns in groups_of(self.processes)]
-        return ColumnProducts(
-            self.problem,
-            Metric(self.problem, self.law),
-            self.library.columns,
-            self.processes.columns,
-            groups,
-            needed,
-        )
-
-    @functools.cached_property
+    @property
     def grams(self) -> Grams:
         """Grams of all columns of the effects."""
-        every = np.arange(self.library.columns.shape[1])
-        if len(self._needed(self._candidates)) == len(every):
-            return self._products.grams(every)
-        metric = Metric(self.problem, self.law)
-        return evidence.grams(self.problem, metric, self.library.columns)
+        return self._forms.grams
+
+    def release(self) -> None:
+        """Give the memory of all products back; who needs one again computes it."""
+        self._forms.release()
+        self._tables.clear()
 
     def with_weight(self, log_prior: float) -> Search:
         """The same search with another log prior of its noise law."""
@@ -156,9 +127,9 @@ class Search:
         """Noise level of what a hypothesis does not explain."""
         columns, sizes = [self._atoms[k] for k in h.atoms], list(h.sizes)
         selected = self._columns_of_set(h)
-        grams = self._products.grams(selected)
+        grams = self._forms.products.grams(selected)
         if h.process is not None:
-            grams = self._remainders.grams_with(grams, selected, h.process)
+            grams = self._forms.remainders.grams_with(grams, selected, h.process)
             columns.append(np.arange(len(selected), len(grams.b)))
             sizes.append(h.process_size)
         return evidence.noise_level(grams.select_in_order(columns, sizes)[0])
@@ -182,7 +153,7 @@ class Search:
     ) -> list[tuple[float, int, float]]:
         """Probability, number and best size of each form of a part, likeliest first."""
         if part == len(h.effects):
-            table = self._remainders.log_evidences(
+            table = self._forms.remainders.log_evidences(
                 self._grams_alone(h), self._selected(h)
             )
             numbers, sizes = np.arange(len(table)), UNKNOWN_SIZES
@@ -217,7 +188,7 @@ class Search:
         if not others.size:
             return {}
         table = grams.log_evidences([self._atoms[k] for k in others], SIZES)
-        posterior = table + self._log_prior[others]
+        posterior = table + self._forms.log_prior_of_all[others]
         best = {}
         for effect in dict.fromkeys(self._effect[others]):
             rows = np.flatnonzero(self._effect[others] == effect)
@@ -273,7 +244,7 @@ class Search:
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        remainder = self._remainders.best(self._grams_alone(h), self._selected(h))
+        remainder = self._forms.remainders.best(self._grams_alone(h), self._selected(h))
         return dataclasses.replace(
             h,
             unknown=True,
@@ -298,7 +269,7 @@ class Search:
             selected = [self._atoms[k] for k in others]
             forms = [self._atoms[k] for k in self._atoms_of[effect]]
             columns = np.unique(np.concatenate(forms))
-            grams = self._products.grams(np.concatenate([*selected, columns]))
+            grams = self._forms.products.grams(np.concatenate([*selected, columns]))
             grams, start = grams.select_in_order(selected, sizes)
             places = [start + np.searchsorted(columns, form) for form in forms]
             self._tables[key] = grams.log_evidences(places, SIZES)
@@ -312,7 +283,7 @@ class Search:
     ) -> Array:
         """As `_table`, with the prior of forms and sizes."""
         table = self._table(effect, others, sizes)
-        return table + self._log_prior[self._atoms_of[effect]]
+        return table + self._forms.log_prior[self._atoms_of[effect]]
 
     def _select(
         self,
@@ -336,7 +307,7 @@ class Search:
     def _grams_alone(self, h: Hypothesis) -> Grams:
         """Grams of the columns of a set of effects alone, these in the model."""
         columns = [self._atoms[k] for k in h.atoms]
-        grams = self._products.grams(self._columns_of_set(h))
+        grams = self._forms.products.grams(self._columns_of_set(h))
         return grams.select_in_order(columns, h.sizes)[0]
 
     # -- the search --------------------------------------------------------------------
@@ -350,6 +321,8 @@ class Search:
             chosen = self._candidates
             unsorted = [self._evaluate(h) for h in chosen] if chosen else self._run()
             self._hypotheses = sorted(unsorted, key=lambda h: -h.score)
+            if self._candidates:  # one of many searches, of which few are asked again
+                self.release()
         return self._hypotheses
 
     def _evaluate(self, candidate: Hypothesis) -> Hypothesis:
@@ -366,7 +339,7 @@ class Search:
         known.sort(key=lambda h: -h.score)
         # an effect may show beside an unknown alone: every single one is tried with it
         extended = [h for k, h in enumerate(known) if k < SETS or len(h.effects) < 2]
-        mixed = [self.add_unknown(h) for h in extended if len(self._remainders)]
+        mixed = [self.add_unknown(h) for h in extended if len(self._forms.remainders)]
         return [*known, *mixed]
 
     def _extend(self, bases: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -66,9 +66,9 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
 
     first = search_under((plain, wide))
     gaps: dict[Forms, LawPosterior] = {}
-    _add_best_gaps(gaps, clean, first)
+    level = _add_best_gaps(gaps, clean, first)
     further: list[Search] = []
-    if any(search.noise_level(_best_gap(search)) > LOUD for search in first):
+    if level > LOUD:
         further = search_under(list(gaps.values()))
         _add_best_gaps(gaps, clean, further)
     candidates = _candidates([*first, *further])
@@ -167,10 +167,19 @@ def _add_best_gaps(
     posteriors: dict[Forms, LawPosterior],
     problem: GapProblem,
     searches: Sequence[Search],
-) -> None:
-    """Add the law's posterior with the best gap of each search in the model."""
+) -> float:
+    """Add the law's posterior with the best gap of each search in the model.
+
+    The result is the highest noise level beside such a gap. The searches' products are
+    not asked for again: they take much memory.
+    """
+    levels = []
     for search in searches:
-        _add_gap(posteriors, problem, search, _best_gap(search))
+        gap = _best_gap(search)
+        levels.append(search.noise_level(gap))
+        search.release()
+        _add_gap(posteriors, problem, search, gap)
+    return max(levels)
 
 
 def _add_gap(

@@ -35,6 +35,8 @@ ROUNDING = 1e-9
 UNSEEN = 0.09
 #: the largest usual size of an effect
 USUAL = EFFECT_SIZES.usual[-1]
+#: columns that are whitened at once: more take memory and no less time
+TOGETHER = 256
 #: size of a direction of columns, in units of the noise, below which `compress` drops it
 FAINT = 0.03
 #: inverse gamma prior of the squared noise level: its stated value to within a factor
@@ -185,10 +187,14 @@ class WhitenedColumns:
     """Columns (N, K) in a metric, of which some at a time are wanted as Grams."""
 
     def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
-        white = metric.whiten(columns)
         #: (K,) energy of each column before the parameters absorb
-        self.whole = np.asarray(np.einsum("nk,nk->k", white, white))
-        self._columns = metric.remaining(white)
+        self.whole = np.zeros(columns.shape[1])
+        self._columns = np.empty((metric.size, columns.shape[1]))
+        for start in range(0, columns.shape[1], TOGETHER):
+            some = slice(start, start + TOGETHER)
+            white = metric.whiten(columns[:, some])
+            self.whole[some] = np.einsum("nk,nk->k", white, white)
+            self._columns[:, some] = metric.remaining(white)
         residual = metric.scores(problem.residual[:, None])[:, 0]
         energy = float(residual @ residual)
         none = np.empty(0)

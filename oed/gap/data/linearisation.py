@@ -140,7 +140,10 @@ class _PointFit:
 
     def _columns(self, problem: GapProblem) -> Array:
         """Columns (N, k) of all forms, per prior sd, in units of the noise."""
-        parts = [form.size * _columns(problem, form) for form in self._forms]
+        parts = []
+        for form in self._forms:
+            signature = problem.signature(form.effect, form.constants)
+            parts.append(form.size * signature.columns_of(form.names))
         return problem.in_noise_units(np.hstack(parts))
 
     def at(self, values: Array) -> _LinearPoint:
@@ -215,14 +218,3 @@ class _PointFit:
         y = self._problem.in_noise_units(self._problem.y)
         white = self._metric.whiten(y + self._outlying - place.exact)
         return float(white @ white + place.values @ place.values)
-
-
-def _columns(problem: GapProblem, form: ActingEffectForm) -> Array:
-    """Changes (N, k) of the readings per prior sd of a form's coefficients, SI."""
-    signature = problem.signature(form.effect, form.constants)
-    place = {name: k for k, name in enumerate(signature.names)}
-    columns = np.zeros((len(problem), len(form.names)))
-    for k, name in enumerate(form.names):
-        if name in place:
-            columns[:, k] = signature.columns[:, place[name]]
-    return columns

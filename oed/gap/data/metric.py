@@ -77,40 +77,6 @@ class Metric:
         return self.scores(u).T @ self.scores(v)
 
 
-class Embedding:
-    """Changes of the readings as vectors whose inner products are those of the metric.
-
-    M = W^T (1 - U D U^T) W with W whitening by the noise, U the left singular vectors
-    of the whitened slopes.
-    """
-
-    def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self._factor = law.factor(problem)
-        white = self.whiten(problem.slopes)
-        self._axes, size, _ = np.linalg.svd(white, full_matrices=False)
-        self._shrink = 1.0 - 1.0 / np.hypot(1.0, size)
-
-    def whiten(self, values: Array) -> Array:
-        """Values (N,) or (N, k) whitened by the noise: before the parameters absorb.
-
-        Reading after reading: what is reported depends on their order by the draws of a
-        bootstrap alone, and so it does not depend on how the law is factored.
-        """
-        return _by_column(self._factor.whiten_in_order, values)
-
-    def absorb(self, white: Array) -> Array:
-        """Whitened values after the parameters absorb what they can.
-
-        Of readings without a gap the result is N(0, I).
-        """
-        along = self._axes.T @ white
-        return np.asarray(white - (self._axes * self._shrink) @ along)
-
-    def scores(self, values: Array) -> Array:
-        """Values (N,) or (N, k), whitened, after the parameters absorb what they can."""
-        return self.absorb(self.whiten(values))
-
-
 def _by_column(whiten: Callable[[Array], Array], values: Array) -> Array:
     """Values (N,) or (N, k) by what whitens columns (N, k)."""
     return whiten(values[:, None])[:, 0] if values.ndim == 1 else whiten(values)

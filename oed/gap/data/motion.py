@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array, Index, rows_by_label
 
 #: poses of a run from which on a path is laid through them
 LEAST = 4
@@ -71,8 +71,8 @@ def motion(
     rate, acceleration = np.full(shape, np.nan), np.full(shape, np.nan)
     rate[still] = acceleration[still] = 0.0
     moving = np.setdiff1d(np.arange(len(q)), still)
-    for label in dict.fromkeys(run[moving]):
-        at = moving[run[moving] == label]
+    for members in rows_by_label(run[moving]):
+        at = moving[members]
         at = at[np.argsort(order[at], kind="stable")]
         if len(at) < 2:
             rate[at] = acceleration[at] = 0.0

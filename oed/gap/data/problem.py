@@ -243,3 +243,10 @@ def _rows(
         table = rows.loc[repeated].reset_index(drop=True)
         parts.append(table.assign(channel=np.tile(channels, len(s))))
     return pd.concat(parts, ignore_index=True)
+
+
+def with_reversed_runs(covariates: pd.DataFrame) -> pd.DataFrame:
+    """The rows with the order of each run counted from its end."""
+    orders = covariates.groupby(["setup", "run"], sort=False)["order"]
+    ends = orders.transform("min") + orders.transform("max")
+    return covariates.assign(order=ends - covariates["order"])

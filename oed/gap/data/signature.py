@@ -63,6 +63,14 @@ class Signature:
             shape=self.shape[numbers],
         )
 
+    def columns_of(self, names: Sequence[str]) -> Array:
+        """Columns (N, k) of some coefficients; 0 of those that change no reading."""
+        columns = np.zeros((len(self.columns), len(names)))
+        for k, name in enumerate(names):
+            if name in self.names:
+                columns[:, k] = self.columns[:, self.names.index(name)]
+        return columns
+
 
 def signature(
     effect: Effect,

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array, Index, rows_by_label
 from oed.dataset.columns import TEMPERATURE, TENSION
 from oed.gap.data.motion import motion
 from oed.measurement.measurement import Measurement, Series
@@ -254,11 +254,13 @@ def phase_along_runs(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
     """
     phase = np.zeros(len(tip))
     moving = np.setdiff1d(np.arange(len(tip)), taught)
-    for label in dict.fromkeys(run[moving]):
-        at = moving[run[moving] == label]
+    for members in rows_by_label(run[moving]):
+        at = moving[members]
+        if len(at) < 3:
+            continue
         offset = tip[at] - tip[at].mean(axis=0)
         _, extent, axes = np.linalg.svd(offset, full_matrices=False)
-        if len(at) < 3 or extent[0] <= ROUNDING * np.linalg.norm(tip[at]):
+        if extent[0] <= ROUNDING * np.linalg.norm(tip[at]):
             continue
         if extent[1] > LOOP * extent[0]:
             phase[at] = _angle(offset, axes)

@@ -187,9 +187,7 @@ class ReversedForms:
         """The readings with the order of each run counted from its end."""
         problem = self._problem
         rows = problem.covariates
-        orders = rows.groupby(["setup", "run"], sort=False)["order"]
-        ends = orders.transform("min") + orders.transform("max")
-        other_way = rows.assign(order=ends - rows["order"])
+        other_way = problems.with_reversed_runs(rows)
         other_way["direction"] = -rows["direction"]
         return problems.assemble(
             problem.measurement,

@@ -15,6 +15,7 @@ from oed.accuracy.budget import (
     BudgetModel,
     budget_model,
     budget_of,
+    mean_products,
     mean_variance,
     variance_over_machines,
 )
@@ -86,7 +87,7 @@ def test_every_error_of_an_estimated_law_has_its_line(
     laws = all_errors(plan)
     model = budget_model(m, [series], m.nominal, laws=laws)
     estimated = 1.1 * model.covariance()
-    predicted = 1.2 * mean_variance(maps.raw, model.covariance())
+    predicted = 1.2 * mean_variance(mean_products(maps.raw), model.covariance())
     budget = budget_of(model, maps, estimated=estimated, predicted=predicted)
     assert [line.source for line in budget.lines] == [
         "unknown set-up",

@@ -42,7 +42,7 @@ def _search(
 def _brute(search: Search, effects: tuple[str, ...]) -> float:
     """Log evidence of a set of effects, summed over every form and size of each."""
     terms = []
-    prior = search._log_prior
+    prior = search._forms.log_prior
     for atoms in itertools.product(*[search.library.atoms_of(e) for e in effects]):
         for sizes in itertools.product(range(len(SIZES)), repeat=len(effects)):
             weight = sum(prior[a, s] for a, s in zip(atoms, sizes, strict=True))
@@ -99,7 +99,7 @@ def test_prior_shares_add_up() -> None:
     search = _search(readings(2))
     for effect in search.library.effects:
         mine = search.library.atoms_of(effect)
-        assert np.exp(search._log_prior[mine]).sum() == pytest.approx(1.0)
+        assert np.exp(search._forms.log_prior[mine]).sum() == pytest.approx(1.0)
     assert sum(PRIOR.values()) == pytest.approx(1.0)
 
 
@@ -152,6 +152,26 @@ def test_an_unknown_is_added_to_the_most_probable_sets(
     assert len(known) > 3
     single = {h.key[0] for h in known if len(h.effects) == 1}
     assert mixed == {frozenset(), *single, *(h.key[0] for h in best)}
+
+
+def test_a_search_of_few_candidates_answers_as_one_of_all_does() -> None:
+    problem = planted(readings(1), BOW, {"leg 1": 1.5}, turns=3.0)
+    every = _search(problem)
+    candidates = [h for h in every.run() if len(h.effects) < 2][:2]
+    some = Search(
+        problem, every.library, every.processes, every.law, 0.0, candidates=candidates
+    )
+    by_key = {h.key: h for h in every.run()}
+    for h in some.run():
+        wanted = by_key[h.key].log_evidence
+        assert h.log_evidence == pytest.approx(wanted, abs=1e-8)
+        assert some.noise_level(h) == pytest.approx(every.noise_level(h), rel=1e-9)
+    rivals = every.screen(every.grams_with((), ()), ())
+    for name, further in some.screen(some.grams_with((), ()), ()).items():
+        assert further.log_evidence == pytest.approx(rivals[name].log_evidence)
+    some._hypotheses = []
+    some.run()
+    assert not {"products", "remainders", "grams"} & vars(some._forms).keys()
 
 
 def test_pairs_extend_the_most_probable_single_effects_alone(

@@ -157,13 +157,8 @@ def test_a_law_is_whitened_as_its_covariance_is(
     problem, law = problems()[number]
     dense, factor = dense_covariance(problem, law), law.factor(problem)
     inverse, values = np.linalg.inv(dense), rng.standard_normal((len(problem), 3))
-    for white in (factor.whiten(values), factor.whiten_in_order(values)):
-        assert_allclose(white.T @ white, values.T @ inverse @ values, rtol=1e-9)
-    order = factor.order
-    root = np.linalg.cholesky(dense[np.ix_(order, order)])
-    if problem.stated is None:
-        triangular = np.linalg.solve(root, values[order])
-        assert_allclose(factor.whiten_in_order(values), triangular, atol=1e-10)
+    white = factor.whiten(values)
+    assert_allclose(white.T @ white, values.T @ inverse @ values, rtol=1e-9)
     assert factor.log_det == pytest.approx(np.linalg.slogdet(dense)[1])
     assert_allclose(factor.precision(values), inverse @ values, atol=1e-10)
     assert_allclose(factor.precision_diagonal(), np.diag(inverse), rtol=1e-9)
@@ -234,7 +229,6 @@ def test_the_memory_of_long_runs_is_that_of_their_readings(
     tracemalloc.start()
     factor = law.factor(runs)
     factor.whiten(values)
-    factor.whiten_in_order(values)
     factor.precision(values)
     factor.precision_diagonal()
     _, peak = tracemalloc.get_traced_memory()

@@ -9,7 +9,7 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.accuracy.budget import BudgetModel, budget_model, variance_over_machines
-from oed.accuracy.budget.lines import mean_variance
+from oed.accuracy.budget.lines import mean_products, mean_variance
 from oed.accuracy.maps import (
     ErrorMaps,
     Reference,
@@ -207,7 +207,8 @@ def accuracy(
         variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
         unmodelled = None
         if known.effects is not None:
-            geometry = mean_variance(maps[reference].raw, known.covariance)
+            products = mean_products(maps[reference].raw)
+            geometry = mean_variance(products, known.covariance)
             unmodelled = variance - geometry
         result[reference] = Accuracy(predicted, maps[reference], variance, unmodelled)
     return result
