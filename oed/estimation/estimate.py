@@ -56,7 +56,8 @@ class Estimate:
     noise_posterior   of the noise law; None where the noise is as stated
     robust_readings   (N,) readings, SI, with those far off replaced; None likewise
     effects           draws of effects that the model lacks; None where none were allowed
-    law_check         whether the estimated law explains the readings as noise; None where
+    law_check         whether the estimated law, without a course through the session,
+                      explains the readings as noise; None where its course does, or where
                       the noise is as stated, or effects are allowed. Where it does not,
                       `noise` is the stated one, wider, without a noise posterior
 

@@ -1,7 +1,7 @@
 """Whether a noise law explains readings as noise: Hausman's test of its weights.
 
 Readings about nominal, in units of the stated noise, are r = H z + e, with z ~ N(0, 1) and
-e of the law's covariance C. Without what the law carries along, levels of runs and a course it is D.
+e of the law's covariance C. Without what the law carries along and levels of runs it is D.
 Two estimates of z are unbiased if the law is true:
 
     by the law        G H^T C^-1 r,      G = (1 + H^T C^-1 H)^-1,
@@ -85,14 +85,10 @@ def check_law(
 
 
 def _uncorrelated(law: Laws) -> Laws:
-    """A law of the same variances, with nothing carried along, no levels and no course.
-
-    A course has half of its variance at the end, on average.
-    """
+    """A law of the same variances, with nothing carried along and no level of runs."""
     none = np.zeros(len(law))
-    variance = 1.0 + law.level**2 + 0.5 * law.course**2
-    scale = law.scale * np.sqrt(variance)[:, None]
-    return dataclasses.replace(law, scale=scale, carried=none, level=none, course=none)
+    scale = law.scale * np.sqrt(1.0 + law.level**2)[:, None]
+    return dataclasses.replace(law, scale=scale, carried=none, level=none)
 
 
 def _widening(slopes: Array, stated: LinearFactor, errors: Errors) -> float:

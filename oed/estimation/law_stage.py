@@ -15,7 +15,13 @@ from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.marginal import ResidualModel, integrate, most_probable
-from oed.noise.prior import LEAST_FREEDOM, NoisePrior, noise_prior
+from oed.noise.prior import (
+    COURSE,
+    LEAST_FREEDOM,
+    SCALE_SD,
+    NoisePrior,
+    noise_prior,
+)
 from oed.noise.process import Laws, stated_laws
 from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
@@ -23,6 +29,8 @@ from oed.noise.structure import ReadingStructure
 #: rounds of fit and noise law, and change of a law's coordinates, in prior standard
 #: deviations, below which they have settled
 NOISE_ROUNDS, SETTLED = 6, 0.03
+#: factor to which a stated noise is good
+KNOWN_TO = float(np.exp(SCALE_SD))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,16 +53,32 @@ def integrated_stage(
 
     Where the readings speak against the law's weights (`oed.estimation.law_check`), they
     have the stated ones, and the parameters the covariance that the law then gives them.
+    What the model lacks passes for a course through the session where poses change
+    smoothly. So the law has a course where it is not contradicted without one, or where
+    single readings scatter as stated beside the course.
     """
     first = last_stage(fit, stated, theta, start_residuals, patterns)
-    structure, prior = structure_and_prior(fit, first)
+    structure, with_course = structure_and_prior(fit, first)
+    prior = with_course.without(COURSE)
     by_law = integrate_law(fit, stated, first, structure, prior)
     model = by_law.model
     about_nominal = model.residual + model.slopes @ model.centre
     check = check_law(structure, by_law.law, about_nominal, model.slopes)
+    if COURSE in with_course.names:
+        course = integrate_law(fit, stated, first, structure, with_course)
+        if not check.is_contradicted:
+            return dataclasses.replace(course.estimate, law_check=check)
+        if _scatters_as_stated(course.law):
+            return course.estimate
     if not check.is_contradicted:
         return dataclasses.replace(by_law.estimate, law_check=check)
     return _by_stated_weights(fit, stated, first, by_law.estimate, check)
+
+
+def _scatters_as_stated(law: Laws) -> bool:
+    """Whether single readings and levels of runs are within what a statement is good for."""
+    scatter = law.scale[0] * np.hypot(1.0, law.level[0])
+    return bool(scatter.max() <= KNOWN_TO)
 
 
 def _by_stated_weights(
@@ -92,6 +116,8 @@ def structure_and_prior(
     structure = reading_structure(fit.measurement, fit.series, first.theta)
     freedom = len(structure) - first.coordinates.basis.shape[1] - effects
     prior = noise_prior(structure, freedom)
+    if effects:  # which have courses of their own
+        prior = prior.without(COURSE)
     if effects and freedom < LEAST_FREEDOM:
         statement = dataclasses.replace(structure.statement, is_assumed=False)
         prior = dataclasses.replace(prior, statement=statement)

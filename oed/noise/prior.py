@@ -126,6 +126,11 @@ class NoisePrior:
         """Number of coordinates."""
         return len(self.names)
 
+    def without(self, name: str) -> NoisePrior:
+        """The prior with a part taken out of the model."""
+        names = tuple(n for n in self.names if n != name)
+        return dataclasses.replace(self, names=names)
+
     def laws(self, u: Array) -> Laws:
         """Laws at coordinates (L, d); parts that are not in the model are 0."""
         of_name = dict(zip(self.names, u.T, strict=True))
