@@ -1,7 +1,7 @@
 """Second visits on the second generator: records of cases, and their table.
 
-    python -m benchmarks.visits run --seed 52000 --cases 40 --out /tmp/visits.jsonl
-    python -m benchmarks.visits table /tmp/visits.jsonl
+    python -m benchmarks.visits run --seed 52000 --cases 40 --out out/visits.jsonl
+    python -m benchmarks.visits table out/visits.jsonl
 
 Each case is diagnosed, visited again for what the diagnosis advises, and diagnosed with
 both visits. A run goes on where its file ends.

@@ -37,7 +37,8 @@ class Copies:
     def different(self, kinds: Index) -> Index:
         """Different candidates (size,) of the kinds (size,), which may repeat.
 
-        No kind may repeat more often than it has candidates.
+        No kind may repeat more often than it has candidates. Copies take turns from kind to
+        kind: a plan has all directions of travel that the design does not tell apart.
         """
         if not self.exist:
             return kinds
@@ -46,8 +47,10 @@ class Copies:
         order = np.argsort(kinds, kind="stable")
         ordered = kinds[order]
         repeat = np.arange(len(kinds)) - np.searchsorted(ordered, ordered)
+        turn = np.cumsum(np.diff(ordered, prepend=ordered[:1]) > 0)
+        copy = (repeat + turn) % self.number[ordered]
         chosen = np.empty_like(kinds)
-        chosen[order] = by_kind[begin[ordered] + repeat]
+        chosen[order] = by_kind[begin[ordered] + copy]
         return chosen
 
 

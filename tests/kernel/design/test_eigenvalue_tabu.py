@@ -101,5 +101,16 @@ def test_kinds_and_different_candidates() -> None:
     assert copies.label.tolist() == [0, 1, 0, 2, 1, 0]
     kinds = np.array([0, 2, 0, 1, 0])
     chosen = copies.different(kinds)
-    assert sorted(chosen.tolist()) == [0, 1, 2, 3, 5]
+    assert sorted(chosen.tolist()) == [0, 2, 3, 4, 5]
     assert copies.label[chosen].tolist() == kinds.tolist()
+
+
+def test_copies_take_turns() -> None:
+    """Of eight kinds read to and fro, half are in each direction; none stands twice."""
+    rows = np.tile(np.eye(8), (2, 1))
+    copies = find_copies(rows)
+    chosen = copies.different(np.arange(8))
+    assert sorted(copies.label[chosen]) == [*range(8)]
+    assert np.count_nonzero(chosen < 8) == 4
+    both = copies.different(np.repeat(np.arange(4), 2))
+    assert len(set(both)) == 8
