@@ -43,7 +43,7 @@ def test_draws_give_the_readings_that_were_taken(fitted: oed.EstimateView) -> No
         off[name] = np.sqrt(
             np.mean((read - exact_readings(state, estimate.theta)) ** 2)
         )
-    noise = m.sigma(state.readings.series)[0]
+    noise = np.sqrt(np.mean(estimate.noise.sigma**2))  # as estimated
     assert off["followed"] < 2.0 * noise
     assert off["straight"] > 1.5 * off["followed"]
     spread = theta.std(axis=0)[:24]
