@@ -32,7 +32,7 @@ def test_draws_give_the_readings_that_were_taken(fitted: oed.EstimateView) -> No
     assert state.posterior is None
     assert state.estimate is not None
     assert state.readings is not None
-    m, estimate = state.measurement, state.estimate
+    estimate = state.estimate
     theta = prediction._draws(state).theta[:1000]
     root = covariance_root(estimate.covariance)
     rng = np.random.default_rng(1)
