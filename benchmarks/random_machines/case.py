@@ -23,8 +23,8 @@ Array = np.ndarray
 SIGMAS = (0.1e-6, 0.5e-3)
 #: least and largest noise over the machine's size
 SHARES = (3e-7, 3e-4)
-#: gaps: a leg that warms within some time, s, a drive with play; their size over sigma
-GAPS, SEVERITY, WARMS = ("warm leg", "play"), 8.0, 3600.0
+#: size of a gap over sigma, and time within which a leg warms, s
+SEVERITY, WARMS = 8.0, 3600.0
 #: readings of channels of one machine, at most
 MOST = 700
 #: how often each instrument is taken, by what the machine moves
@@ -103,8 +103,9 @@ def _sigma(size: float, rng: np.random.Generator) -> float:
 
 
 def draw_with_gap(model: str, gap: str, kind: str, seed: int) -> Case:
-    """A machine of a family with one of GAPS ("" for none), read in every way.
+    """A machine of a family with a gap ("" for none), read in every way.
 
+    gap     a leg that warms (`warm leg`) or a drive with play (`play`)
     kind    of its instrument
     """
     rng = np.random.default_rng(seed)

@@ -28,7 +28,6 @@ HOUR: Final = 3600.0
 MM_PER_MIN: Final = MM / MINUTE
 PPM: Final = 1e-6
 MS: Final = 1e-3
-PERCENT: Final = 1e-2
 MEGABYTE: Final = 1e6
 
 #: unit suffix -> (SI unit, factor to SI)

@@ -19,8 +19,6 @@ from oed.noise.covariance import Noise
 
 #: fine units from which a difference is shown in the unit of its column
 LARGE = 1000.0
-#: columns of `SessionReadings.values`
-VALUE_COLUMNS = ("setup", "run", "order", "row", "channel")
 
 
 @dataclasses.dataclass(frozen=True)

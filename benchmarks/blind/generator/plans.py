@@ -41,7 +41,6 @@ class Plan:
     direction, feed, payload, repeat, phase    (n,) of the run
     runs         rows of each run, in order of travel (references included)
     closed       whether each run is a closed circle
-    paths        name of each run's path
     pauses       (start, end) of the pauses, s
     columns      covariates that the file shows
     """
@@ -63,7 +62,6 @@ class Plan:
     phase: Array
     runs: tuple[Index, ...]
     closed: tuple[bool, ...]
-    paths: tuple[str, ...]
     pauses: tuple[tuple[float, float], ...]
     columns: tuple[str, ...]
 
@@ -161,7 +159,6 @@ class _Session:
             setups=self._setups,
             runs=tuple(self._members),
             closed=tuple(run.closed for run in self._runs),
-            paths=tuple(run.path for run in self._runs),
             pauses=tuple(self._pauses),
             columns=columns,
             **rows,

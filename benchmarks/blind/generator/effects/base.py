@@ -75,10 +75,6 @@ class Stage:
         low, high = q.min(0), q.max(0)
         return np.asarray((2 * q - low - high) / (high - low))
 
-    def push_joints(self, dq: Array) -> Push:
-        """An addition to the joints, scaled to a largest value of 1 m."""
-        return unit(Push(dq=dq))
-
     @property
     def by_bar(self) -> Array:
         """1 for readings (N,) of a ball bar, 0 for others."""
