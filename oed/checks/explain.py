@@ -55,7 +55,6 @@ class Explanation:
     what         the mistake as a sentence, without a full stop
     before       misfit over the stated noise, of the readings as given
     after        the same with the mistake undone; NaN where no readings are left
-    log_odds     against no mistake
     probability  among all mistakes and none
     """
 
@@ -63,7 +62,6 @@ class Explanation:
     what: str
     before: float
     after: float
-    log_odds: float = np.inf
     probability: float = 1.0
 
 
@@ -126,10 +124,9 @@ def _explanations(
             what=one.what,
             before=before,
             after=one.ratio,
-            log_odds=float(value - alone),
             probability=float(weight),
         )
-        for one, value, weight in zip(ranked, posterior, weights, strict=True)
+        for one, weight in zip(ranked, weights, strict=True)
         if weight >= SHARE * weights[0]
     ]
     return explanations if _explains(explanations[0]) else []

@@ -60,11 +60,6 @@ class OutlierSearch:
         """Gross errors and doubtful readings."""
         return (*self.gross, *self.doubtful)
 
-    @property
-    def errors(self) -> tuple[float, ...]:
-        """How far each gross error is, SI."""
-        return tuple(one.error for one in self.gross)
-
 
 def find_outliers(
     session: SessionReadings, suspects: Index, *, robust: bool = False

@@ -33,14 +33,12 @@ class Ranges:
     middle  (N,) mean of the prediction
     sd      (N,) its standard deviation, noise included
     factor  half width of a range in standard deviations
-    linear  whether slopes gave it
     """
 
     nominal: Array
     middle: Array
     sd: Array
     factor: float
-    linear: bool
 
     @property
     def lower(self) -> Array:
@@ -71,11 +69,11 @@ def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges
     linear = middle + (machines - nominal) @ slopes.T
     curved = np.sqrt(np.mean((exact - linear) ** 2, axis=0))
     if (curved <= CURVATURE * spread + noise).all():
-        return Ranges(middle, middle, np.hypot(spread, noise), factor, True)
+        return Ranges(middle, middle, np.hypot(spread, noise), factor)
     machines = simulation.draw_parameters(measurement, rng, DRAWS)
     few = max(VALUES // len(middle), 1)
     parts = np.split(machines, range(few, DRAWS, few))
     exact = np.vstack([measurement.try_readings(series, part) for part in parts])
     drawn = np.nanstd(exact, axis=0)
     mean, sd = np.nanmean(exact, axis=0), np.hypot(drawn, noise)
-    return Ranges(middle, mean, sd, factor, False)
+    return Ranges(middle, mean, sd, factor)

@@ -40,13 +40,11 @@ class RunCheck:
 
     curves       along circles and lines
     readings     number of values
-    difference   largest of a value from its prediction in units of its sd
     p_high       probability of a larger chi2
     """
 
     curves: list[RunCurve]
     readings: int
-    difference: float
     p_high: float
 
     @property
@@ -120,7 +118,6 @@ def _compare(
     return RunCheck(
         curves=list(run_curves.run_curves(measurement, series, curves)),
         readings=len(y),
-        difference=float(np.abs(remaining / sd).max()),
         p_high=float(stats.chi2.sf(residual @ weighed, len(y))),
     )
 

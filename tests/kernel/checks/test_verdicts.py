@@ -120,8 +120,6 @@ def test_mistakes_and_none_share_the_probability() -> None:
     assert [e.what for e in told] == ["in um", "in inch"]
     odds = np.exp([0.0, -2.0])
     assert [e.probability for e in told] == pytest.approx(odds / odds.sum())
-    alone = nothing.log_posterior + np.log1p(-explain.MISTAKEN)
-    assert told[0].log_odds == pytest.approx(one.log_posterior - alone)
 
 
 def test_a_mistake_that_is_not_far_likelier_explains_nothing() -> None:
