@@ -37,14 +37,12 @@ class BranchResult:
     indices  chosen candidates, ascending
     value    log phi of the plan
     bound    log phi of no plan exceeds it
-    optimal  whether no plan is better by more than rounding
     nodes    nodes visited
     """
 
     indices: Index
     value: float
     bound: float
-    optimal: bool
     nodes: int
 
 
@@ -139,8 +137,7 @@ class _Tree:
                 heapq.heappush(heap, (-bound, next(ticket), child))
         bounds = [-negative_bound for negative_bound, _, _ in heap]
         bound = max([value, *bounds])
-        optimal = bound <= value + EQUAL
-        return BranchResult(best.astype(np.intp), value, bound, optimal, visited)
+        return BranchResult(best.astype(np.intp), value, bound, visited)
 
     def value(self, chosen: Index) -> float:
         """log phi of a plan."""

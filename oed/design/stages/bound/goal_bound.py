@@ -47,20 +47,13 @@ class GoalBound:
     """No plan within the budget has a smaller goal value than `value`.
 
     lines      supporting lines that were computed
-    certified  whether the best known plan is within the loss of `value`
     promising  combinations that can hold a better plan, most promising first, as
                {position of the option: relaxed number of readings}
     """
 
     value: float
     lines: int
-    certified: bool
     promising: tuple[dict[int, float], ...] = ()
-
-    def certify(self, value: float, loss: float) -> GoalBound:
-        """The same bound, with `certified` for a plan of this value."""
-        limit = self.value * (1.0 + loss) * (1.0 + 1e-9)
-        return dataclasses.replace(self, certified=value <= limit)
 
 
 def bound_goal(
@@ -115,7 +108,7 @@ def bound_goal(
     ranked = sorted(better, key=lambda k: -upper[k])
     promising = tuple(relaxed[k] for k in ranked[:PROMISING])
     total = math.sqrt(math.exp(-highest) + rest)
-    return GoalBound(total, computed, highest <= target, promising)
+    return GoalBound(total, computed, promising)
 
 
 def _reducible(value: float, rest: float) -> float:
