@@ -53,17 +53,15 @@ class FurtherAxes:
     def __len__(self) -> int:
         return len(self.axes)
 
-    def offsets(
-        self, command: Array, parameters: Array, tool: Array = NO_TOOL
-    ) -> Array:
+    def offsets(self, command: Array, parameters: Array) -> Array:
         """How far (n, m) a compensated machine is off its commands (n, n_dof), SI.
 
         parameters  (np,) identified, which the joints compensate
 
         A further axis takes them back. Raises AssemblyError.
         """
-        joints = compensated_joints(self.kinematics, command, parameters, tool)
-        twist = pose_error(self.kinematics, command, joints, parameters, tool)
+        joints = compensated_joints(self.kinematics, command, parameters)
+        twist = pose_error(self.kinematics, command, joints, parameters)
         rows = self.rows(command)
         return (rows @ twist[:, :, None])[:, :, 0]
 

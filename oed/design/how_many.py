@@ -140,9 +140,9 @@ class SizeCurve:
         """A point for each number of readings."""
         return [self.point(n) for n in sizes]
 
-    def fewest(self, most: int, least: int = 1) -> FewestReadings:
+    def fewest(self, most: int) -> FewestReadings:
         """The fewest readings that reach every component's goal, by bisection."""
-        at_least = _first_true(self._goal_is_feasible, least, most + 1)
+        at_least = _first_true(self._goal_is_feasible, 1, most + 1)
         best = self.point(most)
         if at_least > most:
             return FewestReadings(None, most + 1, most, best)

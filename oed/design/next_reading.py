@@ -27,6 +27,8 @@ from oed.base.arrays import Array
 
 #: weight of the sum of log variances beside what is lacking to the limits
 BEYOND = 1e-2
+#: exchanges of every reading, at the most
+SWEEPS = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -98,7 +100,6 @@ def best_remaining(
     blocks: Array,
     count: int,
     limits: Array | None = None,
-    sweeps: int = 2,
 ) -> list[int]:
     """`count` candidates, planned together by exchange, the best by itself first.
 
@@ -110,7 +111,7 @@ def best_remaining(
     for _ in range(count):
         chosen.append(best_candidate(known, blocks, limits))
         known = known.after(blocks[chosen[-1]])
-    for _ in range(sweeps):
+    for _ in range(SWEEPS):
         before = list(chosen)
         for place in range(count):
             _exchange(belief, blocks, chosen, place, limits)
@@ -124,7 +125,6 @@ def fewest_remaining(
     blocks: Array,
     most: int,
     limits: Array,
-    sweeps: int = 2,
 ) -> tuple[list[int], int] | None:
     """A plan for the fewest readings that reach all limits, and their number n.
 
@@ -139,12 +139,12 @@ def fewest_remaining(
     while open_components(known, limits) and len(chosen) < most:
         chosen.append(best_candidate(known, blocks, limits))
         known = known.after(blocks[chosen[-1]])
-    if not _exchange_until_reached(belief, blocks, chosen, limits, sweeps):
+    if not _exchange_until_reached(belief, blocks, chosen, limits):
         return None
     fewer = chosen
     while len(chosen) > 1:
         fewer = _without_least(belief, blocks, chosen, limits)
-        if not _exchange_until_reached(belief, blocks, fewer, limits, sweeps):
+        if not _exchange_until_reached(belief, blocks, fewer, limits):
             break
         chosen = fewer
     plan = _best_first(belief, blocks, fewer, limits) if fewer else []
@@ -162,11 +162,11 @@ def _exchange(
 
 
 def _exchange_until_reached(
-    belief: Belief, blocks: Array, chosen: list[int], limits: Array, sweeps: int
+    belief: Belief, blocks: Array, chosen: list[int], limits: Array
 ) -> bool:
     """Exchange until all limits are reached; False where the sweeps do not suffice."""
     known = after_all(belief, blocks, chosen)
-    for _ in range(sweeps):
+    for _ in range(SWEEPS):
         for place in range(len(chosen)):
             if not open_components(known, limits):
                 return True

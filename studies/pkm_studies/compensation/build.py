@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -127,7 +126,7 @@ def _command(displayed: dict[str, float], machine: Machine) -> Array:
     return np.array(values)
 
 
-def sentences_of(compensation: Compensation, extra: Sequence[str] = ()) -> list[str]:
+def sentences_of(compensation: Compensation) -> list[str]:
     """The comments that open every file."""
     title = f"pkm-oed {compensation.version}, study {compensation.study}"
-    return [title, f"machine {compensation.machine.name}", *compensation.notes, *extra]
+    return [title, f"machine {compensation.machine.name}", *compensation.notes]
