@@ -24,6 +24,12 @@ from pkm_models.machines import planar_2dof
 LINES, LENGTH = 8, 31
 
 
+def with_readings(problem: GapProblem, residual: np.ndarray) -> GapProblem:
+    """Readings that have these residuals (N,), in units of the stated noise."""
+    y = problem.y + problem.sigma * (residual - problem.residual)
+    return dataclasses.replace(problem, y=y, residual=residual)
+
+
 def _height(way: int, pair: int) -> float:
     """z of a pair of lines."""
     return 0.4 * pair
@@ -51,7 +57,7 @@ def readings(
         noise[members] += np.linalg.cholesky(
             stated_law(problem).covariance(problem, problem.members[k])
         ) @ rng.standard_normal(len(members))
-    return problem.with_readings(noise)
+    return with_readings(problem, noise)
 
 
 @functools.cache
@@ -112,9 +118,8 @@ def white_lines(seed: int = 0, runs: int = 4, length: int = 15) -> GapProblem:
         }
     )
     problem = problems.assemble(measurement, (series,), covariates)
-    return problem.with_readings(
-        np.random.default_rng(seed).standard_normal(len(problem))
-    )
+    residual = np.random.default_rng(seed).standard_normal(len(problem))
+    return with_readings(problem, residual)
 
 
 def _bow(state: State, turns: float) -> list[Column]:
@@ -181,4 +186,4 @@ def planted(
         for k, n in enumerate(effect_library.names)
         if n in factors
     )
-    return problem.with_readings(problem.residual + np.asarray(change))
+    return with_readings(problem, problem.residual + np.asarray(change))

@@ -63,12 +63,6 @@ class Grams:
     size: int
     base: float
 
-    def subset(self, columns: Index) -> Grams:
-        """Grams of some columns alone."""
-        gram = self.gram[np.ix_(columns, columns)]
-        b, whole = self.b[columns], self.whole[columns]
-        return dataclasses.replace(self, gram=gram, b=b, whole=whole)
-
     def select(self, columns: Index, size: float) -> Grams:
         """Grams with `columns` in the model, their coefficients N(0, size^2)."""
         if not len(columns):

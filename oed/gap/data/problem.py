@@ -100,11 +100,6 @@ class GapProblem(Runs):
         """The same readings with other residuals (N,), in units of the stated noise."""
         return dataclasses.replace(self, residual=residual)
 
-    def with_readings(self, residual: Array) -> GapProblem:
-        """Readings that have these residuals (N,), in units of the stated noise."""
-        y = self.y + self.sigma * (residual - self.residual)
-        return dataclasses.replace(self, y=y, residual=residual)
-
 
 def prepare(
     measurement: Measurement,
@@ -113,7 +108,6 @@ def prepare(
     covariates: pd.DataFrame,
     *,
     gravity: tuple[float, float, float] = states_of.DOWN,
-    stages: Sequence[Sequence[str]] = (("*",),),
 ) -> GapProblem:
     """Fit the calibration to readings y (N,), SI, and assemble its residuals.
 
@@ -142,10 +136,7 @@ def prepare(
     (75,)
     """
     series = tuple(series)
-    estimate = identification.identify(
-        measurement, series, y, stages=stages, estimate_noise=False
-    )
-    theta = estimate.theta
+    theta = identification.identify(measurement, series, y).theta
     return assemble(measurement, series, covariates, theta, y, gravity=gravity)
 
 

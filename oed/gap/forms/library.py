@@ -233,7 +233,6 @@ def _best(
     problem: GapProblem,
     metric: Metric | None,
     forms: Iterable[Weighted],
-    count: int = BEST,
 ) -> tuple[list[Weighted], int]:
     """The forms that explain most of the residual, where there are many and a metric.
 
@@ -253,7 +252,7 @@ def _best(
             for score, (number, weighted) in zip(scores, waiting, strict=True)
         )
         best.sort(key=lambda entry: (-entry[0], -entry[1]))
-        del best[count:]
+        del best[BEST:]
         waiting.clear()
 
     number = 0

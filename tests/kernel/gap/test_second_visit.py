@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from kernel.gap_lines import with_readings
 from oed.gap import procedure
 from oed.gap.before import repeats, second_visit
 from oed.gap.before.expected import (
@@ -118,7 +119,7 @@ def unloaded(size: float = 10.0) -> Diagnosis:
     form = problem.signature(gravity.effect, {"ratio": 0.3}, textbook=True)
     change = problem.in_noise_units(form.columns[:, 0])
     noise = np.random.default_rng(8).standard_normal(len(problem))
-    problem = problem.with_readings(size * change + noise)
+    problem = with_readings(problem, size * change + noise)
     return procedure.explain_residuals(problem, EFFECTS, law=stated_law(problem))
 
 
