@@ -55,12 +55,10 @@ class FleetPrior:
 
     mean        (p,)
     covariance  (p, p)
-    spread      (p,) root of the expected variance between machines
     """
 
     mean: Array
     covariance: Array
-    spread: Array
 
 
 def readings_information(
@@ -108,7 +106,7 @@ def fleet_prior(machines: Sequence[MachineInformation]) -> FleetPrior:
         mean += average - middle
         covariance += np.tensordot(grid.weights, grid.covariances, axes=1) - about
         covariance += (change * grid.weights[:, None]).T @ change
-    return FleetPrior(mean, _at_least(covariance, LEAST), np.sqrt(variance))
+    return FleetPrior(mean, _at_least(covariance, LEAST))
 
 
 class _Grid(NamedTuple):

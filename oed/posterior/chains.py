@@ -146,7 +146,6 @@ def collect(
         autocorrelation=autocorrelation,
         walkers=ensembles.walkers,
         steps=ensembles.iteration,
-        burn_in=burn_in,
     )
 
 

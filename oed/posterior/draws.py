@@ -43,7 +43,6 @@ class Posterior:
     autocorrelation  longest integrated autocorrelation time, in steps (emcee)
     walkers          of all ensembles
     steps            steps run by each
-    burn_in          steps discarded
     """
 
     names: tuple[str, ...]
@@ -57,7 +56,6 @@ class Posterior:
     autocorrelation: float = np.nan
     walkers: int = 0
     steps: int = 0
-    burn_in: int = 0
     sampler: str = EMCEE
     pareto_k: float = np.nan
     proposals: int = 0

@@ -141,10 +141,10 @@ class Ensembles:
                     raise KeyboardInterrupt
             member.chain.save(begin)
 
-    def chains(self, burn_in: int, every: int = 1) -> Array:
+    def chains(self, burn_in: int) -> Array:
         """Points (walkers, steps, dimensions) of all ensembles after the burn-in."""
         parts = [
-            np.swapaxes(member.sampler.get_chain(discard=burn_in), 0, 1)[:, ::every]
+            np.swapaxes(member.sampler.get_chain(discard=burn_in), 0, 1)
             for member in self._members
         ]
         return np.concatenate(parts)

@@ -98,12 +98,6 @@ class CorrectedEstimate:
         """Names (k,) of the coefficients, `effect: coefficient`."""
         return self.measurement.names[self.parameters :]
 
-    @property
-    def coefficients(self) -> dict[str, float]:
-        """Coefficients by name, in prior standard deviations of their effect."""
-        values = self.estimate.theta[self.parameters :].tolist()
-        return dict(zip(self.coefficient_names, values, strict=True))
-
 
 def estimate_with_effects(
     readings: EffectReadings,

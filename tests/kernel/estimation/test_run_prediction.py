@@ -101,7 +101,6 @@ def laplace(m: Measurement, estimate: Estimate, rng: np.random.Generator) -> Pos
         autocorrelation=1.0,
         walkers=1,
         steps=400,
-        burn_in=0,
     )
 
 
