@@ -119,7 +119,8 @@ def plan_acceptance(
         best = free.pop(int(np.argmax(scores)))
         chosen.append(best)
         total = total + sizes[:, best]
-        plan = _state(promise, candidates[chosen], rng, miss, false_alarm)
+        poses = candidates[chosen]
+        plan = state_limits(promise, poses, rng, miss=miss, false_alarm=false_alarm)
         if plan.power.min() >= power or not free or len(chosen) >= most:
             return plan
 
@@ -132,8 +133,18 @@ def state_limits(
     miss: float = 1.2,
     false_alarm: float = 0.05,
 ) -> AcceptancePlan:
-    """Limits and power of a promise at poses that another one chose."""
-    return _state(promise, poses, rng, miss, false_alarm)
+    """Limits and power of poses, on machines that had no part in choosing them."""
+    good = _statistics(promise, poses, 1.0, rng)
+    bad = _statistics(promise, poses, miss, rng)
+    each = 1.0 - (1.0 - false_alarm) ** (1.0 / len(promise.names))
+    limits = np.quantile(good, 1.0 - each, axis=0)
+    return AcceptancePlan(
+        poses=np.asarray(poses),
+        limits=limits,
+        power=np.mean(bad > limits, axis=0),
+        miss=miss,
+        false_alarm=float(np.mean((good > limits).any(axis=1))),
+    )
 
 
 def _separation(squares: Array, noise: Array, count: int, miss: float) -> float:
@@ -148,27 +159,6 @@ def _separation(squares: Array, noise: Array, count: int, miss: float) -> float:
     spread = np.sqrt(squares.var(axis=0) + of_noise)
     gain = (miss**2 - 1.0) * mean
     return float((gain / np.maximum(spread, 1e-300)).min())
-
-
-def _state(
-    promise: Promise,
-    poses: Index,
-    rng: np.random.Generator,
-    miss: float,
-    false_alarm: float,
-) -> AcceptancePlan:
-    """Limits and power of poses, on machines that had no part in choosing them."""
-    good = _statistics(promise, poses, 1.0, rng)
-    bad = _statistics(promise, poses, miss, rng)
-    each = 1.0 - (1.0 - false_alarm) ** (1.0 / len(promise.names))
-    limits = np.quantile(good, 1.0 - each, axis=0)
-    return AcceptancePlan(
-        poses=np.asarray(poses),
-        limits=limits,
-        power=np.mean(bad > limits, axis=0),
-        miss=miss,
-        false_alarm=float(np.mean((good > limits).any(axis=1))),
-    )
 
 
 def _statistics(
