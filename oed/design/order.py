@@ -41,7 +41,7 @@ class Route:
     indices  (n,) poses
     run      (n,) number of the run that each pose belongs to
     steps    (n,) length of the move to each pose, the first from the start (0 without)
-    length   of the whole path, with the way to the finish if there is one
+    length   of the whole path
     exact    whether no path is shorter
     """
 
@@ -56,7 +56,6 @@ def order_poses(
     distance: Array,
     rng: np.random.Generator,
     start: Array | None = None,
-    finish: Array | None = None,
     runs: Sequence[Sequence[int]] | None = None,
     reversible: bool = False,
     kicks: int = 200,
@@ -65,8 +64,6 @@ def order_poses(
 
     distance    (n, n) length of each move, inf where forbidden
     start       (n,) length from where the machine stands to each pose
-    finish      (n,) length from each pose to where the machine ends; None: anywhere, at
-                no cost
     runs        poses of each run in its own direction, every pose once
     reversible  whether runs may be taken backwards instead; passes of a protocol in
                 both directions are runs of their own (`Series.passes`)
@@ -77,12 +74,12 @@ def order_poses(
     """
     n = len(distance)
     members = [[i] for i in range(n)] if runs is None else [list(run) for run in runs]
-    _check(distance, start, finish, members)
+    _check(distance, start, members)
     if n == 0:
         nothing = np.zeros(0, np.intp)
         return Route(nothing, nothing, np.zeros(0), 0.0, True)
     lengths = np.asarray(distance, dtype=float)
-    states = RunStates.of(lengths, start, finish, members, reversible)
+    states = RunStates.of(lengths, start, members, reversible)
     exact = len(members) <= EXACT
     tour = shortest_path(states) if exact else search_path(states, rng, kicks)
     length = states.length(tour)
@@ -114,21 +111,19 @@ def order_setups(
 def _check(
     distance: Array,
     start: Array | None,
-    finish: Array | None,
     members: list[list[int]],
 ) -> None:
     n = len(distance)
     if np.shape(distance) != (n, n):
         raise ValueError(f"distances must be square, not of shape {np.shape(distance)}")
-    for name, values in (("start", start), ("finish", finish)):
-        if values is not None and np.shape(values) != (n,):
-            raise ValueError(
-                f"{name} must give one length for each of {n} poses, not be of shape"
-                f" {np.shape(values)}"
-            )
+    if start is not None and np.shape(start) != (n,):
+        raise ValueError(
+            f"start must give one length for each of {n} poses, not be of shape"
+            f" {np.shape(start)}"
+        )
     off_diagonal = distance[~np.eye(n, dtype=bool)]
-    ends = [values for values in (start, finish) if values is not None]
-    for lengths in (off_diagonal, *ends):
+    first = np.zeros(0) if start is None else start
+    for lengths in (off_diagonal, first):
         if np.isnan(lengths).any() or (lengths < 0.0).any():
             raise ValueError(
                 "lengths must be numbers, not negative; inf forbids a move"
@@ -163,7 +158,6 @@ class RunStates:
         cls,
         distance: Array,
         start: Array | None,
-        finish: Array | None,
         runs: list[list[int]],
         reversible: bool,
     ) -> RunStates:
@@ -178,7 +172,7 @@ class RunStates:
             flip += flipped
             members += [np.array(poses, dtype=np.intp) for poses in directions]
             numbers += [number] * len(directions)
-        cost = _state_costs(distance, start, finish, members)
+        cost = _state_costs(distance, start, members)
         return cls(cost, np.array(flip), np.array(numbers), members)
 
     def length(self, tour: Index) -> float:
@@ -187,16 +181,13 @@ class RunStates:
         return float(self.cost[closed[:-1], closed[1:]].sum())
 
 
-def _state_costs(
-    distance: Array, start: Array | None, finish: Array | None, members: list[Index]
-) -> Array:
+def _state_costs(distance: Array, start: Array | None, members: list[Index]) -> Array:
     states = members[1:]
     entry = np.array([poses[0] for poses in states])
     leave = np.array([poses[-1] for poses in states])
     inner = np.array([distance[poses[:-1], poses[1:]].sum() for poses in states])
     cost = np.zeros((len(members), len(members)))
     cost[0, 1:] = (0.0 if start is None else start[entry]) + inner
-    cost[1:, 0] = 0.0 if finish is None else finish[leave]
     cost[1:, 1:] = distance[np.ix_(leave, entry)] + inner
     return cost
 

@@ -33,9 +33,6 @@ from collections.abc import Sequence
 from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
 from oed.model.machine import Expr, Parameter, Values
 
-#: m, travel of the plunger
-STROKE = 100e-3
-
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     point = frames[0].point
