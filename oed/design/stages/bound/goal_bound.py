@@ -81,7 +81,7 @@ def bound_goal(
     mounting = np.array([option.mounting_seconds for option in options])
     combinations = _combinations(mounting, budget, stages)
     if not len(combinations):
-        return GoalBound(np.inf, 0, True)
+        return GoalBound(np.inf, 0)
     least = bound_uncaptured(options, goal, information, combinations, rng)
     upper = -2.0 * np.log(least)
     goal_bound = CombinationBound.of(options, goal, information, budget)
