@@ -14,8 +14,6 @@ from pkm_reports.page.blocks import Table
 from pkm_reports.sections import answer
 from pkm_studies.stages import accuracy_table, headline, outcome
 
-COMPONENTS = ("z", "psi", "theta")
-
 
 def spread(rms: float, unit: str) -> dict[str, Any]:
     return {"rms": rms, "p95": 2.0 * rms, "max": 3.0 * rms, "unit": unit}

@@ -24,13 +24,6 @@ PLAN = (
     )
     + "[readings]\nsimulate = true\n"
 )
-STAGES = """
-[[plan.measurement]]
-name = "low"
-setups = ["cup"]
-candidates = { setup = "cup", z_mm = { from = 1066.0, to = 1166.0, count = 2 }, \
-psi_deg = { from = 0.0, to = 360.0, count = 8, endpoint = false }, theta = "hold" }
-"""
 
 
 def run(*arguments: object) -> int:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 import report_fixture
 import report_fixture_plan
@@ -13,10 +11,6 @@ from oed.result import StudyResult
 from pkm_reports.page import text
 from pkm_reports.page.blocks import Facts, Items, Notice, Paragraph, Table
 from pkm_reports.sections.answer import accuracy, causes, parts, unknown, warnings
-
-
-def _raw(**sections: Any) -> dict[str, Any]:
-    return report_fixture.sample() | sections
 
 
 def _words(result: StudyResult) -> dict[str, str]:

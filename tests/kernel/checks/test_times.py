@@ -15,7 +15,6 @@ from oed.model.instrument import mount
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines import planar_2dof
 
-HALF_DAY = 43200.0
 PATHS = {
     "low": np.column_stack([np.linspace(-1.0, 1.0, 5), np.full(5, 0.3)]),
     "high": np.column_stack([np.linspace(-1.0, 1.0, 5), np.full(5, 0.9)]),

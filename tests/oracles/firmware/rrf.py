@@ -126,19 +126,6 @@ class RepRapFirmware:
 
     # -- output ------------------------------------------------------------------------
 
-    def config_override(self) -> str:
-        """What M500 stores."""
-        rods = ":".join(f"{rod:.3f}" for rod in self.rods)
-        lean, adjust = (
-            " ".join(f"{k}{v:.3f}" for k, v in zip("XYZ", values, strict=True))
-            for values in (self.lean, self.adjust)
-        )
-        a, b = 100.0 * self.tilt
-        return (
-            f"M665 L{rods} R{self.radius:.3f} H{self.height:.3f} B{self.bed:.1f} {lean}\n"
-            f"M666 {adjust} A{a:.2f} B{b:.2f}\n"
-        )
-
     def answers(self) -> str:
         """The answers to M665 and M666 without words."""
         rods = ":".join(f"{rod:.3f}" for rod in self.rods)
