@@ -16,9 +16,16 @@ def healthy_accuracy(
     """Rms of each demanded component that a plan with effects predicted, in its unit.
 
     plan  folder of `oed plan` or `oed run`; by default the result's own plan. Raises
-          InputError where a folder's plan allows for no effects.
+          InputError where a folder's plan allows for no effects, or is of another machine.
     """
     planned = result if plan is None else result_folder.load_result(plan)
+    if planned.machine.name != result.machine.name:
+        raise InputError(
+            f"that is a plan for the machine {planned.machine.name}",
+            f"name a plan for {result.machine.name}",
+            field="--plan",
+            value=str(plan),
+        )
     accuracy = _predicted(planned)
     if plan is not None and not accuracy:
         raise InputError(
