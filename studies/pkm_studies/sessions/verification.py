@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -90,7 +91,7 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
     if result.acceptance is None:
         raise InputError(
             "this result has no acceptance plan",
-            f"make it with `oed verify {folder}`",
+            f"make it with `oed verify {shlex.quote(str(folder))}`",
             file=str(folder / "result.json"),
         )
     refuse_bad_fit(result)
