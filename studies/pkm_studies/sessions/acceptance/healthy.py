@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from oed.base.text import rounded
 from oed.result import PromiseRecord, StudyResult, VerificationSection
 from pkm_studies.base.errors import InputError
 from pkm_studies.stages import result_folder
@@ -54,8 +55,8 @@ def healthy_sentences(section: VerificationSection) -> list[str]:
         verdict = section.components[name]
         times = verdict.rms / rms
         sentences.append(
-            f"{name}: the plan predicted {rms:.3g} {verdict.unit} rms for a healthy machine,"
-            f" with all that is known corrected; measured are {verdict.rms:.3g}"
-            f" {verdict.unit}, {times:.2g} times that."
+            f"{name}: the plan predicted {rounded(rms, 3)} {verdict.unit} rms for a healthy machine,"
+            f" with all that is known corrected; measured are {rounded(verdict.rms, 3)}"
+            f" {verdict.unit}, {rounded(times)} times that."
         )
     return sentences
