@@ -126,8 +126,9 @@ def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
         )
     yield f"A machine just at its promise fails with probability {section.false_alarm:.2f}."
     for name, d in section.further.items():
+        bare = np.nan if d.without is None else d.without
         yield (
-            f"{name}: no drive corrects it: {rounded(d.without, 3)} {d.unit} rms are predicted"
+            f"{name}: no drive corrects it: {rounded(bare, 3)} {d.unit} rms are predicted"
             f" without further axes. With axes that take the known errors back it is"
             f" promised {rounded(d.promised, 3)} {d.unit}, and passes up to {rounded(d.limit, 3)}"
             f" {d.unit}, measured to {rounded(d.uncertainty)} {d.unit} (1 sd). Leave its"
@@ -145,14 +146,17 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
         verdict = "passed" if c.passed else "failed"
         yield (
             f"{name}: {verdict}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)}"
-            f" {c.unit} (promised {rounded(c.promised, 3)}), largest {rounded(c.max, 3)} {c.unit}."
+            f" {c.unit} (promised {rounded(c.promised, 3)} {c.unit}), largest"
+            f" {rounded(c.max, 3)} {c.unit}."
         )
     for name, c in section.further.items():
+        bare = np.nan if c.without is None else c.without
         verdict = "passed" if c.passed else "failed"
         yield (
-            f"{name}: without further axes rms {rounded(c.without, 3)} {c.unit}; with them"
+            f"{name}: without further axes rms {rounded(bare, 3)} {c.unit}; with them"
             f" {verdict}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)} {c.unit}"
-            f" (promised {rounded(c.promised, 3)}), largest {rounded(c.max, 3)} {c.unit}."
+            f" (promised {rounded(c.promised, 3)} {c.unit}), largest {rounded(c.max, 3)}"
+            f" {c.unit}."
         )
     for name, p in section.positioning.items():
         yield (
