@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,13 +24,15 @@ DEMANDS = {
 }
 
 
-def planned(*, effects: bool) -> SimpleNamespace:
+def planned(*, effects: bool, machine: str = "a3") -> SimpleNamespace:
     """A result with a plan that leaves 40 um in z."""
     without = AlternativePlan(["bar"], [12], 30.0, 1.0, {"z_um": 55.0})
     allowed = PlanEffects(3, 2, without, {"z_um": 1.0}, "") if effects else None
     accuracy = {"z_um": 40.0, "theta_arcsec": 2.0}
     plan = PlanSection([], 30.0, [], accuracy=accuracy, effects=allowed)
-    return SimpleNamespace(plan=plan, design=None)
+    return SimpleNamespace(
+        plan=plan, design=None, machine=SimpleNamespace(name=machine)
+    )
 
 
 def test_the_plan_says_what_a_healthy_machine_reaches() -> None:
@@ -53,3 +56,26 @@ def test_a_plan_without_effects_says_nothing(
     )
     with pytest.raises(InputError, match="nothing of a healthy machine"):
         healthy.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
+
+
+def test_a_plan_for_another_machine_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        healthy.result_folder,
+        "load_result",
+        lambda folder: planned(effects=True, machine="delta"),
+    )
+    with pytest.raises(InputError, match="a plan for the machine delta"):
+        healthy.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
+
+
+@pytest.mark.parametrize("option", ["--plan", "--promise", "--uncertainty"])
+def test_what_a_test_is_planned_with_is_refused_with_its_readings(
+    option: str, tmp_path: Path, oed: Callable[..., tuple[int, str, str]]
+) -> None:
+    given = ("verify", tmp_path, "--readings", "acceptance.csv", option, "z_um=30")
+    code, _, error = oed(*given)
+    assert code == 2
+    assert f"{option} = z_um=30" in error
+    assert "when the test is planned" in error

@@ -290,6 +290,23 @@ def test_what_a_header_does_not_say_needs_a_map(
         session.import_files("tracker", files, tmp_path / "out", machine="linear_delta")
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("1e300,{y},{z},1,1,1", "line 2, column X = 1e300: no number of a session"),
+        ("{x},{y},{z},1,0,1", r"line 2, column U\(95\) Y \[um\] = 0: .* above 0"),
+        ("{x},{y},{z},1,1,-1", r"line 2, column U\(95\) Z \[um\] = -1: .* above 0"),
+    ],
+)
+def test_numbers_that_no_readings_file_could_have_are_refused_by_their_line(
+    line: str, words: str, tmp_path: Path
+) -> None:
+    header = "X,Y,Z,U(95) X [um],U(95) Y [um],U(95) Z [um]"
+    files = exported(tmp_path, header, line, np.array(1.0))
+    with pytest.raises(InputError, match=words):
+        session.import_files("tracker", files, tmp_path / "out", machine="linear_delta")
+
+
 def test_an_uncertainty_of_unknown_coverage_is_stated(tmp_path: Path) -> None:
     files = exported(tmp_path, "X,Y,Z,Ux,Uy,Uz", "{x},{y},{z},1,1,1", np.array(1.0))
     _, imported = session.import_files(

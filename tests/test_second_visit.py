@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import cast
 
 import msgspec
@@ -14,7 +16,9 @@ import pytest
 from oed.result import ChosenRun, GapSection, SecondVisitRecord, StudyResult
 from pkm_reports.page.blocks import Paragraph, Table
 from pkm_reports.sections.gap import second_visit as chapter
+from pkm_studies.sessions import next_visit
 from pkm_studies.stages.gap import second_visit
+from pkm_studies.study import Study
 
 Run = Callable[..., tuple[int, str, str]]
 CONDITION = {"direction": -1.0, "feed": 1.0 / 60.0, "payload": 1500.0}
@@ -106,3 +110,21 @@ def test_next_needs_readings_or_a_diagnosis(oed: Run, tmp_path: Path) -> None:
     )
     assert code == 2
     assert "--wanted" in error
+
+
+def test_the_advised_command_can_be_typed_as_it_stands(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It names the study as it was given, and quotes paths with blanks."""
+    gap = second_visit.with_visit(
+        GapSection("class", [], [], [], [], [], []), worded(visit(0.9))
+    )
+    result = SimpleNamespace(study="mine", gap=gap)
+    monkeypatch.setattr(next_visit, "load_result", lambda folder: result)
+    study = cast("Study", SimpleNamespace(name="mine"))
+    given, folder = Path("my machines/mine.study.toml"), Path("out/first visit")
+    command = next_visit.lines(study, given, folder)[-1].partition("then: oed ")[2]
+    words = shlex.split(command)
+    table = str(folder / "second_visit.csv")
+    assert words[:4] == ["diagnose", str(given), "--readings", table]
+    assert words[4:6] == ["--after", str(folder)]

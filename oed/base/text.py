@@ -1,4 +1,4 @@
-"""Words of messages: shares in percent, long texts shortened, suggestions for names."""
+"""Words of messages: numbers, shares in percent, texts shortened, names suggested."""
 
 from __future__ import annotations
 
@@ -10,6 +10,11 @@ from oed.base import units
 
 #: percent by which rounding may miss all of something
 ROUNDING = 1e-9
+
+
+def rounded(value: float, digits: int = 2) -> str:
+    """A number to so many digits, without an exponent below a million: 1200."""
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 def percent(share: float) -> str:

@@ -132,8 +132,9 @@ def timed_runs(session: SessionReadings) -> list[TimedRun]:
     """The runs of a session in the order of the file, with the readings that have a time."""
     if "time" not in session.values:
         return []
-    frame = session.values.drop_duplicates("row")
-    reading = session.reading_of_value[frame.index.to_numpy()]
+    # by readings: rows count anew in each file
+    reading, first = np.unique(session.reading_of_value, return_index=True)
+    frame = session.values.iloc[first]
     joints = np.vstack([s.q[s.index[:, 0]] for s in session.series])
     joints = joints / np.maximum(np.ptp(joints, axis=0), 1e-12)
     frame = frame.assign(reading=reading).dropna(subset="time")

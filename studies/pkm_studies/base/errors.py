@@ -14,6 +14,8 @@ from typing import Final
 
 #: most characters of a value, a problem and a remedy
 VALUE, PROBLEM, REMEDY = 60, 220, 240
+#: length from which a word is cut within
+LONGEST_WORD = 30
 _MISSING: Final = object()
 
 
@@ -50,7 +52,8 @@ class InputError(Exception):
         if self.field and self.value:
             subject = f"{self.field} = {self.value}"
         parts = [part for part in (self.file, subject, self.problem) if part]
-        return f"{': '.join(parts)}; {self.remedy}."
+        end = "" if self.remedy.endswith("...") else "."
+        return f"{': '.join(parts)}; {self.remedy}{end}"
 
 
 class SourceAbsentError(InputError):
@@ -95,7 +98,11 @@ def shorten(text: str, length: int) -> str:
     line = " ".join("".join(printable).split())
     if len(line) <= length:
         return line
-    return f"{line[: length - 4].rstrip()} ..."
+    cut = line[: length - 4]
+    head, _, part = cut.rpartition(" ")
+    if head and len(part) < LONGEST_WORD and line[length - 4] != " ":
+        cut = head
+    return f"{cut.rstrip()} ..."
 
 
 def suggest(word: str, known: Iterable[str], kind: str = "allowed") -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -69,5 +70,6 @@ def import_files(
     )
     for statement in imported.statements:
         print(statement)
-    print(f"Study: {path}; then: oed run {path} --out {out / 'report'}")
+    words = ["run", str(path), "--out", str(out / "report")]
+    print(f"Study: {path}; then: oed {shlex.join(words)}")
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -52,7 +53,7 @@ def new(
     # The study will name the files: they lie where a study's files may lie.
     origin = Origin(Path(), consent(allow_code=allow_code))
     path = _new_study(name, machine, loops, instrument, source, origin)
-    print(f"Study: {path}; edit it, then: oed run {path}")
+    print(f"Study: {path}; edit it, then: oed run {shlex.quote(str(path))}")
     return 0
 
 

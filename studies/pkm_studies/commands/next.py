@@ -52,7 +52,7 @@ def next_reading(
     loaded = load(shipped.study_path(study), consent(allow_code=allow_code))
     if after is not None:
         next_visit.check_alone(after, readings, wanted, follow=follow)
-        print("\n".join(next_visit.lines(loaded, after)))
+        print("\n".join(next_visit.lines(loaded, study, after)))
         return DONE
     if readings is None:
         raise next_visit.no_readings()

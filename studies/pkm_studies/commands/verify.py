@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from pkm_studies.base import console
+from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent, consent
 from pkm_studies.commands.options import AllowCode, MachineStudy
 
@@ -63,6 +64,7 @@ def verify(
     given = consent(allow_code=allow_code)
     try:
         if readings is not None:
+            _check_judged(promise, uncertainty, planned)
             if "setup" in csv_table.read(readings).header:
                 return _compare(folder, readings, study, given)
             return _judge(folder, readings)
@@ -70,6 +72,23 @@ def verify(
     except BadFitError as error:
         console.print_error(str(error))
         return FAILED
+
+
+def _check_judged(promise: str, uncertainty: str, planned: Path | None) -> None:
+    """Raises InputError where what a test is planned with goes with its readings."""
+    options = {
+        "--promise": promise,
+        "--uncertainty": uncertainty,
+        "--plan": str(planned or ""),
+    }
+    for name, value in options.items():
+        if value:
+            raise InputError(
+                "limits are those of the planned test, and --readings changes none",
+                "give it without --readings, when the test is planned",
+                field=name,
+                value=value,
+            )
 
 
 def _judge(folder: Path, readings: Path) -> int:

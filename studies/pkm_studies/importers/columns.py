@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import msgspec
+import numpy as np
 
+from oed.base.arrays import Array
 from oed.base.units import UnitError
 from oed.dataset.columns import (
     COVARIATES,
     LABELS,
+    SIGMA,
     UNITLESS,
     column_name,
     is_temperature,
@@ -17,6 +20,7 @@ from oed.dataset.columns import (
     sigma_units,
     tension_columns,
 )
+from oed.dataset.table_cells import LARGEST
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
 from pkm_studies.base import csv_table
@@ -199,6 +203,7 @@ def rows(
             cells[name] = table.cells(column_sources.source_of(source).column)
             continue
         values = column_sources.values(source, table)
+        _check_sizes(values, name, column_sources.source_of(source).column, table)
         cells[name] = ["" if value != value else repr(float(value)) for value in values]
     if given.orientation is not None:
         at = place.key("orientation")
@@ -219,6 +224,16 @@ def rows(
     labels = ["setup", "run", "order"]
     names = labels + [name for name in cells if name not in labels]
     return [{name: cells[name][k] for name in names} for k in range(len(table))]
+
+
+def _check_sizes(values: Array, name: str, column: str, table: CsvTable) -> None:
+    """Raises InputError for values (n,) that a readings file could not have."""
+    problem, bad = "no number of a session is so large", np.abs(values) > LARGEST
+    if name.startswith(SIGMA) and not bad.any():
+        problem, bad = "a standard deviation is above 0", values <= 0
+    if bad.any():
+        remedy = "correct the cell, or leave its line out"
+        raise table.error(int(np.argmax(bad)), column, problem, remedy)
 
 
 def without_partial_joints(

@@ -12,8 +12,10 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.dataset import columns
+from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve import grids, quantities
 from pkm_studies.study import Study
 from pkm_studies.study.tables import PredictionTable
@@ -116,7 +118,18 @@ def _states(study: Study) -> dict[str, Array]:
         if not listed:
             raise place.key(name).error("no value", "state those in use", listed)
         values[known.stem] = known.factor * np.array(listed, dtype=float)
+        _check_values(known.stem, values[known.stem], place.key(name), listed)
     return values
+
+
+def _check_values(stem: str, values: Array, place: Place, listed: list[float]) -> None:
+    """Raises InputError for values (n,), SI, that no readings file could have."""
+    if stem == "direction" and (np.abs(values) != 1.0).any():
+        raise place.error("direction is +1 or -1", "give one of them, or both", listed)
+    if (np.abs(values) > LARGEST).any():
+        raise place.error("no state is so large", "check its unit", listed)
+    if stem == "feed" and (values < 0.0).any():
+        raise place.error("a feed is at least 0", "state its size", listed)
 
 
 def _is_covariate(column: columns.ReadingsColumn) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -36,8 +37,11 @@ def no_readings() -> InputError:
     )
 
 
-def lines(study: Study, folder: Path) -> list[str]:
+def lines(study: Study, named: Path, folder: Path) -> list[str]:
     """What the visit is worth, its runs, and the file to fill in.
+
+    named   the study as the user gave it: its path, or the name of a shipped one
+    folder  that of the diagnosis
 
     Raises InputError where the folder holds no diagnosis of this study.
     """
@@ -50,6 +54,8 @@ def lines(study: Study, folder: Path) -> list[str]:
             " read so far makes it clearer.",
             *gap.next,
         ]
+    table = str(folder / VISIT)
+    words = ["diagnose", str(named), "--readings", table, "--after", str(folder)]
     return [
         *visit.words,
         "",
@@ -58,8 +64,7 @@ def lines(study: Study, folder: Path) -> list[str]:
             for run, count in zip(visit.runs, visit.poses, strict=True)
         ),
         "",
-        f"Fill in {folder / VISIT}, then: oed diagnose {study.path.name} --readings"
-        f" {folder / VISIT} --after {folder} --out DIR",
+        f"Fill in {table}, then: oed {shlex.join(words)} --out DIR",
     ]
 
 

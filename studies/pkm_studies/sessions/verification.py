@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import msgspec
 import numpy as np
 
 from oed.base import own_files
+from oed.base.text import rounded
 from oed.result import AcceptanceSection, StudyResult, VerificationSection, trust
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
@@ -90,7 +92,7 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
     if result.acceptance is None:
         raise InputError(
             "this result has no acceptance plan",
-            f"make it with `oed verify {folder}`",
+            f"make it with `oed verify {shlex.quote(str(folder))}`",
             file=str(folder / "result.json"),
         )
     refuse_bad_fit(result)
@@ -116,19 +118,20 @@ def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
     yield f"Measure the pose errors of the compensated machine at {len(section.poses)} poses."
     for name, d in section.components.items():
         yield (
-            f"{name}: promised rms {d.promised:.3g} {d.unit}; it passes up to"
-            f" {d.limit:.3g} {d.unit} rms over these poses, measured to"
-            f" {d.uncertainty:.2g} {d.unit} (1 sd). A machine with"
+            f"{name}: promised rms {rounded(d.promised, 3)} {d.unit}; it passes up to"
+            f" {rounded(d.limit, 3)} {d.unit} rms over these poses, measured to"
+            f" {rounded(d.uncertainty)} {d.unit} (1 sd). A machine with"
             f" {100 * (section.miss - 1):.0f} % more than promised is caught with"
             f" probability {d.power:.2f}."
         )
     yield f"A machine just at its promise fails with probability {section.false_alarm:.2f}."
     for name, d in section.further.items():
+        bare = np.nan if d.without is None else d.without
         yield (
-            f"{name}: no drive corrects it: {d.without:.3g} {d.unit} rms are predicted"
+            f"{name}: no drive corrects it: {rounded(bare, 3)} {d.unit} rms are predicted"
             f" without further axes. With axes that take the known errors back it is"
-            f" promised {d.promised:.3g} {d.unit}, and passes up to {d.limit:.3g}"
-            f" {d.unit}, measured to {d.uncertainty:.2g} {d.unit} (1 sd). Leave its"
+            f" promised {rounded(d.promised, 3)} {d.unit}, and passes up to {rounded(d.limit, 3)}"
+            f" {d.unit}, measured to {rounded(d.uncertainty)} {d.unit} (1 sd). Leave its"
             " column empty where you do not measure it."
         )
     if section.further:
@@ -142,22 +145,25 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
     for name, c in section.components.items():
         verdict = "passed" if c.passed else "failed"
         yield (
-            f"{name}: {verdict}: rms {c.rms:.3g} {c.unit}, limit {c.limit:.3g}"
-            f" {c.unit} (promised {c.promised:.3g}), largest {c.max:.3g} {c.unit}."
+            f"{name}: {verdict}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)}"
+            f" {c.unit} (promised {rounded(c.promised, 3)} {c.unit}), largest"
+            f" {rounded(c.max, 3)} {c.unit}."
         )
     for name, c in section.further.items():
+        bare = np.nan if c.without is None else c.without
         verdict = "passed" if c.passed else "failed"
         yield (
-            f"{name}: without further axes rms {c.without:.3g} {c.unit}; with them"
-            f" {verdict}: rms {c.rms:.3g} {c.unit}, limit {c.limit:.3g} {c.unit}"
-            f" (promised {c.promised:.3g}), largest {c.max:.3g} {c.unit}."
+            f"{name}: without further axes rms {rounded(bare, 3)} {c.unit}; with them"
+            f" {verdict}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)} {c.unit}"
+            f" (promised {rounded(c.promised, 3)} {c.unit}), largest {rounded(c.max, 3)}"
+            f" {c.unit}."
         )
     for name, p in section.positioning.items():
         yield (
             f"{name}, after ISO 230-2 with {p.approaches} approaches at {p.targets}"
             f" targets (the standard asks for 5 along an axis): accuracy A"
-            f" {p.accuracy:.3g}, systematic deviation E {p.systematic:.3g},"
-            f" repeatability R {p.repeatability:.3g}{_both_ways(p.mean, p.reversal)}"
+            f" {rounded(p.accuracy, 3)}, systematic deviation E {rounded(p.systematic, 3)},"
+            f" repeatability R {rounded(p.repeatability, 3)}{_both_ways(p.mean, p.reversal)}"
             f" {p.unit}."
         )
     yield from healthy_sentences(section)
@@ -168,4 +174,4 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
 def _both_ways(mean: float | None, reversal: float | None) -> str:
     if mean is None or reversal is None:
         return ""
-    return f", mean bidirectional deviation M {mean:.3g}, reversal B {reversal:.3g}"
+    return f", mean bidirectional deviation M {rounded(mean, 3)}, reversal B {rounded(reversal, 3)}"

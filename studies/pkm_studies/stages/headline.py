@@ -185,8 +185,8 @@ def _changes(section: PredictionSection, error: str) -> str:
 def without_drive(section: PredictionSection) -> str:
     """What no drive corrects, without and with further axes; empty where there is none."""
     parts = [
-        f"{name} {format_number(c.after.rms)} ({format_number(c.known.rms)} with further"
-        f" axes) {section.unit[name]}"
+        f"{name} {format_number(c.after.rms)} {section.unit[name]}"
+        f" ({format_number(c.known.rms)} {section.unit[name]} with further axes)"
         for name, c in section.components.items()
         if not c.compensatable
     ]

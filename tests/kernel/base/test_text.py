@@ -23,6 +23,16 @@ def test_nothing_and_all_are_never_rounded_to(share: float, words: str) -> None:
     assert text.percent(share) == words
 
 
+@pytest.mark.parametrize(
+    ("value", "digits", "words"),
+    [(1234.0, 2, "1200"), (9.6, 1, "10"), (-2345.6, 3, "-2350"), (0.0312, 2, "0.031")],
+)
+def test_rounded_numbers_have_no_exponent(
+    value: float, digits: int, words: str
+) -> None:
+    assert text.rounded(value, digits) == words
+
+
 def test_what_is_guaranteed_is_rounded_down() -> None:
     assert text.guaranteed_percent(0.9996) == 99.9
     assert text.guaranteed_percent(0.3) == 30.0

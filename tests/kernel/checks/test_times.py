@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -172,3 +174,14 @@ def test_files_without_times_say_nothing() -> None:
     series = measurement.series("t", PATHS["low"])
     y = measurement.readings([series], measurement.nominal)
     assert not wrong_times(checks.session(measurement, [series], y))
+
+
+def test_rows_of_a_second_file_may_have_the_numbers_of_the_first() -> None:
+    back = from_(100.0)[::-1]
+    one = session(SOUND | {("one", "high"): back})
+    two = dataclasses.replace(one, values=one.values.copy())
+    row = two.values["row"].to_numpy()
+    two.values["row"] = np.where(row > 6, row - 5, row)
+    sentences = [[f.severity for f in wrong_times(s)] for s in (one, two)]
+    assert sentences[0]
+    assert sentences[1] == sentences[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from oed.base.text import rounded
 from oed.result import PromiseRecord, StudyResult, VerificationSection
 from pkm_studies.base.errors import InputError
 from pkm_studies.stages import result_folder
@@ -16,9 +17,16 @@ def healthy_accuracy(
     """Rms of each demanded component that a plan with effects predicted, in its unit.
 
     plan  folder of `oed plan` or `oed run`; by default the result's own plan. Raises
-          InputError where a folder's plan allows for no effects.
+          InputError where a folder's plan allows for no effects, or is of another machine.
     """
     planned = result if plan is None else result_folder.load_result(plan)
+    if planned.machine.name != result.machine.name:
+        raise InputError(
+            f"that is a plan for the machine {planned.machine.name}",
+            f"name a plan for {result.machine.name}",
+            field="--plan",
+            value=str(plan),
+        )
     accuracy = _predicted(planned)
     if plan is not None and not accuracy:
         raise InputError(
@@ -47,8 +55,8 @@ def healthy_sentences(section: VerificationSection) -> list[str]:
         verdict = section.components[name]
         times = verdict.rms / rms
         sentences.append(
-            f"{name}: the plan predicted {rms:.3g} {verdict.unit} rms for a healthy machine,"
-            f" with all that is known corrected; measured are {verdict.rms:.3g}"
-            f" {verdict.unit}, {times:.2g} times that."
+            f"{name}: the plan predicted {rounded(rms, 3)} {verdict.unit} rms for a healthy machine,"
+            f" with all that is known corrected; measured are {rounded(verdict.rms, 3)}"
+            f" {verdict.unit}, {rounded(times)} times that."
         )
     return sentences

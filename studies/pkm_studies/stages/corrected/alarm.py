@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import msgspec
 
+from oed.base.text import rounded
 from oed.checks import CheckFinding, Severity
 from oed.checks.mistakes import PHYSICAL
 from oed.compensate.effects.senses import TurnedRuns
@@ -52,7 +53,7 @@ def resolved_sentences(
 def _fit(ratio: float | None) -> str:
     if ratio is None:
         return "the readings fit"
-    return f"the residuals are {ratio:.2g} times the stated noise"
+    return f"the residuals are {rounded(ratio)} times the stated noise"
 
 
 def allowed_effects_sentence(ratio: float | None) -> str:
@@ -77,8 +78,8 @@ def turned_sentence(corrected: CorrectedSection, turned: TurnedRuns) -> str:
     return (
         f"The readings look mistaken: {runs} {names} {were} driven the other way than the"
         f" order of the rows says, or all others were (residuals with {effects}:"
-        f" {turned.before:.2g} times the stated noise; with the order of {names} reversed:"
-        f" {turned.after:.2g} times)."
+        f" {rounded(turned.before)} times the stated noise; with the order of {names} reversed:"
+        f" {rounded(turned.after)} times)."
     )
 
 

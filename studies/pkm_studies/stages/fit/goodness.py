@@ -134,7 +134,7 @@ def surprises(prediction: RunPrediction | None) -> list[str]:
     if not far:
         return []
     phrases = [
-        f"run {one.run} of {one.setup} by {one.ratio:.2g} times what is predicted (p"
+        f"run {one.run} of {one.setup} by {text.rounded(one.ratio)} times what is predicted (p"
         f" {one.p_high:.1g})"
         for one in far[:NAMED]
     ]

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import msgspec
 
 from oed.base import units
+from oed.base.text import rounded
 from oed.estimation.estimate import Estimate
 from oed.estimation.noise_summary import noise_numbers
 from oed.model.instrument import Setup
@@ -52,7 +53,7 @@ def with_assumption(
     ratio = trust.noise_ratio(section.chi2, section.dof)
     is_small = section.p_low is not None and section.p_low < trust.ALARM
     if is_small and ratio is not None:
-        verdict = f"and too large: the residuals are {ratio:.2g} times it"
+        verdict = f"and too large: the residuals are {rounded(ratio)} times it"
     sentence = (
         f"The noise of the readings ({', '.join(dict.fromkeys(amounts))}) is an"
         f" assumption, {verdict} ({count} readings, {freedom:.1f} degrees of freedom). All"
@@ -82,7 +83,7 @@ def _words(numbers: Sequence[NoiseRecord], stated_as: str, longest: int) -> list
     for number in numbers:
         if not number.departs:
             continue
-        size = f"{number.value:.2g} ± {number.sd:.1g}"
+        size = f"{rounded(number.value)} ± {rounded(number.sd, 1)}"
         if number.kind == "carried":
             phrases.append(
                 f"a share of {size} of the variance of single readings is carried along"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from oed.base import units
+from oed.base.text import rounded
 from oed.model.expected_size import IMPLAUSIBLE
 from oed.result.gap import CoefficientRecord
 
@@ -42,14 +43,9 @@ def _sentence(c: CoefficientRecord, expected: float, check: str) -> str:
         )
     return (
         f"{effect[:1].upper()}{effect[1:]}: {c.name} is {_quantity(c.value, c.unit)} (sd"
-        f" {_quantity(c.sd, c.unit)}), {_rounded(ratio)} times the"
+        f" {_quantity(c.sd, c.unit)}), {rounded(ratio)} times the"
         f" {_quantity(expected, c.unit)} expected. That is implausible: {advice}."
     )
-
-
-def _rounded(ratio: float) -> str:
-    """Two digits, without an exponent: 1200."""
-    return f"{float(f'{ratio:.2g}'):g}"
 
 
 def _quantity(value: float, unit: str) -> str:
@@ -57,5 +53,5 @@ def _quantity(value: float, unit: str) -> str:
     name, factor = units.coefficient_unit(unit)
     amount = value / factor
     if name == "ppm" and abs(amount) >= PERCENT:
-        return f"{amount / PERCENT:.3g} %"
-    return f"{amount:.3g} {name}"
+        return f"{rounded(amount / PERCENT, 3)} %"
+    return f"{rounded(amount, 3)} {name}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from oed.base.text import rounded
 from oed.gap.data.diagnosis import DATA_SHEET
 from oed.result.gap import GapSection
 
@@ -10,13 +11,13 @@ def sentences(gap: GapSection, factor: float) -> list[str]:
     """That readings scatter beyond the instrument, and how."""
     if gap.scatter_against in ("", DATA_SHEET):
         first = (
-            f"The readings scatter {factor:.2g} times as much as stated, and no effect"
+            f"The readings scatter {rounded(factor)} times as much as stated, and no effect"
             " explains it: either the instrument is worse than stated, or something acts"
             " in a form that no effect has."
         )
     else:
         first = (
-            f"The readings scatter {factor:.2g} times as much from pose to pose as where"
+            f"The readings scatter {rounded(factor)} times as much from pose to pose as where"
             f" they were taken again ({gap.scatter_against}), and no effect explains it."
         )
     words = [first, f"What scatters: {'; '.join(gap.noise)}."]

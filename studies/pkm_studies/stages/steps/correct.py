@@ -18,6 +18,7 @@ from oed.compensate.effects.fit import (
 )
 from oed.compensate.effects.senses import TurnedRuns, find_turned_runs
 from oed.compensate.effects.workspace import predict_corrected
+from oed.estimation.identification import IdentificationError
 from oed.gap.data.signature import untestable
 from oed.model.effect import Effect
 from oed.posterior import laplace, posterior
@@ -46,14 +47,22 @@ def correct_for_effects(state: Fitted) -> Fitted:
     given = readings_with_covariates(state, request)
     if state.with_effects:
         _refuse_untestable(state, given, effects)
-    corrected = estimate_with_effects(
-        given,
-        effects,
-        state.estimate.theta,
-        stages=state.resolved.identification_stages,
-        estimate_noise=state.estimates_noise,
-        max_iterations=state.study.identify.max_iterations,
-    )
+    try:
+        corrected = estimate_with_effects(
+            given,
+            effects,
+            state.estimate.theta,
+            stages=state.resolved.identification_stages,
+            estimate_noise=state.estimates_noise,
+            max_iterations=state.study.identify.max_iterations,
+        )
+    except IdentificationError as error:
+        if state.with_effects:
+            raise
+        names = ", ".join(effect.name for effect in effects)
+        return state.with_warnings(
+            f"nothing is corrected for {names}, because with them in the model {error}"
+        )
     if corrected is None:
         return state.with_warnings("no effect that was named changes these readings")
     state = state.replace(corrected=corrected)

@@ -1,0 +1,39 @@
+"""A correction for effects that does not converge, after a diagnosis and by name."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from unittest import mock
+
+import pytest
+
+from oed.estimation.identification import IdentificationError
+from pkm_studies.stages.steps import correct
+
+
+@pytest.fixture
+def state(monkeypatch: pytest.MonkeyPatch) -> mock.MagicMock:
+    """A fit whose correction for a step fails; its warnings are returned."""
+    error = IdentificationError("the fit did not converge")
+    effects = [SimpleNamespace(name="step")]
+    monkeypatch.setattr(correct, "_effects", lambda *given: effects)
+    monkeypatch.setattr(correct, "readings_with_covariates", mock.MagicMock())
+    monkeypatch.setattr(correct, "_refuse_untestable", mock.MagicMock())
+    monkeypatch.setattr(
+        correct, "estimate_with_effects", mock.MagicMock(side_effect=error)
+    )
+    state = mock.MagicMock(with_effects=())
+    state.with_warnings = lambda *warnings: warnings
+    return state
+
+
+def test_a_diagnosis_stands_where_its_correction_fails(state: mock.MagicMock) -> None:
+    (warning,) = correct.correct_for_effects(state)
+    assert warning.startswith("nothing is corrected for step")
+    assert "did not converge" in warning
+
+
+def test_effects_that_were_named_are_refused(state: mock.MagicMock) -> None:
+    state.with_effects = ("step",)
+    with pytest.raises(IdentificationError):
+        correct.correct_for_effects(state)
