@@ -104,7 +104,7 @@ def test_an_outlier_leaves_the_other_readings() -> None:
     checked = machines.check("a3", rows)
     assert checked.set_aside == (17,)
     assert checked.outliers is not None
-    assert checked.outliers.errors[0] == pytest.approx(25e-6, abs=3e-6)
+    assert checked.outliers.gross[0].error == pytest.approx(25e-6, abs=3e-6)
     assert not np.isin(17, checked.outliers.solution.session.values["row"] - 2)
 
 
