@@ -12,6 +12,7 @@ from oed.result import (
     DesignSection,
     EstimateSection,
     GapBeforeSection,
+    GapSection,
     GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
@@ -61,7 +62,7 @@ def sentences(
         *_posterior(result.posterior),
     ]
     diagnosis = result.gap
-    findings = [] if diagnosis is None else diagnosis.words
+    findings = [] if diagnosis is None else [*diagnosis.words, *_visit(diagnosis)]
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
     noise = [] if checked is None else checked.noise_words
@@ -215,6 +216,11 @@ def _verdict(name: str, component: ComponentAccuracy, wanted: float) -> str:
     return (
         f"{name} {format_number(reached)} of {format_number(wanted)} {unit}, {verdict}"
     )
+
+
+def _visit(diagnosis: GapSection) -> list[str]:
+    """The second visit that a diagnosis advises."""
+    return [] if diagnosis.second_visit is None else diagnosis.next[:1]
 
 
 def _unmodelled(section: PredictionSection | None) -> list[str]:
