@@ -223,6 +223,13 @@ class GapSection(Record, frozen=True):
     second_visit: SecondVisitRecord | None = None
 
     @property
+    def findings(self) -> list[str]:
+        """Findings in sentences, and the second visit that is advised."""
+        return (
+            self.words if self.second_visit is None else [*self.words, *self.next[:1]]
+        )
+
+    @property
     def effect_reported(self) -> bool:
         """Whether the verdict is an effect, known or not."""
         return self.verdict not in ("none", "scatter")

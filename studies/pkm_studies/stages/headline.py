@@ -12,7 +12,6 @@ from oed.result import (
     DesignSection,
     EstimateSection,
     GapBeforeSection,
-    GapSection,
     GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
@@ -61,8 +60,7 @@ def sentences(
         *_fit(result.estimate, result.goodness),
         *_posterior(result.posterior),
     ]
-    diagnosis = result.gap
-    findings = [] if diagnosis is None else [*diagnosis.words, *_visit(diagnosis)]
+    findings = [] if result.gap is None else result.gap.findings
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
     noise = [] if checked is None else checked.noise_words
@@ -216,11 +214,6 @@ def _verdict(name: str, component: ComponentAccuracy, wanted: float) -> str:
     return (
         f"{name} {format_number(reached)} of {format_number(wanted)} {unit}, {verdict}"
     )
-
-
-def _visit(diagnosis: GapSection) -> list[str]:
-    """The second visit that a diagnosis advises."""
-    return [] if diagnosis.second_visit is None else diagnosis.next[:1]
 
 
 def _unmodelled(section: PredictionSection | None) -> list[str]:
