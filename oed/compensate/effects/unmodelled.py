@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -79,6 +80,17 @@ class _Form:
     changes: Array
 
 
+class _FormErrors(NamedTuple):
+    """A form, what it does to the tool (n, k, m), and the variance (n, k) of the errors.
+
+    The errors are those of the compensated machine.
+    """
+
+    form: _Form
+    tool: Array
+    variance: Array
+
+
 def expected_effects(
     problem: GapProblem,
     session: SessionStates,
@@ -87,8 +99,8 @@ def expected_effects(
     effects: Sequence[Effect],
     reference: Reference,
     rng: np.random.Generator,
-) -> ExpectedEffects:
-    """Expected errors at the commands of `maps`.
+) -> ExpectedEffects | None:
+    """Expected errors at the commands of `maps`; None where no effect makes any.
 
     model  of the problem's readings, linearised where the problem is. Effects that
            depend on what the plan does not state (a payload) are left out
@@ -102,10 +114,7 @@ def expected_effects(
         for form in _forms(problem, effect, state)
     ]
     if not forms:
-        nothing = np.zeros((len(problem), 0))
-        still = np.zeros((*maps.raw.shape[:2], 0))
-        fitted = _fitted(model, maps.raw, nothing, still)
-        return ExpectedEffects([], np.zeros_like(fitted), fitted)
+        return None
     parameters = problem.theta[: len(machine.parameters)]
     in_workspace = effect_maps(
         session.measurement.kinematics,
@@ -115,40 +124,38 @@ def expected_effects(
         maps.command,
         reference,
     )
+    changes = np.hstack([form.changes for form in forms])
+    errors = in_workspace.raw - maps.raw @ model.response(changes)
     ends = np.cumsum([form.changes.shape[1] for form in forms])[:-1]
-    tool = np.split(in_workspace.raw, ends, axis=2)
-    acting: dict[str, list[tuple[_Form, Array]]] = {}
-    for form, part in zip(forms, tool, strict=True):
-        known = np.isfinite(part).all() and np.isfinite(form.changes).all()
-        if known and (part.any() or form.changes.any()):
-            acting.setdefault(form.acting.effect.name, []).append((form, part))
-    listed = [
-        _expected(problem, model, maps.raw, of_effect) for of_effect in acting.values()
-    ]
+    parts = (np.split(values, ends, axis=2) for values in (in_workspace.raw, errors))
+    acting: dict[str, list[_FormErrors]] = {}
+    for form, tool, error in zip(forms, *parts, strict=True):
+        if np.isfinite(error).all() and error.any():
+            of_effect = acting.setdefault(form.acting.effect.name, [])
+            of_effect.append(_FormErrors(form, tool, np.sum(error**2, axis=2)))
+    if not acting:
+        return None
+    by_effect = list(acting.values())
     # An effect has one set of constants: its coefficients at several share its variance.
-    pairs = [(f, p, len(some) ** -0.5) for some in acting.values() for f, p in some]
-    changes = np.hstack([share * form.changes for form, _, share in pairs])
-    displaced = np.concatenate([share * part for _, part, share in pairs], axis=2)
-    errors = displaced - maps.raw @ model.response(changes)
-    added = np.sum(errors**2, axis=2)
-    return ExpectedEffects(listed, added, _fitted(model, maps.raw, changes, displaced))
+    added = sum(np.mean([f.variance for f in some], axis=0) for some in by_effect)
+    shared = [(f, len(some) ** -0.5) for some in by_effect for f in some]
+    changes = np.hstack([share * f.form.changes for f, share in shared])
+    tool = np.concatenate([share * f.tool for f, share in shared], axis=2)
+    return ExpectedEffects(
+        effects=[_expected(problem, some) for some in by_effect],
+        added=np.asarray(added),
+        fitted=_fitted(model, maps.raw, changes, tool),
+    )
 
 
-def _expected(
-    problem: GapProblem,
-    model: BudgetModel,
-    slopes: Array,
-    forms: Sequence[tuple[_Form, Array]],
-) -> ExpectedEffect:
-    """One effect's errors, by its forms and what each does to the tool (n, k, m)."""
-    errors = [part - slopes @ model.response(form.changes) for form, part in forms]
-    variances = [np.sum(error**2, axis=2) for error in errors]
-    first, _ = forms[0]
+def _expected(problem: GapProblem, forms: Sequence[_FormErrors]) -> ExpectedEffect:
+    """One effect's errors, by its forms."""
+    first = forms[0].form
     effect = first.acting.effect
     return ExpectedEffect(
         effect=effect,
         sizes=first.sizes,
-        variance=np.median(variances, axis=0),
+        variance=np.median([f.variance for f in forms], axis=0),
         not_testable=untestable(effect, problem.states),
     )
 

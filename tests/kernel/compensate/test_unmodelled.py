@@ -161,3 +161,22 @@ def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
         np.random.default_rng(3),
     )
     assert [e.effect.name for e in expected.effects] == ["gravity"]
+
+
+def test_nothing_is_expected_of_effects_that_need_what_no_plan_states() -> None:
+    """One machine's only effect depends on the feed, which the rows do not have."""
+    m = a3_plans.measurement()
+    series, rows = planned(m)
+    problem = assemble(m, (series,), rows)
+    maps = prediction.error_maps(m.kinematics, a3_plans.workspace()[::30])
+    session = SessionStates(m, rows, problem.states, DOWN)
+    expected = expected_effects(
+        problem,
+        session,
+        budget_model(m, problem.series, m.nominal),
+        maps,
+        [servo_lag.effect],
+        "home",
+        np.random.default_rng(3),
+    )
+    assert expected is None

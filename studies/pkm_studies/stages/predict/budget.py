@@ -144,11 +144,11 @@ def _usual(
     after: Array,
     shown: Mapping[str, str],
 ) -> UsualEffects | None:
-    """The machine with all effects; None where there are none.
+    """The machine with all effects; None where none are expected.
 
     shown  {component: fine unit} of those that compensation corrects
     """
-    if expected is None or not expected.effects:
+    if expected is None:
         return None
     added = expected.added.mean(axis=0)
     fitted = expected.fitted.mean(axis=0)

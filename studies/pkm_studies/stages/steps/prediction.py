@@ -171,7 +171,7 @@ def _section(
     return msgspec.structs.replace(section, budget=lines)
 
 
-def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects:
+def _expected_effects(state: Scheduled, main: Accuracy) -> ExpectedEffects | None:
     """Effects that usually go unmodelled, at the sizes that are expected of them."""
     return expected_unmodelled(
         state.measurement,
@@ -268,7 +268,7 @@ def expected_unmodelled(
     request: GapRequest,
     reference: Reference,
     rng: np.random.Generator,
-) -> ExpectedEffects:
+) -> ExpectedEffects | None:
     """Errors by each effect of a request in planned readings and over the workspace."""
     planned = empty_readings(measurement, series, request)
     problem = problems.assemble(
