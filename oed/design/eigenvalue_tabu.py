@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from oed.base.arrays import Array, Index
 from oed.design.copies import Copies, find_copies
+from oed.design.tabu import better_half
 
 #: plans that are searched together, and that go on at the least
 PLANS, LEAST_PLANS = 16, 4
@@ -109,16 +110,8 @@ class _EigenvalueSearch:
         return np.asarray(self.best[int(self.best_values.argmax())])
 
     def _halve(self) -> None:
-        """Goes on with the half that passed the better plans.
-
-        Of those that passed the same plan, one goes before all that come after it.
-        """
-        passed = np.sort(self.best, axis=1)
-        _, first = np.unique(passed, axis=0, return_index=True)
-        again = np.ones(len(passed), dtype=bool)
-        again[first] = False
-        order = np.lexsort((-self.best_values, again))
-        better = np.sort(order[: max(LEAST_PLANS, len(order) // 2)])
+        """Goes on with the half that passed the better plans."""
+        better = better_half(self.best, self.best_values, LEAST_PLANS)
         self.plans, self.free = self.plans[better], self.free[better]
         self.best, self.best_values = self.best[better], self.best_values[better]
         self.row_rests_until = self.row_rests_until[better]

@@ -72,6 +72,21 @@ def search_plans(
     return copies.different(best_plans[int(values.argmax())])
 
 
+def better_half(best: Index, values: Array, least: int) -> Index:
+    """Numbers, ascending, of the half that passed the better plans, at least so many.
+
+    best    (B, size) plan that each passed;  values (B,) of them
+
+    Of those that passed the same plan, one goes before all that come after it.
+    """
+    passed = np.sort(best, axis=1)
+    _, first = np.unique(passed, axis=0, return_index=True)
+    again = np.ones(len(passed), dtype=bool)
+    again[first] = False
+    order = np.lexsort((-values, again))
+    return np.sort(order[: max(least, len(order) // 2)])
+
+
 def _whiten(rows: Array, base: Array) -> tuple[Array, Array]:
     """Rows and prior in coordinates where all rows and the prior have information C."""
     eigenvalues, vectors = np.linalg.eigh(base)
@@ -162,21 +177,13 @@ class _TabuSearch:
         return self.best
 
     def _halve(self) -> None:
-        """Goes on with the half that passed the better plans.
-
-        Of those that passed the same plan, one goes before all that come after it.
-        """
-        passed = np.sort(self.best, axis=1)
-        _, first = np.unique(passed, axis=0, return_index=True)
-        again = np.ones(len(passed), dtype=bool)
-        again[first] = False
-        order = np.lexsort((-self.best_values, again))
-        number = min(len(order), max(LEAST_PLANS, len(order) // 2))
-        better = np.sort(order[:number])
+        """Goes on with the half that passed the better plans."""
+        better = better_half(self.best, self.best_values, LEAST_PLANS)
         self.batch = np.arange(len(better))
         self.plans, self.values = self.plans[better], self.values[better]
         self.best, self.best_values = self.best[better], self.best_values[better]
-        self.tenures, self.free = np.resize(TENURES, number), self.free[better]
+        self.tenures = np.resize(TENURES, len(better))
+        self.free = self.free[better]
         self.inverse, self.products = self.inverse[better], self.products[better]
         self.leverage, self.factors = self.leverage[better], self.factors[better]
         self.row_rests_until = self.row_rests_until[better]
