@@ -19,7 +19,14 @@ from oed.checks.fit import Fit
 from oed.checks.screening import scales_of_noise
 from oed.checks.session import SessionReadings
 from oed.measurement.reading_structure import reading_structure
-from oed.noise.prior import CARRIED, REACH, RUN, log_prior_of_scale, noise_prior
+from oed.noise.prior import (
+    CARRIED,
+    COURSE,
+    REACH,
+    RUN,
+    log_prior_of_scale,
+    noise_prior,
+)
 from oed.noise.process import Laws, Whitening
 from oed.noise.structure import ReadingStructure
 
@@ -108,17 +115,15 @@ def _with_rival(
 
 def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
     """Laws (L,) of unit scale, and log prior weights (L,)."""
-    prior = noise_prior(structure)
+    # What a course takes up is a finding of these checks, not their noise.
+    prior = noise_prior(structure).without(COURSE)
     axes: list[tuple[float, ...]] = [(0.0,)] * prior.dimensions
     for name, values in ((RUN, LEVELS), (CARRIED, SHARES), (REACH, REACHES)):
         if name in prior.names:
             axes[prior.names.index(name)] = values
     u = np.array(list(itertools.product(*axes)))
     log_prior = -0.5 * (u**2).sum(axis=1)
-    laws = prior.laws(u)
-    # What a course takes up is a finding of these checks, not their noise.
-    laws = dataclasses.replace(laws, course=np.zeros(len(laws)))
-    return laws, log_prior - special.logsumexp(log_prior)
+    return prior.laws(u), log_prior - special.logsumexp(log_prior)
 
 
 def _few(laws: Laws, weights: Array) -> tuple[Laws, Array]:

@@ -21,13 +21,11 @@ from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.session import SessionReadings
 from oed.noise.law_noise import factor_of
 from oed.noise.marginal import ResidualModel, most_probable
-from oed.noise.prior import LEAST_FREEDOM, SCALE_SD, noise_prior
+from oed.noise.prior import KNOWN_TO, LEAST_FREEDOM, noise_prior
 from oed.noise.process import Laws, stated_laws
 from oed.noise.robust import robust_residuals
 from oed.result.trust import ALARM, GUESS
 
-#: factor to which a stated noise is known: one standard deviation of its prior
-KNOWN_TO = float(np.exp(SCALE_SD))
 #: rounds of tails and law
 ROUNDS = 3
 

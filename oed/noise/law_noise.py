@@ -20,7 +20,7 @@ import numpy as np
 from oed.base.arrays import Array, Index, Mask
 from oed.noise.covariance import Noise
 from oed.noise.factor import Errors, LinearFactor
-from oed.noise.process import Laws, Whitening
+from oed.noise.process import Laws, Whitening, common_columns
 from oed.noise.structure import (
     KNOWN,
     LEVEL,
@@ -102,16 +102,12 @@ class LawNoise(Noise):
     def of_runs(self) -> tuple[Noise, Array]:
         """As in `Noise`: effects and the course apart."""
         structure, law = self.structure, self.law
-        columns = []
-        if structure.has_effects:
-            columns.append(structure.effects)
-        if structure.course.size:
-            size = law.course[0] * law.scale[0, structure.group]
-            columns.append(structure.course * size[:, None])
+        (columns,) = common_columns(structure, law)
+        if not columns.size:
+            return super().of_runs()
         alone = dataclasses.replace(law, course=np.zeros(len(law)))
         bare = dataclasses.replace(structure, effects=np.zeros((0, 0)))
-        shared = np.hstack([np.zeros((len(structure), 0)), *columns])
-        return noise_under(bare, alone), structure.restore(shared.T).T
+        return noise_under(bare, alone), structure.restore(columns.T).T
 
     def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
         """Draws (..., N)."""
@@ -152,12 +148,9 @@ def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
     law = laws.take([0])
     shared = (structure.columns * law.sizes[0, structure.kinds]) ** 2
     sd = law.scale[0, structure.group] * np.sqrt(1.0 + shared.sum(axis=1))
-    if structure.has_effects:
-        sd = np.sqrt(sd**2 + (structure.effects**2).sum(axis=1))
-    if structure.course.size:
-        course = (law.course[0] * structure.course) ** 2
-        scale = law.scale[0, structure.group]
-        sd = np.sqrt(sd**2 + scale**2 * course.sum(axis=1))
+    (common,) = common_columns(structure, law)
+    if common.size:
+        sd = np.sqrt(sd**2 + (common**2).sum(axis=1))
     return LawNoise(structure.unit * sd, structure=structure, law=law)
 
 

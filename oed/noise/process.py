@@ -169,20 +169,8 @@ class Whitening:
 
     @functools.cached_property
     def _wide(self) -> Array:
-        """Columns V (L or 1, N, k) that all readings share: effects, and the course."""
-        effects = self.structure.effects[None]
-        if not self._has_course:
-            return effects
-        size = (self.laws.course[:, None] * self.laws.scale)[:, self.structure.group]
-        course = self.structure.course * size[..., None]
-        if not self.structure.has_effects:
-            return course
-        repeated = np.broadcast_to(effects, (len(course), *effects.shape[1:]))
-        return np.concatenate([repeated, course], axis=-1)
-
-    @property
-    def _has_course(self) -> bool:
-        return bool(self.structure.course.size) and bool(self.laws.course.any())
+        """Columns V (L or 1, N, k) that all readings share."""
+        return common_columns(self.structure, self.laws)
 
     @functools.cached_property
     def _of_wide(self) -> Array:
@@ -266,6 +254,19 @@ class Whitening:
         decay = self._decay
         fresh = np.sqrt(1.0 - decay**2) * white
         return along_chains(decay.ravel(), fresh.ravel()).reshape(white.shape)
+
+
+def common_columns(structure: ReadingStructure, laws: Laws) -> Array:
+    """Columns (L or 1, N, k) that all readings share: effects, and the course."""
+    effects = structure.effects[None]
+    if not (structure.course.size and laws.course.any()):
+        return effects
+    size = (laws.course[:, None] * laws.scale)[:, structure.group]
+    course = structure.course * size[..., None]
+    if not structure.has_effects:
+        return course
+    repeated = np.broadcast_to(effects, (len(course), *effects.shape[1:]))
+    return np.concatenate([repeated, course], axis=-1)
 
 
 def _student_over_pseudo(dof: float) -> float:

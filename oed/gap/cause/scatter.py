@@ -22,7 +22,6 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array
-from oed.checks.judgement import KNOWN_TO
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
@@ -31,6 +30,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.data.replicates import Replicates, energy_beyond, replicates
 from oed.model.size_prior import UNKNOWN_SIZES
 from oed.noise.law import NoiseLaw, stated_law
+from oed.noise.prior import KNOWN_TO
 from oed.result.trust import chi2_is_large
 
 #: share of an unknown alone that recurs at each pose and is not smooth: as likely

@@ -12,7 +12,6 @@ from scipy import special
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.checks.judgement import KNOWN_TO
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.compensate.effects.fit import EffectReadings
@@ -23,6 +22,7 @@ from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
+from oed.noise.prior import KNOWN_TO
 from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.planned_effects import NONE, named_effects
