@@ -25,8 +25,9 @@ from oed.estimation.fit_stages import (
     preliminary_stage,
 )
 from oed.estimation.law_stage import (
-    integrate_law,
+    integrate_settled,
     integrated_stage,
+    settle_law,
     structure_and_prior,
 )
 from oed.measurement.measurement import Measurement, Series
@@ -124,10 +125,12 @@ def _stage_with_effects(
     """The last stage from theta (n,), with effects and noise law integrated over."""
     exact = last_stage(fit, stated, theta, start_residuals, patterns)
     structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
-    without = integrate_law(fit, stated, exact, structure, prior).estimate
-    posterior = without.noise_posterior
-    mode = None if posterior is None else posterior.mode
-    starts = [EffectsStart(exact.theta, None), EffectsStart(without.theta, mode)]
+    settled = settle_law(fit, stated, exact, structure, prior)
+    without = integrate_settled(fit, exact, settled)
+    starts = [
+        EffectsStart(exact.theta, None),
+        EffectsStart(without.theta, settled.mode),
+    ]
 
     def linearise(about: Array) -> ReadingsAbout:
         coordinates = fit.coordinates(about, stated, exact.prior_sd)
@@ -147,8 +150,8 @@ def _stage_with_effects(
         rng,
     )
     first = dataclasses.replace(exact, theta=fitted.theta)
-    final = integrate_law(fit, stated, first, fitted.structure, prior, fitted.mode)
-    estimate = final.estimate
+    final = settle_law(fit, stated, first, fitted.structure, prior, fitted.mode)
+    estimate = integrate_settled(fit, first, final)
     null = estimate.coordinates.null_basis
     residuals = fit.residuals(fitted.theta)
     white = stated.whiten(residuals - fitted.sampled.changes)

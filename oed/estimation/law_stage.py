@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.estimation.coordinates import IdentifiableCoordinates
 from oed.estimation.estimate import Estimate
 from oed.estimation.fit_stages import ReadingsFit, last_stage
 from oed.estimation.law_check import LawCheck, check_law
@@ -17,8 +18,8 @@ from oed.noise.law_noise import noise_under
 from oed.noise.marginal import ResidualModel, integrate, most_probable
 from oed.noise.prior import (
     COURSE,
+    KNOWN_TO,
     LEAST_FREEDOM,
-    SCALE_SD,
     NoisePrior,
     noise_prior,
 )
@@ -29,17 +30,28 @@ from oed.noise.structure import ReadingStructure
 #: rounds of fit and noise law, and change of a law's coordinates, in prior standard
 #: deviations, below which they have settled
 NOISE_ROUNDS, SETTLED = 6, 0.03
-#: factor to which a stated noise is good
-KNOWN_TO = float(np.exp(SCALE_SD))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class LawFit:
-    """An estimate with its law integrated over, and the linear model that this is of."""
+class SettledLaw:
+    """The most probable law, and the linear model about the fit with it.
 
-    estimate: Estimate
+    prior        of the law
+    mode         (d,) its coordinates
+    noise        under it
+    coordinates  of the fit
+    robust       the fit, with readings far off replaced
+    iterations   of the last fit
+    """
+
     model: ResidualModel
     law: Laws
+    prior: NoisePrior
+    mode: Array
+    noise: Noise
+    coordinates: IdentifiableCoordinates
+    robust: ReadingsFit
+    iterations: int
 
 
 def integrated_stage(
@@ -60,19 +72,19 @@ def integrated_stage(
     first = last_stage(fit, stated, theta, start_residuals, patterns)
     structure, with_course = structure_and_prior(fit, first)
     prior = with_course.without(COURSE)
-    by_law = integrate_law(fit, stated, first, structure, prior)
-    model = by_law.model
+    settled = settle_law(fit, stated, first, structure, prior)
+    model = settled.model
     about_nominal = model.residual + model.slopes @ model.centre
-    check = check_law(structure, by_law.law, about_nominal, model.slopes)
+    check = check_law(structure, settled.law, about_nominal, model.slopes)
+    robust = settled.robust
     if COURSE in with_course.names:
-        course = integrate_law(fit, stated, first, structure, with_course)
-        if not check.is_contradicted:
-            return dataclasses.replace(course.estimate, law_check=check)
-        if _scatters_as_stated(course.law):
-            return course.estimate
+        settled = settle_law(fit, stated, first, structure, with_course)
     if not check.is_contradicted:
-        return dataclasses.replace(by_law.estimate, law_check=check)
-    return _by_stated_weights(fit, stated, first, by_law.estimate, check)
+        estimate = integrate_settled(fit, first, settled)
+        return dataclasses.replace(estimate, law_check=check)
+    if COURSE in with_course.names and _scatters_as_stated(settled.law):
+        return integrate_settled(fit, first, settled)
+    return _by_stated_weights(robust, fit, stated, first, check)
 
 
 def _scatters_as_stated(law: Laws) -> bool:
@@ -82,15 +94,17 @@ def _scatters_as_stated(law: Laws) -> bool:
 
 
 def _by_stated_weights(
-    fit: ReadingsFit, stated: Noise, first: Estimate, by_law: Estimate, check: LawCheck
+    robust: ReadingsFit,
+    fit: ReadingsFit,
+    stated: Noise,
+    first: Estimate,
+    check: LawCheck,
 ) -> Estimate:
     """The fit with stated weights, of a noise that the readings' law makes wider.
 
-    first   estimate with the stated noise;  by_law  with the estimated law
+    robust  the fit with readings far off replaced;  first  with the stated noise
     """
-    y = fit.y if by_law.robust_readings is None else by_law.robust_readings
-    robust = dataclasses.replace(fit, y=y)
-    wider = stated.scaled(np.full(len(y), check.widening))
+    wider = stated.scaled(np.full(len(robust.y), check.widening))
     (stage,) = first.stages
     before = first.residuals_before
     estimate = last_stage(robust, wider, first.theta, before, stage.patterns)
@@ -100,7 +114,7 @@ def _by_stated_weights(
         stages=(dataclasses.replace(stage, iterations=estimate.stages[-1].iterations),),
         chi2=first.chi2,
         dof=first.dof,
-        robust_readings=y,
+        robust_readings=robust.y,
         law_check=check,
     )
 
@@ -124,15 +138,15 @@ def structure_and_prior(
     return structure, prior
 
 
-def integrate_law(
+def settle_law(
     fit: ReadingsFit,
     stated: Noise,
     first: Estimate,
     structure: ReadingStructure,
     prior: NoisePrior,
     near: Array | None = None,
-) -> LawFit:
-    """Fit, outliers and law in turn from an estimate; then the law is integrated over.
+) -> SettledLaw:
+    """Fit, outliers and law in turn from an estimate.
 
     near  (d,) coordinates of the law where they begin; the stated law by default
     """
@@ -155,26 +169,39 @@ def integrate_law(
         change = structure.restore(replaced - residual)
         robust = dataclasses.replace(fit, y=fit.y + change)
         model = ResidualModel(structure, replaced, slopes, z)
-        before, mode = mode, most_probable(model, prior, mode)
-        law = prior.laws(mode[None])
+        before, probable = mode, most_probable(model, prior, mode)
+        mode = probable
+        law = prior.laws(probable[None])
         noise = noise_under(structure, law)
-        if before is not None and np.abs(mode - before).max() < SETTLED:
+        if before is not None and np.abs(probable - before).max() < SETTLED:
             break
-    posterior = integrate(model, prior, mode)
+    return SettledLaw(
+        model, law, prior, probable, noise, coordinates, robust, iterations
+    )
+
+
+def integrate_settled(
+    fit: ReadingsFit, first: Estimate, settled: SettledLaw
+) -> Estimate:
+    """The estimate with the law integrated over.
+
+    first  estimate with the stated noise
+    """
+    coordinates = settled.coordinates
+    posterior = integrate(settled.model, settled.prior, settled.mode)
     theta = coordinates.to_theta(posterior.mean)
     residuals = fit.residuals(theta)
     basis, null = coordinates.basis, coordinates.null_basis
-    stage = dataclasses.replace(first.stages[-1], iterations=iterations)
-    estimate = dataclasses.replace(
+    stage = dataclasses.replace(first.stages[-1], iterations=settled.iterations)
+    return dataclasses.replace(
         first,
         theta=theta,
         covariance=basis @ posterior.covariance @ basis.T + null @ null.T,
         coordinates=coordinates,
         z=posterior.mean,
         residuals=residuals,
-        noise=noise,
+        noise=settled.noise,
         stages=(stage,),
         noise_posterior=posterior,
-        robust_readings=robust.y,
+        robust_readings=settled.robust.y,
     )
-    return LawFit(estimate, model, law)
