@@ -7,29 +7,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
 from oed.estimation.law_check import CONTRADICTED, check_law
-from oed.measurement.measurement import Measurement
-from oed.measurement.reading_structure import reading_structure
-from oed.model.instrument import mount
 from oed.noise.law_noise import errors_of
 from oed.noise.process import Laws, stated_laws
 from oed.noise.structure import ReadingStructure
-from pkm_models.instruments import ball_bar
-from pkm_models.machines import a3_head
 
 
 @pytest.fixture(scope="module")
 def structure() -> ReadingStructure:
     """Three runs of a ball bar."""
-    m = Measurement(
-        a3_head.machine, [mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))]
-    )
-    psi = np.tile(np.linspace(-3.0, 3.0, 12), 3)
-    heights = np.repeat([1.15, 1.2, 1.25], 12)
-    command = np.column_stack([heights, psi, np.full(36, 0.4)])
-    series = m.series("bar", command, run=[f"z {z}" for z in heights])
-    return reading_structure(m, [series], m.nominal)
+    return bar_circles.circles(12)
 
 
 @pytest.fixture(scope="module")

@@ -5,17 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
-from oed.measurement.measurement import Measurement
-from oed.measurement.reading_structure import reading_structure
-from oed.model.instrument import mount
 from oed.noise import course
 from oed.noise.law_noise import COURSE, errors_of, errors_of_readings, factor_of
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening
 from oed.noise.structure import ReadingStructure
-from pkm_models.instruments import ball_bar
-from pkm_models.machines import a3_head
 
 
 def test_the_variance_grows_with_the_session() -> None:
@@ -40,13 +36,7 @@ def test_a_group_has_a_term_for_each_five_readings() -> None:
 @pytest.fixture(scope="module")
 def structure() -> ReadingStructure:
     """Three runs of a ball bar."""
-    machine = a3_head.machine
-    m = Measurement(machine, [mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))])
-    psi = np.tile(np.linspace(-3.0, 3.0, 8), 3)
-    heights = np.repeat([1.15, 1.2, 1.25], 8)
-    command = np.column_stack([heights, psi, np.full(24, 0.4)])
-    series = m.series("bar", command, run=[f"z {z}" for z in heights])
-    return reading_structure(m, [series], m.nominal)
+    return bar_circles.circles(8)
 
 
 @pytest.fixture(scope="module")

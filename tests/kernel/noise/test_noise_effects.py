@@ -5,17 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
-from oed.measurement.measurement import Measurement
-from oed.measurement.reading_structure import reading_structure
-from oed.model.instrument import mount
 from oed.noise.law_noise import noise_under
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening
 from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
-from pkm_models.instruments import ball_bar
-from pkm_models.machines import a3_head
 
 EFFECTS = 5
 
@@ -23,13 +19,7 @@ EFFECTS = 5
 @pytest.fixture(scope="module")
 def structure() -> ReadingStructure:
     """Runs of a ball bar, with five columns of effects."""
-    machine = a3_head.machine
-    m = Measurement(machine, [mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))])
-    psi = np.tile(np.linspace(-3.0, 3.0, 12), 3)
-    heights = np.repeat([1.15, 1.2, 1.25], 12)
-    command = np.column_stack([heights, psi, np.full(36, 0.4)])
-    series = m.series("bar", command, run=[f"z {z}" for z in heights])
-    bare = reading_structure(m, [series], m.nominal)
+    bare = bar_circles.circles(12)
     columns = 3.0 * np.random.default_rng(1).standard_normal((len(bare), EFFECTS))
     return dataclasses.replace(bare, effects=columns)
 

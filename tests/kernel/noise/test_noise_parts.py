@@ -5,15 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.measurement.measurement import Measurement
-from oed.measurement.reading_structure import reading_structure
-from oed.model.instrument import mount
+from kernel import bar_circles
 from oed.noise import law_noise
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws
 from oed.noise.structure import ReadingStructure
-from pkm_models.instruments import ball_bar
-from pkm_models.machines import a3_head
 
 FACTORS = (
     {},
@@ -27,13 +23,7 @@ FACTORS = (
 @pytest.fixture(scope="module")
 def circles() -> ReadingStructure:
     """Three circles of 40 readings, whose cup is seated at each."""
-    bar = mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))
-    m = Measurement(a3_head.machine, [bar])
-    heights = np.repeat([1.15, 1.2, 1.25], 40)
-    psi = np.tile(np.linspace(-3.0, 3.0, 40), 3)
-    command = np.column_stack([heights, psi, np.full(120, 0.4)])
-    series = m.series("bar", command, run=[f"z {z}" for z in heights])
-    return reading_structure(m, [series], m.nominal)
+    return bar_circles.circles(40)
 
 
 def covariance(

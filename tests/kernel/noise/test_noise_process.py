@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from kernel import bar_circles
 from oed.measurement.measurement import Measurement
 from oed.measurement.reading_structure import reading_structure
 from oed.model.instrument import mount
@@ -14,8 +15,8 @@ from oed.noise.outliers import Precision, detect
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening, stated_laws
 from oed.noise.structure import ReadingStructure
-from pkm_models.instruments import ball_bar, laser_ball_bar
-from pkm_models.machines import a3_head, prs_spindle
+from pkm_models.instruments import laser_ball_bar
+from pkm_models.machines import prs_spindle
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 
@@ -23,14 +24,7 @@ GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 @pytest.fixture(scope="module")
 def circles() -> ReadingStructure:
     """Three circles of 12 readings by a ball bar, whose cup is seated at each."""
-    m = Measurement(
-        a3_head.machine, [mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0))]
-    )
-    psi = np.linspace(-3.0, 3.0, 12)
-    heights = np.repeat([1.15, 1.2, 1.25], 12)
-    command = np.column_stack([heights, np.tile(psi, 3), np.full(36, 0.4)])
-    series = m.series("bar", command, run=[f"z {z}" for z in heights])
-    return reading_structure(m, [series], m.nominal)
+    return bar_circles.circles(12)
 
 
 @pytest.fixture(scope="module")
