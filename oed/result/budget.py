@@ -9,8 +9,8 @@ class BudgetLine(Record, frozen=True):
     """A source of the errors of the compensated machine; values by pose component.
 
     source   its name
-    kind     instrument, run, noise law, set-up, effects, prior or linearisation; with
-             a compensation file also interpolation, rounding or left out
+    kind     instrument, run, course, noise law, set-up, effects, prior or linearisation;
+             with a compensation file also interpolation, rounding or left out
     share    of the predicted variance; below 0 where a linear calculation predicts too
              much
     size     root of its variance, in the component's unit, with the sign of its share

@@ -169,7 +169,7 @@ def _alternatives(
 ) -> tuple[Callable[[], Array], Callable[[], Array] | None]:
     """Covariances without a source, and with half its standard deviation."""
     source = part.source
-    if part.kind in ("instrument", "run", "noise law"):
+    if part.kind in ("instrument", "run", "course", "noise law"):
         return (
             lambda: model.covariance({source: GONE}),
             lambda: model.covariance({source: 0.5}),

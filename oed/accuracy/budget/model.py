@@ -27,6 +27,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.law_noise import (
     BEYOND,
+    COURSE,
     ReadingErrors,
     errors_of_readings,
     instrument_source,
@@ -34,7 +35,9 @@ from oed.noise.law_noise import (
 from oed.noise.process import Laws, stated_laws
 from oed.noise.structure import ReadingStructure
 
-Kind = Literal["instrument", "run", "noise law", "set-up", "effects", "prior"]
+Kind = Literal["instrument", "run", "course", "noise law", "set-up", "effects", "prior"]
+#: errors that are taken away in turn
+TAKEN_AWAY: tuple[Kind, ...] = ("run", "course", "noise law")
 SETUP = "unknown set-up"
 EFFECTS = "sizes of the effects"
 UNDETERMINED = "combinations that no reading determines"
@@ -84,6 +87,8 @@ class BudgetModel:
             kinds[name] = "run"
             if name in stated:
                 kinds[name] = "instrument"
+            if name == COURSE:
+                kinds[name] = "course"
             if name == BEYOND:
                 kinds[name] = "noise law"
         return kinds
@@ -144,8 +149,8 @@ class BudgetModel:
         if self.effect.any():
             steps.append((EFFECTS, "effects", self.effect))
         errors = self.errors
-        steps += [(n, kind, None) for n, kind in errors.items() if kind == "run"]
-        steps += [(n, kind, None) for n, kind in errors.items() if kind == "noise law"]
+        for taken in TAKEN_AWAY:
+            steps += [(n, kind, None) for n, kind in errors.items() if kind == taken]
         return steps
 
     def _instrument_parts(

@@ -23,6 +23,7 @@ Components = Mapping[str, ComponentAccuracy]
 KINDS: Final = {
     "instrument": "the stated noise of single readings",
     "run": "errors that the readings of a run share",
+    "course": "errors that all runs share in the course of the session",
     "noise law": "noise beyond the stated one, and what is not known of it",
     "set-up": "what the unknowns of the set-ups cost: where a cup or a tracker stands",
     "effects": "what is not known of the effects in the model",

@@ -53,7 +53,8 @@ def all_errors(plan: tuple[Measurement, Series]) -> Laws:
     structure = reading_structure(plan[0], [plan[1]], plan[0].nominal)
     groups = len(structure.names)
     one = np.ones(1)
-    return Laws(1.4 * np.ones((1, groups)), 0.3 * one, 4.0 * one, 0.7 * one, 0.5 * one)
+    scale = 1.4 * np.ones((1, groups))
+    return Laws(scale, 0.3 * one, 4.0 * one, 0.7 * one, 0.5 * one, course=0.6 * one)
 
 
 def test_the_parts_add_up_to_the_posterior_covariance(
@@ -95,6 +96,7 @@ def test_every_error_of_an_estimated_law_has_its_line(
         "error shared by a run",
         "set-up seated anew",
         "error carried along a run",
+        "course of the session",
         "noise beyond the stated one",
         "noise of ball_bar",
         "combinations that no reading determines",
