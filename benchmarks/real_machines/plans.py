@@ -31,6 +31,7 @@ from oed.design import candidates
 from oed.design.criterion.variance import Variance
 from oed.design.exchange import choose
 from oed.estimation import identify
+from oed.estimation.effect_sizes import healthy_size
 from oed.gap.data import problem as problems
 from oed.identifiability.information import prior_information
 from pkm_studies.resolve.planned_effects import effects_of_planned, pose_error_slopes
@@ -94,6 +95,8 @@ def _chosen(bench: world.Bench, count: int, seed: int, real: bool) -> Index:
         effects = effects_of_planned(
             measurement, bench.series, bench.effects, request, place, rng, UNKNOWNS
         )
+    if effects is not None:
+        effects = effects.of_size(healthy_size())
     pool = candidates.build(
         measurement,
         bench.series,

@@ -116,6 +116,13 @@ def log_prior(unknown: Mask) -> Array:
         return np.asarray(np.log(np.array(tables)))
 
 
+def healthy_size() -> float:
+    """Geometric mean of the sizes of a healthy machine's groups, in expected sizes."""
+    common = np.log(SIZES[COMMON]).mean()
+    near = np.log(SIZES[1] / SIZES[0]) * (NEAR_SHARES @ NEAR)
+    return float(np.exp(common + near))
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Particles:
     """m particles: coefficients (m, k), numbers of the sizes (m, g) and states (m,)."""

@@ -137,7 +137,9 @@ class AllowedEffects(Record, frozen=True):
     """The plan that allows for effects, beside the plan for a machine without.
 
     Accuracies are rms errors by component and fine unit (`z_um`) after compensation, with
-    the effects at the sizes expected of them, once all that is known is corrected.
+    the effects at the sizes expected of them, once all that is known is corrected. The
+    plan is chosen for effects of `size` times that. An efficiency above 1 is that of a
+    plan which is better than this one.
     """
 
     groups: int  # of effects
@@ -148,6 +150,7 @@ class AllowedEffects(Record, frozen=True):
     accuracy_without: dict[str, float]  # of the plan for a machine without effects
     before: dict[str, float]  # without any reading
     recording: RecordingSection | None = None  # what else to record
+    size: float = 1.0  # of the effects that the plan is chosen for, in expected sizes
 
 
 class DesignSection(Record, frozen=True, kw_only=True):

@@ -40,6 +40,16 @@ class PlannedEffects:
     columns: ExpectedColumns
     session: SessionStates
 
+    def of_size(self, factor: float) -> PlannedEffects:
+        """The effects with all sizes times a factor; `columns` stay as they are."""
+        changes = self.readings
+        return dataclasses.replace(
+            self,
+            readings=Nuisances(factor * changes.columns, factor * changes.scatter),
+            tool=factor * self.tool,
+            others=factor**2 * self.others,
+        )
+
     @property
     def groups(self) -> tuple[str, ...]:
         """Names of the groups of effects."""

@@ -298,8 +298,8 @@ def _allowed_effects(section: DesignSection) -> list[str]:
         other = allowed.accuracy_without[key]
         parts.append(f"{name} {value:.3g} ({other:.3g}) {unit}")
     return [
-        f"It allows for {allowed.groups} groups of effects at the sizes expected of them,"
-        " and then leaves rms errors, in brackets those of the plan for a machine without"
+        f"It allows for {allowed.groups} groups of effects. With these at the sizes expected"
+        " of them it leaves rms errors, in brackets those of the plan for a machine without"
         f" effects: {', '.join(parts)}.",
     ]
 

@@ -13,13 +13,13 @@ def blocks(design: DesignSection) -> list[Block]:
     allowed = design.effects
     if allowed is None:
         return []
-    lost = text.percent(1.0 - allowed.efficiency)
-    alone = text.percent(1.0 - allowed.efficiency_without)
+    with_effects = _difference(allowed.efficiency)
+    alone = _difference(allowed.efficiency_without)
     sentence = (
         f"The plan allows for {text.count(allowed.groups, 'group')} of effects beside the"
-        " geometry, at the sizes expected of them. On a machine that has them, the plan"
-        f" for a machine without effects loses {lost} by {design.criterion}; on a machine"
-        f" without effects, this plan loses {alone}."
+        f" geometry, {_sizes(allowed.size)}. On a machine that has them at the sizes expected"
+        f" of them, the plan for a machine without effects {with_effects} by"
+        f" {design.criterion}; on a machine without effects, this plan {alone}."
     )
     columns = [
         wide_column("Error after compensation, rms"),
@@ -36,3 +36,19 @@ def blocks(design: DesignSection) -> list[Block]:
     )
     table = Table(columns, rows, caption)
     return [Paragraph(sentence), table, *recording.blocks(allowed.recording)]
+
+
+def _difference(efficiency: float) -> str:
+    """What a plan loses, or gains, against another one."""
+    verb = "loses" if efficiency <= 1.0 else "gains"
+    return f"{verb} {text.percent(abs(1.0 - efficiency))}"
+
+
+def _sizes(factor: float) -> str:
+    """The sizes that the plan is chosen for, as a factor on the expected ones."""
+    if factor == 1.0:
+        return "at the sizes expected of them"
+    return (
+        f"at {factor:.2g} times the sizes expected of them, the typical size on a healthy"
+        " machine"
+    )

@@ -90,16 +90,18 @@ def select_design(
     if table is None or request is None or not resolved.candidates:
         return None
     place = resolved.study.place.key("design")
-    planned = effects.allowed_effects(resolved, table, request, rng)
+    expected = effects.allowed_effects(resolved, table, request, rng)
+    planned = expected and expected.of_size(effects.chosen_size(table))
     study_criteria = StudyCriteria(resolved, table, request, planned)
     problem = _problem(resolved, study_criteria, place)
     field = "compound" if table.compound else "criterion"
     choice, relaxed_summary = _main_choice(problem, study_criteria, rng, place, field)
+    with_expected = StudyCriteria(resolved, table, request, expected)
     summary_of_effects = None
-    if planned is not None:
+    if expected is not None:
         without = _without_effects(study_criteria, rng, place, field)
         summary_of_effects = effects.compare_without(
-            problem, study_criteria, choice, without
+            _problem(resolved, with_expected, place), with_expected, choice, without
         )
     compared = _compared(problem, study_criteria, choice, rng, place.key("compare"))
     robust_summary, size_summary = None, None
@@ -127,7 +129,7 @@ def select_design(
         series=ordered.series,
         scheduled=ordered.scheduled,
         choice=choice,
-        criteria=study_criteria,
+        criteria=with_expected,
         retained=sum(map(len, retained)),
         candidates=len(problem.candidates),
         bound_ignores_setups=problem.selects_setups and problem.bound_ignores_setups,
