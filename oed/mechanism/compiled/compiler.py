@@ -16,6 +16,7 @@ import os
 import platform
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -28,9 +29,11 @@ COMPILERS = ("cc", "gcc", "clang")
 #: `-fno-math-errno` and `-fno-trapping-math` change no result; a product and a sum may
 #: become one operation, rounded once
 FLAGS = (
-    *("-std=gnu11", "-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math"),
+    *("-std=gnu11", "-O2", "-fno-math-errno", "-fno-trapping-math"),
     *("-ffp-contract=fast", "-fno-strict-aliasing", "-w", "-shared", "-fPIC"),
 )
+#: all that this processor can do, or what every one can, where the compiler cannot tell
+PROCESSORS = (("-march=native",), ())
 #: longest time of a compilation, s
 LONGEST = 120.0
 #: files of the folder beyond which the oldest are removed
@@ -73,13 +76,21 @@ def find_compiler(search_path: str) -> Compiler | None:
         return None
     for name in COMPILERS:
         program = shutil.which(name, path=search_path)
-        if program is not None:
+        if program is not None and not _asks_to_install(program):
             file = Path(program).resolve()
             with contextlib.suppress(OSError):
                 status = file.stat()
                 marks = (file, status.st_size, status.st_mtime_ns, _processor())
                 return Compiler(program, "\n".join(map(str, marks)))
     return None
+
+
+def _asks_to_install(program: str) -> bool:
+    """Whether a program opens a window in place of compiling: on a Mac without tools."""
+    if sys.platform != "darwin" or not program.startswith("/usr/bin/"):
+        return False
+    asked = subprocess.run(["xcode-select", "-p"], capture_output=True, check=False)
+    return asked.returncode != 0
 
 
 def _processor() -> str:
@@ -96,7 +107,7 @@ def _processor() -> str:
 @functools.cache
 def _load(text: str, compiler: Compiler, folder: Path) -> ctypes.CDLL | None:
     """As `load`, once a process for each text."""
-    parts = "\n".join([text, *FLAGS, compiler.identity])
+    parts = "\n".join([text, *FLAGS, str(PROCESSORS), compiler.identity])
     digest = hashlib.sha256(parts.encode()).hexdigest()[:DIGITS]
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -140,15 +151,18 @@ def _compile(text: str, compiler: Compiler, folder: Path, digest: str) -> Path:
     with tempfile.TemporaryDirectory(prefix="pkm-oed-") as scratch:
         source, library = Path(scratch, "lanes.c"), Path(scratch, "lanes.so")
         source.write_text(text, encoding="utf-8")
-        command = [compiler.path, *FLAGS, "-o", str(library), str(source), "-lm"]
-        subprocess.run(
-            command,
-            check=True,
-            timeout=LONGEST,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            cwd=scratch,
-        )
+        files = ("-o", str(library), str(source), "-lm")
+        for processor in PROCESSORS:
+            done = subprocess.run(
+                [compiler.path, *FLAGS, *processor, *files],
+                check=False,
+                timeout=LONGEST,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                cwd=scratch,
+            )
+            if done.returncode == 0:
+                break
         content = library.read_bytes()
     file = folder / f"{digest}-{_content_digest(content)}.so"
     with whole_file(file) as part:

@@ -7,8 +7,8 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from kernel.mechanism.compiling import compiled, compiled_files, needs_compiler
 
+from kernel.mechanism.compiling import compiled, compiled_files, needs_compiler
 from oed.mechanism import newton
 from oed.mechanism.array_code.newton import SolvedSystems
 from oed.mechanism.batch import BatchedFunction
@@ -74,7 +74,9 @@ TWO = {
 }
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of NumPy, where there is no value
+@pytest.mark.filterwarnings(
+    "ignore::RuntimeWarning"
+)  # of NumPy, where there is no value
 def test_every_operation_equals_numpy(rng: np.random.Generator) -> None:
     outputs = [formula for formula, _ in (ONE | TWO).values()]
     function = batched([X, Y], outputs)
@@ -99,7 +101,9 @@ def test_sines_and_cosines_are_within_an_ulp_or_two() -> None:
         pytest.skip("no long doubles on this processor")
     turns = np.pi / 2.0 * np.arange(-300, 301)
     near = np.concatenate([turns, np.nextafter(turns, 1e9), turns + 1e-9])
-    wide = np.concatenate([np.linspace(-1e5, 1e5, 4001), [1e5 + 1.0, 1e9, -1e22, 1e300]])
+    wide = np.concatenate(
+        [np.linspace(-1e5, 1e5, 4001), [1e5 + 1.0, 1e9, -1e22, 1e300]]
+    )
     small = np.geomspace(1e-300, 10.0, 1001)
     angles = np.concatenate([near, wide, small, -small, [0.0]])
     sine, cosine = batched([X], [ca.sin(X), ca.cos(X)])(angles[:, None])

@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
-from kernel.mechanism.compiling import compiled, needs_compiler
 
+from kernel.mechanism.compiling import compiled, needs_compiler
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.compiled import compiler, lanes
 
@@ -89,8 +90,6 @@ def test_machines_of_other_dimensions_share_a_file(folder: Path) -> None:
 
 
 def test_two_processes_compile_at_once(folder: Path, tmp_path: Path) -> None:
-    import time
-
     start = str(time.time() + 3.0)
     command = [sys.executable, "-c", PROGRAM, str(folder), text_of(43), start]
     processes = [
@@ -138,6 +137,21 @@ def test_where_the_compiler_fails_the_array_code_serves(
     monkeypatch.setattr(compiler, "LONGEST", 0.3 if "sleep" in program else 20.0)
     assert not runs_compiled()
     assert not [*folder.iterdir()]
+
+
+def test_a_compiler_that_does_not_know_the_processor_serves(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    known = compiler.find_compiler(os.environ["PATH"])
+    assert known is not None
+    script = tmp_path / "cc"
+    script.write_text(
+        f'#!/bin/sh\ncase "$*" in *native*) exit 1;; esac\nexec {known.path} "$@"\n'
+    )
+    script.chmod(0o755)
+    forget()
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    assert runs_compiled()
 
 
 def test_where_the_folder_cannot_be_the_array_code_serves(
