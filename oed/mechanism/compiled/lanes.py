@@ -92,7 +92,7 @@ class _Lanes:
             ends = ctypes.c_int64(first), ctypes.c_int64(end)
             self._run(*ends, inner, table, constants, *arguments)
 
-        _share(run, points.size)
+        share_points(run, points.size)
 
 
 class Evaluation(_Lanes):
@@ -240,7 +240,7 @@ def _place(array: Any) -> ctypes.c_void_p:
     return ctypes.c_void_p(_address(array))
 
 
-def _share(run: Callable[[int, int], None], count: int) -> None:
+def share_points(run: Callable[[int, int], None], count: int) -> None:
     """Run from 0 to `count` in as many shares as there are cores for this process."""
     shares = count // SHARED_POINTS
     cores = min(_cores(), shares) if shares > 1 else 1
