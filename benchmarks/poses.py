@@ -2,11 +2,17 @@
 
     python benchmarks/poses.py
 
-The alternatives (`numpy_poses`) are written for one machine each. Poses of the hexapod
-have parameters of their own. Those of the A3 head are of 31 poses, ball-bar readings on
-two circles and the taught cup, at each of several parameter vectors. Both sides start
-at the nominal poses and stop after a step below 1e-8. Times are processor seconds on
-one thread: medians of pairs, one after the other.
+Two columns are this project: its array code, which needs no compiler, and its functions
+compiled by the C compiler of this computer. The alternatives (`numpy_poses`) are written
+for one machine each. Poses of the hexapod have parameters of their own. Those of the A3
+head are of 31 poses, ball-bar readings on two circles and the taught cup, at each of
+several parameter vectors. All start at the nominal poses and stop after a step below
+1e-8. Times are processor seconds on one thread: medians of rounds in which each takes
+its turn.
+
+A second table has large batches on one core and on all: what runs on one core takes its
+processor time, and what the cores share takes that of the busiest. So it holds on a
+loaded machine too, where the time that passes says little.
 """
 
 from __future__ import annotations
@@ -18,34 +24,55 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 import statistics
 import time
 from collections.abc import Callable, Iterator
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from numpy_poses import a3_poses, a3_readings, hexapod_poses
+from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.compiled import lanes
+from oed.mechanism.compiled.switch import AT_ONCE, NEVER, VARIABLE
 from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines.hexapod import machine
 from readings import plan
 
-COUNTS, PAIRS = (100, 1000, 10_000), 7
+COUNTS, ROUNDS = (100, 1000, 10_000, 100_000), 7
+#: counts from which the time on all cores is measured
+MANY = 10_000
+CORES = "OMP_NUM_THREADS"
 NO_TOOL = np.zeros(3)
 
 Work = Callable[[], np.ndarray]
-#: what is computed, number of poses, this project's way, the alternative
-Case = tuple[str, int, Work, Work]
+Result = TypeVar("Result")
+
+
+class Case(NamedTuple):
+    """What is computed, at how many poses, and the ways: array code, compiled, NumPy."""
+
+    name: str
+    count: int
+    ways: tuple[Work, Work, Work]
 
 
 def hexapod_cases() -> Iterator[Case]:
     """Poses of the hexapod, each with parameters of its own."""
-    kinematics, rng = Kinematics(machine), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
+    array_code = as_set(NEVER, lambda: Kinematics(machine))
+    compiled = as_set(AT_ONCE, lambda: Kinematics(machine))
     lower = np.array([c.lower for c in machine.command])
     upper = np.array([c.upper for c in machine.command])
     tolerance = np.array([p.tolerance for p in machine.parameters])
     for count in COUNTS:
-        x, q = kinematics.inverse(rng.uniform(lower, upper, (count, 6)))
+        x, q = array_code.inverse(rng.uniform(lower, upper, (count, 6)))
         p = tolerance * rng.standard_normal((count, len(tolerance)))
-        rotation, point, _ = kinematics.frames(x, NO_TOOL)
+        rotation, point, _ = array_code.frames(x, NO_TOOL)
 
-        def ours(q: np.ndarray = q, p: np.ndarray = p, x: np.ndarray = x) -> np.ndarray:
+        def poses(
+            kinematics: Kinematics,
+            q: np.ndarray = q,
+            p: np.ndarray = p,
+            x: np.ndarray = x,
+        ) -> np.ndarray:
             return kinematics.forward_per_pose(q, p, x)
 
         def by_numpy(
@@ -55,48 +82,79 @@ def hexapod_cases() -> Iterator[Case]:
         ) -> np.ndarray:
             return hexapod_poses(q, p, start)[0]
 
-        yield "hexapod, poses", count, ours, by_numpy
+        ways = (
+            ready(NEVER, lambda f=poses: f(array_code)),
+            ready(AT_ONCE, lambda f=poses: f(compiled)),
+            by_numpy,
+        )
+        yield Case("hexapod, poses", count, ways)
 
 
 def a3_cases() -> Iterator[Case]:
     """Poses, readings and slopes of the A3 head."""
-    measurement, series = plan()
-    kinematics, n = measurement.kinematics, len(series.q)
-    rotation, point, _ = kinematics.frames(series.start, NO_TOOL)
-    start, rng = (point, rotation), np.random.default_rng(0)
+    array_code, series = as_set(NEVER, plan)
+    compiled, _ = as_set(AT_ONCE, plan)
+    n, rng = len(series.q), np.random.default_rng(0)
+    rotation, point, _ = array_code.kinematics.frames(series.start, NO_TOOL)
     for count in COUNTS:
         vectors = -(-count // n)
-        spread = measurement.tolerance * rng.standard_normal(
-            (vectors, len(measurement.nominal))
+        spread = array_code.tolerance * rng.standard_normal(
+            (vectors, len(array_code.nominal))
         )
-        theta = measurement.nominal + spread
-        p, q = theta[:, :24], series.q
-        tiled = np.tile(point, (vectors, 1)), np.tile(rotation, (vectors, 1, 1))
-        every = np.tile(q, (vectors, 1)), np.repeat(p, n, axis=0), tiled
+        theta = array_code.nominal + spread
+        by_numpy = a3_by_numpy(series, theta, (point, rotation))
+        for name, by_project in a3_by_project(series, theta).items():
+            ways = (
+                ready(NEVER, lambda f=by_project: f(array_code)),
+                ready(AT_ONCE, lambda f=by_project: f(compiled)),
+                by_numpy[name],
+            )
+            yield Case(f"A3 head, {name}", vectors * n, ways)
 
-        def poses(p: np.ndarray = p) -> np.ndarray:
-            return kinematics.forward(series.q, p, series.start).reshape(-1, 6)
 
-        def by_numpy(every: tuple = every) -> np.ndarray:
-            return a3_poses(*every)[0]
+def a3_by_project(
+    series: Series, theta: np.ndarray
+) -> dict[str, Callable[[Measurement], np.ndarray]]:
+    """What is computed of the A3 head at parameters theta (m, 27)."""
 
-        yield "A3 head, poses", vectors * n, poses, by_numpy
+    def poses(measurement: Measurement) -> np.ndarray:
+        kinematics = measurement.kinematics
+        return kinematics.forward(series.q, theta[:, :24], series.start).reshape(-1, 6)
 
-        def readings(theta: np.ndarray = theta) -> np.ndarray:
-            return measurement.readings([series], theta)
+    return {
+        "poses": poses,
+        "readings": lambda measurement: measurement.readings([series], theta),
+        "slopes": lambda measurement: measurement.jacobian([series], theta),
+    }
 
-        def readings_by_numpy(theta: np.ndarray = theta) -> np.ndarray:
-            return a3_readings(series.q, theta, start, slopes=False)[0]
 
-        yield "A3 head, readings", vectors * n, readings, readings_by_numpy
+def a3_by_numpy(
+    series: Series, theta: np.ndarray, start: tuple[np.ndarray, np.ndarray]
+) -> dict[str, Work]:
+    """The same by hand, from points (n, 3) and rotations (n, 3, 3)."""
+    m, (n, _) = len(theta), series.q.shape
+    q, p = np.tile(series.q, (m, 1)), np.repeat(theta[:, :24], n, axis=0)
+    tiled = np.tile(start[0], (m, 1)), np.tile(start[1], (m, 1, 1))
+    return {
+        "poses": lambda: a3_poses(q, p, tiled)[0],
+        "readings": lambda: a3_readings(series.q, theta, start, slopes=False)[0],
+        "slopes": lambda: a3_readings(series.q, theta, start, slopes=True)[1],
+    }
 
-        def slopes(theta: np.ndarray = theta) -> np.ndarray:
-            return measurement.jacobian([series], theta)
 
-        def slopes_by_numpy(theta: np.ndarray = theta) -> np.ndarray:
-            return a3_readings(series.q, theta, start, slopes=True)[1]
+def as_set(setting: str, build: Callable[[], Result]) -> Result:
+    """What is built with the compiler at work or not: its functions keep the setting."""
+    os.environ[VARIABLE] = setting
+    try:
+        return build()
+    finally:
+        del os.environ[VARIABLE]
 
-        yield "A3 head, slopes", vectors * n, slopes, slopes_by_numpy
+
+def ready(setting: str, work: Work) -> Work:
+    """The work, done once, with the functions that it makes then."""
+    as_set(setting, work)
+    return work
 
 
 def seconds(work: Work) -> float:
@@ -112,17 +170,78 @@ def difference(ours: np.ndarray, others: np.ndarray) -> float:
 
 
 def main() -> None:
-    """Print one row a case: times a pose, their ratio, the difference."""
-    print("| computed | poses | this project, us | NumPy, us | ratio | difference |")
-    print("| --- | --: | --: | --: | --: | --: |")
-    for name, count, ours, others in (*hexapod_cases(), *a3_cases()):
-        error = difference(ours(), others())
-        pairs = [(seconds(ours), seconds(others)) for _ in range(PAIRS)]
-        ratio = statistics.median(b / a for a, b in pairs if a)
-        a, b = (
-            1e6 * statistics.median(times) / count for times in zip(*pairs, strict=True)
-        )
-        print(f"| {name} | {count} | {a:.1f} | {b:.1f} | {ratio:.2f} | {error:.0e} |")
+    """Print one row a case: times a pose, ratios to NumPy, differences from it."""
+    os.environ[CORES] = "1"
+    cases = [*hexapod_cases(), *a3_cases()]
+    print(
+        "| computed | poses | array code, us | compiled, us | NumPy, us |"
+        " NumPy / array code | NumPy / compiled | differences |"
+    )
+    print("| --- | --: | --: | --: | --: | --: | --: | --: |")
+    for case in cases:
+        print(row(case), flush=True)
+    print("\n| computed | poses | compiled, one core, us | all cores, us | ratio |")
+    print("| --- | --: | --: | --: | --: |")
+    for case in cases:
+        if case.count >= MANY:
+            print(row_of_cores(case), flush=True)
+
+
+def row(case: Case) -> str:
+    """Processor time of the three ways on one thread."""
+    *ours, others = [work() for work in case.ways]
+    errors = ", ".join(f"{difference(values, others):.0e}" for values in ours)
+    rounds = [[seconds(work) for work in case.ways] for _ in range(ROUNDS)]
+    by_way = [
+        1e6 * statistics.median(times) / case.count
+        for times in zip(*rounds, strict=True)
+    ]
+    ratios = [
+        statistics.median(times[2] / times[k] for times in rounds) for k in (0, 1)
+    ]
+    cells = [f"{t:.2f}" for t in by_way] + [f"{ratio:.1f}" for ratio in ratios]
+    return f"| {case.name} | {case.count} | {' | '.join(cells)} | {errors} |"
+
+
+def row_of_cores(case: Case) -> str:
+    """Compiled, on one core and on all: medians of rounds."""
+    work = case.ways[1]
+    times = []
+    for _ in range(ROUNDS):
+        os.environ[CORES] = "1"
+        one = seconds(work)
+        del os.environ[CORES]
+        times.append((one, one / seconds_on_cores(work)))
+    one, ratio = (statistics.median(column) for column in zip(*times, strict=True))
+    one *= 1e6 / case.count
+    return (
+        f"| {case.name} | {case.count} | {one:.2f} | {one / ratio:.2f} | {ratio:.2f} |"
+    )
+
+
+def seconds_on_cores(work: Work) -> float:
+    """Time of one call where every core is free, by the threads' processor time."""
+    alone, together = 0.0, 0.0
+    share_points = lanes.share_points
+
+    def timed(run: Callable[[int, int], None], count: int) -> None:
+        nonlocal alone, together
+        shares: list[float] = []
+
+        def share(first: int, end: int) -> None:
+            start = time.thread_time()
+            run(first, end)
+            shares.append(time.thread_time() - start)
+
+        share_points(share, count)
+        alone, together = alone + sum(shares), together + max(shares)
+
+    lanes.share_points = timed
+    try:
+        every = seconds(work)
+    finally:
+        lanes.share_points = share_points
+    return every - alone + together
 
 
 if __name__ == "__main__":

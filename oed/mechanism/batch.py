@@ -1,7 +1,8 @@
 """One CasADi function over many points at once, without copies or a Python loop.
 
 Batches of hundreds of points run as array operations (`oed.mechanism.array_code.tape`), smaller ones
-in CasADi's interpreter.
+in CasADi's interpreter. A function that has much to do is compiled, where this computer has
+a compiler, and then runs so at all sizes (`oed.mechanism.compiled`).
 
 `casadi.Function.map` runs one instruction tape over many columns, and its buffer
 interface works in place on NumPy memory. Calls with DM matrices would spend three to
@@ -23,6 +24,9 @@ from oed.mechanism.array_code.layout import Layout
 from oed.mechanism.array_code.newton import ArrayNewton, SolvedSystems
 from oed.mechanism.array_code.operations import is_supported
 from oed.mechanism.array_code.tape import ArrayTape
+from oed.mechanism.compiled.lanes import Adjoint, Evaluation, Newton, compiled
+from oed.mechanism.compiled.switch import CompileSwitch
+from oed.mechanism.compiled.text import LaneJob
 
 #: Numbers of points for which a mapped function is compiled, each on first use, in half
 #: a millisecond. Batches are cut into the largest; what remains is padded to the next
@@ -54,6 +58,8 @@ class BatchedFunction:
         self._layouts: dict[str, Layout] = {}
         self._newton: dict[int, ArrayNewton] = {}
         self._adjoints: dict[int, ArrayAdjoint] = {}
+        self._switch = CompileSwitch()
+        self._compiled: dict[type, Any] = {}
 
     def __call__(self, *arrays: Array) -> list[Array]:
         """Evaluate at n points: arrays (n, size) or (size,), one for each input.
@@ -63,11 +69,27 @@ class BatchedFunction:
         """
         n = max([a.shape[0] for a in arrays if a.ndim == 2], default=1)
         inputs = [_repeated(a, n) for a in arrays]
-        outputs = [np.empty((n, rows * columns)) for rows, columns in self._shapes]
-        for size, chunk in _chunks(n):
-            function = self._mapped_to(size)
-            function.run([a[chunk] for a in inputs], [a[chunk] for a in outputs])
+        evaluation = self._compiled_job(Evaluation, n, lambda _: Evaluation.job)
+        if evaluation is not None:
+            outputs = evaluation.run(inputs, n)
+        else:
+            outputs = [np.empty((n, rows * columns)) for rows, columns in self._shapes]
+            for size, chunk in _chunks(n):
+                function = self._mapped_to(size)
+                function.run([a[chunk] for a in inputs], [a[chunk] for a in outputs])
         return [_shaped(a, *s) for a, s in zip(outputs, self._shapes, strict=True)]
+
+    def compiled_newton(
+        self, n: int, unknown: int, angles: Sequence[int] = ()
+    ) -> Newton | None:
+        """Newton's method as `solve` has it, compiled; None while it is not worth it.
+
+        n  number of points that it would solve now
+        """
+        newton: Newton | None = self._compiled_job(
+            Newton, n, lambda function: Newton.job(function, unknown, angles)
+        )
+        return newton
 
     def solve(
         self,
@@ -113,6 +135,10 @@ class BatchedFunction:
         scale  (k,) units of the matrix's columns
         """
         n, channels, _ = right.shape
+        adjoint = self._compiled_job(Adjoint, n, Adjoint.job)
+        if adjoint is not None:
+            compiled_rows: AdjointRows = adjoint.run(inputs, right, scale)
+            return compiled_rows
         rows = AdjointRows(
             values=np.empty((n, channels, self._shapes[1][1])),
             condition=np.full(n, np.inf),
@@ -139,6 +165,26 @@ class BatchedFunction:
     @functools.cached_property
     def _is_supported(self) -> bool:
         return is_supported(self._function)
+
+    def _compiled_job(
+        self, kind: Any, points: int, job: Callable[[Any], LaneJob]
+    ) -> Any | None:
+        """A job on this function, compiled; None while, or where, that is not to be."""
+        if not self._switch.is_on(points, self._length):
+            return None
+        if kind not in self._compiled:
+            possible = self._is_supported
+            function = self._function
+            self._compiled[kind] = (
+                compiled(kind, function, job(function)) if possible else None
+            )
+        return self._compiled[kind]
+
+    @functools.cached_property
+    def _length(self) -> int:
+        """Number of instructions."""
+        length: int = self._function.n_instructions()
+        return length
 
     def _layout(self, kind: str, build: Callable[[Any], Layout]) -> Layout:
         """A layout, which serves all sizes."""

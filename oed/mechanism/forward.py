@@ -17,6 +17,7 @@ import numpy as np
 from oed.base.arrays import Array, Index, Mask
 from oed.mechanism import newton
 from oed.mechanism.batch import ARRAY_SIZE, BatchedFunction
+from oed.mechanism.compiled.lanes import Newton
 from oed.mechanism.twist import twist_slopes
 from oed.model.expressions import MachineExpressions
 from oed.model.machine import Machine
@@ -103,20 +104,22 @@ class ForwardKinematics:
         """
         m, (n, nq), nx = len(vectors), q.shape[-2:], start.shape[-1]
         near = starts = np.broadcast_to(start, (m, n, nx))
-        if q.ndim == start.ndim == 2 and m > 1 and m * n >= ARRAY_SIZE:
+        every_q = np.broadcast_to(q, (m, n, nq))
+        every_p = np.broadcast_to(vectors[:, None], (m, n, vectors.shape[1]))
+        compiled = self._compiled(m * n)
+        alike = q.ndim == start.ndim == 2 and m > 1
+        if alike and m * n >= ARRAY_SIZE and compiled is None:
             near = starts + self._first_step(q, vectors, start)
-        every_q = np.broadcast_to(q, (m, n, nq)).reshape(m * n, nq)
-        every_p = np.repeat(vectors, n, axis=0)
-        inputs = near.reshape(m * n, nx), every_q, every_p
-        every_start = starts.reshape(m * n, nx)
         if wanted is None:
-            x, failed = self.solve(inputs, every_start, step_tolerance)
-            return x.reshape(m, n, nx), failed.reshape(m, n)
-        rows = np.flatnonzero(wanted)
-        x, failed = np.full((m * n, nx), np.nan), np.ones(m * n, dtype=bool)
-        chosen = inputs[0][rows], every_q[rows], every_p[rows]
-        x[rows], failed[rows] = self.solve(chosen, every_start[rows], step_tolerance)
-        return x.reshape(m, n, nx), failed.reshape(m, n)
+            inputs = near, every_q, every_p
+            return self._solve(inputs, starts, step_tolerance, compiled)
+        rows = np.nonzero(wanted)
+        x, failed = np.full((m, n, nx), np.nan), np.ones((m, n), dtype=bool)
+        inputs = near[rows], every_q[rows], every_p[rows]
+        x[rows], failed[rows] = self._solve(
+            inputs, starts[rows], step_tolerance, compiled
+        )
+        return x, failed
 
     def solve(
         self, inputs: tuple[Array, Array, Array], start: Array, step_tolerance: float
@@ -126,17 +129,44 @@ class ForwardKinematics:
         inputs  poses nearby (n, nx), joints and parameters, one a pose
         start   (n, nx) from which careful steps start where others do not arrive
         """
+        compiled = self._compiled(len(inputs[1]))
+        return self._solve(inputs, start, step_tolerance, compiled)
+
+    def _compiled(self, count: int) -> Newton | None:
+        """Newton's method, compiled, for so many poses; None while it is not worth it."""
+        equations, angles = self._over_twist
+        return equations.compiled_newton(count, 1, angles)
+
+    def _solve(
+        self,
+        inputs: tuple[Array, Array, Array],
+        start: Array,
+        step_tolerance: float,
+        compiled: Newton | None,
+    ) -> tuple[Array, Mask]:
+        """As `solve`, of poses (n, nx) or (m, n, nx)."""
         _, q, p = inputs
+        shape = q.shape[:-1]
         longest = newton.longest_step(self.machine.lever)
-        many = len(q) >= ARRAY_SIZE
-        equations, angles = self._over_twist if many else (self.equations, ())
-        (x,), solved, near = equations.solve(inputs, 1, step_tolerance, longest, angles)
-        failed, rest = np.zeros(len(x), dtype=bool), np.flatnonzero(~solved)
-        if rest.size:
-            first = np.where(near[rest, None], x[rest], start[rest])
+        if compiled is not None:
+            (x,), solved, near = compiled.solve(inputs, 1, step_tolerance, longest)
+        else:
+            rows = [a.reshape(-1, a.shape[-1]) for a in inputs]
+            many = len(rows[0]) >= ARRAY_SIZE
+            equations, angles = self._over_twist if many else (self.equations, ())
+            (x,), solved, near = equations.solve(
+                rows, 1, step_tolerance, longest, angles
+            )
+            x = x.reshape(*shape, -1)
+            solved, near = solved.reshape(shape), near.reshape(shape)
+        failed = np.zeros(shape, dtype=bool)
+        rest = np.nonzero(~solved)
+        if rest[0].size:
+            first = np.where(near[rest][:, None], x[rest], start[rest])
+            rest_q, rest_p = q[rest], p[rest]
 
             def at(x: Array, rows: Index) -> list[Array]:
-                return self.equations(x, q[rest[rows]], p[rest[rows]])
+                return self.equations(x, rest_q[rows], rest_p[rows])
 
             x[rest], failed[rest] = newton.solve(
                 at, first, step_tolerance, longest=longest

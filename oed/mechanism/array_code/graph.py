@@ -53,7 +53,7 @@ def read_graph(
     varying  number of leading inputs that vary
     single   numbers of the outputs in single precision
     """
-    nodes, outputs = _read_instructions(function, varying)
+    nodes, outputs = read_nodes(function, range(varying))
     doubles = [entries for i, entries in enumerate(outputs) if i not in single]
     needed = ancestors(nodes, [number for entries in doubles for number in entries])
     precise = _Precise(nodes, needed)
@@ -73,10 +73,13 @@ def ancestors(nodes: Sequence[Node], numbers: Collection[int]) -> set[int]:
     return needed
 
 
-def _read_instructions(
-    function: Any, varying: int
+def read_nodes(
+    function: Any, varying: Collection[int]
 ) -> tuple[list[Node], list[list[int]]]:
-    """Nodes of a function in double precision, and the numbers of its outputs' nodes."""
+    """Nodes of a function in double precision, and the numbers of its outputs' nodes.
+
+    varying  numbers of the inputs that vary
+    """
     nodes: list[Node] = []
     outputs = [[0] * function.numel_out(i) for i in range(function.n_out())]
     values: dict[int, int] = {}
@@ -103,7 +106,7 @@ def _read_instructions(
             number = constants[constant.hex()]
         elif code == ca.OP_INPUT:
             entry = (sources[0], sources[1])
-            nodes.append(Node(None, entry=entry, varies=sources[0] < varying))
+            nodes.append(Node(None, entry=entry, varies=sources[0] in varying))
             number = len(nodes) - 1
         elif code == ca.OP_IF_ELSE_ZERO:
             condition, x = (values[source] for source in sources)

@@ -117,8 +117,9 @@ class ArrayNewton:
         step = self._elimination.solve(self._tape.outputs[0])
         if self._angles:
             change = self._tape.outputs[2].reshape(3, 3, -1)  # column by column
-            np.multiply(change, step[self._angles, None], out=self._products)
-            step[self._angles] = self._products.sum(axis=0)
+            with np.errstate(all="ignore"):  # of systems without a solution
+                np.multiply(change, step[self._angles, None], out=self._products)
+                step[self._angles] = self._products.sum(axis=0)
         first = 0
         for unknown in self._unknown:
             unknown -= step[first : first + len(unknown)]

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from oed.mechanism.compiled.switch import begin_job
 from pkm_studies.base import files
 from pkm_studies.campaign import pool
 
@@ -58,7 +59,13 @@ def run_jobs(
 def _work(
     work: Callable[[Case], Row], numbered: tuple[int, Sequence[Case]]
 ) -> list[Row]:
-    return [work(case) for case in numbered[1]]
+    return [_row(work, case) for case in numbered[1]]
+
+
+def _row(work: Callable[[Case], Row], case: Case) -> Row:
+    """The row of a case, whatever this process has done before."""
+    begin_job()
+    return work(case)
 
 
 def read_row(path: Path) -> Row:

@@ -64,7 +64,8 @@ def _on_processes(
     work: Callable[[Item], Outcome], items: Sequence[Item], count: int
 ) -> Iterator[tuple[Item, Outcome]]:
     """From processes that are spawned, as on every system."""
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # inherited: a core each
+    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        os.environ[variable] = "1"  # inherited: a core each
     shares: Shares[int, Item] = Shares(items, range(count))
     context = multiprocessing.get_context("spawn")
     processes = [

@@ -15,6 +15,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.estimation.coordinates import coordinates_of_readings
 from oed.identifiability.assessment import assess
+from oed.mechanism.compiled.switch import begin_job
 from oed.result import trust
 from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent
@@ -60,6 +61,7 @@ class VirtualMachine:
         Raises IdentificationError, AssemblyError, numpy.linalg.LinAlgError.
         """
         state = _prepared(self.study, self.path, self.consent).replace(seed=seed)
+        begin_job()  # the first case has prepared, the next ones have not
         virtual = readings_steps.simulate_readings(state, state.readings.series)
         measured = promote(Measured, state, readings=virtual.readings)
         fitted = fit_steps.fit_parameters(measured)

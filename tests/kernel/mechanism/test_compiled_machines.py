@@ -1,0 +1,162 @@
+"""Every machine compiled, beside its array code: poses, failures, slopes, readings."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+
+import numpy as np
+import pytest
+
+import pkm_models.machines
+from kernel.cases import CASES
+from kernel.mechanism.compiling import (
+    array_code,
+    compiled,
+    compiled_files,
+    needs_compiler,
+)
+from oed.measurement.measurement import Measurement
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Machine
+
+__all__ = ["compiled_files"]
+pytestmark = [needs_compiler, pytest.mark.usefixtures("compiled_files")]
+
+COUNTS = (1, 7, 8, 9, 192, 1000)
+FAST = ("five_bar", "linear_delta")
+#: readings of two channels or one, of one pose or two, of a redundant machine's misfit
+SETUPS = {
+    "a3_head": "ball_bar",
+    "cable_robot": "redundancy",
+    "hexapod": "seat",
+    "linear_delta": "camera",
+    "planar_2dof": "rm1",
+    "prs_spindle": "laser_ball_bar",
+}
+
+
+def machines() -> dict[str, Machine]:
+    """The machines of `pkm_models.machines`, by module."""
+    names = [
+        module.name for module in pkgutil.iter_modules(pkm_models.machines.__path__)
+    ]
+    modules = {n: importlib.import_module(f"pkm_models.machines.{n}") for n in names}
+    return {
+        name: value
+        for name, module in modules.items()
+        for value in vars(module).values()
+        if isinstance(value, Machine)
+    }
+
+
+MACHINES = machines()
+
+
+def marked(names: list[str]) -> list[object]:
+    return [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in names]
+
+
+def reached(
+    kinematics: Kinematics, rng: np.random.Generator, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and joints of random commands around home, as far as all are in reach."""
+    machine = kinematics.machine
+    lower = np.array([c.lower for c in machine.command])
+    upper = np.array([c.upper for c in machine.command])
+    home = machine.home_command
+    change = rng.uniform(lower, upper, (count, len(lower))) - home
+    for share in (0.3, 0.05):
+        try:
+            return kinematics.inverse(home + share * change)
+        except AssemblyError:
+            continue
+    raise AssertionError(machine.name)
+
+
+@pytest.mark.parametrize("name", marked(sorted(MACHINES)))
+def test_a_machine_compiled_equals_its_array_code(
+    name: str, rng: np.random.Generator
+) -> None:
+    machine = MACHINES[name]
+    plain = array_code(lambda: Kinematics(machine))
+    x, q = reached(plain, rng, max(COUNTS))
+    tolerance = np.array([p.tolerance for p in machine.parameters])
+    p = machine.nominal + tolerance * rng.standard_normal((len(q), len(tolerance)))
+    lost = rng.random(len(q)) < 0.05
+    lost[0] = False
+    q[lost] += machine.lever * rng.uniform(-3.0, 3.0, (lost.sum(), q.shape[1]))
+    q[6] = np.nan
+
+    def poses(kinematics: Kinematics, n: int) -> tuple[np.ndarray, np.ndarray]:
+        return kinematics.try_forward_per_pose(q[:n], p[:n], x[:n])
+
+    fast = compiled(lambda: Kinematics(machine))
+    for n in COUNTS:
+        wanted, fails = array_code(lambda n=n: poses(plain, n))
+        solved, failed = compiled(lambda n=n: poses(fast, n))
+        np.testing.assert_array_equal(failed, fails)
+        scale = np.abs(wanted[~fails]).max()
+        error = np.abs(solved - wanted)[~fails].max()
+        assert error < 1e-13 * scale, n
+    assert fast.equations._compiled(1) is not None
+
+    at = solved[~failed], q[~failed], p[~failed]
+    slopes = rng.standard_normal((len(at[0]), 2, x.shape[1]))
+    rows, condition = array_code(lambda: plain.slopes.pull_back(*at, slopes))
+    same_rows, bounds = compiled(lambda: fast.slopes.pull_back(*at, slopes))
+    error = np.abs(same_rows - rows).max(axis=(1, 2)) / np.abs(rows).max(axis=(1, 2))
+    assert (error < 1e-14 * np.maximum(condition, 10.0)).all()
+    exact = np.linalg.cond(fast.equations.slopes(*at)[0] * fast.slopes._scale)
+    assert (bounds >= exact * (1.0 - 1e-9)).all()
+    every = array_code(lambda: plain.equations.slopes(*at))
+    for values, wanted in zip(
+        compiled(lambda: fast.equations.slopes(*at)), every, strict=True
+    ):
+        np.testing.assert_allclose(
+            values, wanted, rtol=0, atol=2e-15 * abs(wanted).max()
+        )
+
+
+@pytest.mark.parametrize(
+    "name", ["planar_2dof", *(pytest.param(n, marks=pytest.mark.slow) for n in SETUPS)]
+)
+def test_readings_and_their_slopes_equal_those_of_the_array_code(
+    name: str, rng: np.random.Generator
+) -> None:
+    case = CASES[name]
+    setups = [case.setups[SETUPS[name]]]
+    plain = array_code(lambda: Measurement(case.machine, setups))
+    fast = compiled(lambda: Measurement(case.machine, setups))
+    command = case.commands(rng, 40)
+    runs = [str(i // 8) for i in range(40)]
+    by_run = setups[0].instrument.reference == "run"
+    series = plain.series(setups[0].name, command, run=runs if by_run else None)
+    theta = plain.nominal + plain.tolerance * rng.standard_normal(
+        (9, len(plain.nominal))
+    )
+    for vectors in (theta[0], theta):
+        wanted = array_code(lambda v=vectors: plain.readings([series], v))
+        values = compiled(lambda v=vectors: fast.readings([series], v))
+        np.testing.assert_allclose(values, wanted, rtol=1e-12, atol=1e-14)
+        slopes = array_code(lambda v=vectors: plain.jacobian([series], v))
+        rows = compiled(lambda v=vectors: fast.jacobian([series], v))
+        np.testing.assert_allclose(
+            rows, slopes, rtol=1e-10, atol=1e-11 * np.abs(slopes).max()
+        )
+
+
+@pytest.mark.parametrize("n", [3, 300])
+def test_poses_out_of_reach_are_reported_alike(n: int) -> None:
+    machine = MACHINES["linear_delta"]
+    reports = []
+    for build in (array_code, compiled):
+        kinematics = build(lambda: Kinematics(machine))
+        x, q = kinematics.inverse(np.tile(machine.home_command, (n, 1)))
+        q[1] += [0.0, 0.0, 50.0 * machine.lever]
+        with pytest.raises(AssemblyError) as raised:
+            build(lambda k=kinematics, q=q, x=x: k.forward(q, machine.nominal, x))
+        reports.append(str(raised.value))
+    assert reports[0] == reports[1]
+    assert "1 of" in reports[0]
+    assert "pose numbers 1" in reports[0]
