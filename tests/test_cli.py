@@ -34,17 +34,23 @@ def write(path: Path, text: str) -> Path:
     return path
 
 
+def children_seconds() -> float:
+    """Processor time of the processes that ended."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
 def test_help_is_there_at_once() -> None:
-    """0.5 s for the process: the best of three, as other work may share the machine."""
+    """0.5 s of a processor: the best of three, as other work may share the machine."""
     times = []
     for _ in range(3):
-        start = time.perf_counter()
+        start = children_seconds()
         done = subprocess.run(
             [sys.executable, "-m", "pkm_studies.commands.cli", "--help"],
             capture_output=True,
             check=True,
         )
-        times.append(time.perf_counter() - start)
+        times.append(children_seconds() - start)
     assert b"identify" in done.stdout
     assert min(times) <= 0.5
 

@@ -261,6 +261,6 @@ def test_without_a_prediction_or_a_formula_there_is_no_budget(tmp_path: Path) ->
     few = ("--commands", "120")
     assert cli.main(["compensate", str(folder), "--to", "csv", *few]) == 0
     assert not (folder / "compensation_budget.json").exists()
-    exported(tmp_path / "with", np.full(3, 1.0), "json")
+    exported(tmp_path / "with", np.full(3, 1.0), "json", options=few)
     document = json.loads((tmp_path / "with/compensation_budget.json").read_text())
     assert {line["kind"] for line in document["lines"]} == {"instrument", "rounding"}

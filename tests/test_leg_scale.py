@@ -33,7 +33,8 @@ def _session(folder: Path, scale: float) -> tuple[Measurement, Dataset]:
 
 
 @pytest.mark.parametrize(
-    "scale", [-0.1, 0.001, pytest.param(0.03, marks=pytest.mark.slow)]
+    "scale",
+    [-0.1, *(pytest.param(k, marks=pytest.mark.slow) for k in (0.001, 0.03))],
 )
 def test_the_joint_estimate_is_that_of_least_squares(
     tmp_path: Path, scale: float
