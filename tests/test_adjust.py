@@ -93,9 +93,7 @@ def folder(session: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def adjusted_session(
-    session: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def adjusted_session(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same after `oed adjust`."""
     folder = tmp_path_factory.mktemp("adjusted") / "out"
     shutil.copytree(session, folder)

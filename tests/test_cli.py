@@ -64,6 +64,7 @@ def test_help_imports_nothing_heavy() -> None:
 @pytest.mark.parametrize("kind", ["machines", "instruments", "effects", "studies"])
 def test_lists_load_nothing_that_computes(kind: str) -> None:
     heavy = ["pandas", "scipy.spatial", "scipy.sparse", "scipy.optimize", "matplotlib"]
+    heavy += ["oed.result", "pkm_studies.commands.check", "pkm_studies.resolve.machine"]
     code = (
         "import sys; from pkm_studies.commands import cli;"
         f" cli.main(['list', '{kind}']);"
@@ -75,10 +76,15 @@ def test_lists_load_nothing_that_computes(kind: str) -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_checks_load_no_statistics() -> None:
+def test_checks_load_no_statistics_and_no_searches() -> None:
     """They would take as long as a third of all that a check imports."""
-    code = "import sys, pkm_studies.commands.checks; sys.exit('scipy.stats' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    heavy = {"scipy.stats", "scipy.interpolate", "oed.gap.procedure", "oed.posterior"}
+    heavy |= {"oed.design.stages.search", "pkm_models.effects"}
+    code = f"import sys, pkm_studies.commands.checks; print({heavy} & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "set()"
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def test_one_tool_never_tells_scale_from_bar(
 @pytest.mark.parametrize(
     ("truth", "seed"),
     [
-        ("encoder_scale", 1),
+        pytest.param("encoder_scale", 1, marks=SLOW),
         pytest.param("encoder_scale", 2, marks=SLOW),
         pytest.param("bar_length", 1, marks=SLOW),
         pytest.param("bar_length", 2, marks=SLOW),

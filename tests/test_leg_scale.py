@@ -63,6 +63,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     return pipeline.diagnose(study, None, folder / "out", seed=1)
 
 
+@pytest.mark.slow
 def test_six_percent_are_named_and_called_implausible(result: StudyResult) -> None:
     gap = result.gap
     assert gap is not None
@@ -75,6 +76,7 @@ def test_six_percent_are_named_and_called_implausible(result: StudyResult) -> No
     assert "conversion factor" in sentence
 
 
+@pytest.mark.slow
 def test_both_sections_have_one_estimate(result: StudyResult) -> None:
     gap, corrected = result.gap, result.corrected
     assert gap is not None

@@ -168,11 +168,10 @@ def named_items(kind: str) -> dict[str, tuple[str, Any]]:
     return items
 
 
-def _item_class(kind: str) -> type:
+def _item_class(kind: str) -> Any:
     """Class of the items of a kind; its module alone is imported."""
     module_name, class_name = CLASSES[kind]
-    item_class: type = getattr(importlib.import_module(module_name), class_name)
-    return item_class
+    return getattr(importlib.import_module(module_name), class_name)
 
 
 def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
