@@ -31,7 +31,7 @@ MOST_COMMANDS = 3
 #: Newton steps to the pose with the same reading, step for differences, closeness, SI
 ROUNDS, DIFFERENCE, CLOSE = 12, 1e-5, 1e-10
 #: widths of the workspace outside of it beyond which Newton steps do not come back
-FAR_OUTSIDE = 1.0
+FAR_OUTSIDE = 2.0
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
