@@ -55,6 +55,20 @@ def test_help_is_there_at_once() -> None:
     assert min(times) <= 0.5
 
 
+def test_a_command_of_its_own_process_leaves_no_garbage_to_look_for() -> None:
+    """Python would look through all that is alive at its end."""
+    code = (
+        "import gc, sys; from pkm_studies.commands import cli;"
+        " cli.main(['--help']); before = gc.get_freeze_count();"
+        " sys.argv = ['oed', '--help']; cli.main();"
+        " print(before, gc.get_freeze_count() > 10_000)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "0 True"
+
+
 def test_help_imports_nothing_heavy() -> None:
     heavy = {"numpy", "casadi", "pandas", "rich.console"}
     code = f"import sys, pkm_studies.commands.cli; sys.exit(len({heavy} & set(sys.modules)))"
