@@ -41,7 +41,7 @@ def trusted(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="module", autouse=True)
 def sketched_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Figures of reports are drawn and not written, which takes a third of a run.
+    """Figures of reports are not written, and each is drawn once a file: see `sketches`.
 
     Files with the mark `pictures` have them written, and so have studies that run as
     tests.
@@ -49,16 +49,10 @@ def sketched_pictures(request: pytest.FixtureRequest) -> Iterator[None]:
     if request.node.get_closest_marker("pictures"):
         yield
         return
-    style = importlib.import_module("pkm_reports.page.style")
-
-    def sketch(drawn: Any) -> Any:
-        width, height = drawn.get_size_inches()
-        size = f'width="{72.0 * width:.1f}" height="{72.0 * height:.1f}"'
-        empty = f'<svg xmlns="http://www.w3.org/2000/svg" {size}/>'
-        return style.Image(empty.encode(), "svg", width, height)
-
+    document = importlib.import_module("pkm_reports.page.document")
+    sketches = importlib.import_module("sketches")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "render", sketch)
+        patch.setattr(document, "drawn_image", sketches.Sketches())
         yield
 
 

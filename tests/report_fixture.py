@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pytest
 import report_fixture_design
 import report_fixture_fit
 import report_fixture_machine
@@ -20,6 +21,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 from mpl_toolkits.mplot3d import Axes3D
+from sketches import Sketches
 
 from oed.result import StudyResult
 from pkm_reports.page import document
@@ -44,6 +46,7 @@ readings = 30
 [expect]
 rank = 21
 """
+sketched = Sketches()
 #: sections that a result may lack, and lists that may be empty
 SECTIONS = (
     "identifiability",
@@ -65,8 +68,13 @@ def result_of(raw: dict[str, Any]) -> StudyResult:
 
 
 def shown_text(result: StudyResult) -> str:
-    """Text of the page of a result, without tags, its no-break spaces as spaces."""
-    page = html_writer.render(document.build(result)).decode()
+    """Text of the page of a result, without tags, its no-break spaces as spaces.
+
+    Its figures are sketched.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(document, "drawn_image", sketched)
+        page = html_writer.render(document.build(result)).decode()
     return text_of(page).replace("\N{NO-BREAK SPACE}", " ")
 
 

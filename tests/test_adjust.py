@@ -92,6 +92,20 @@ def folder(session: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(session, tmp_path / "out"))
 
 
+@pytest.fixture(scope="module")
+def adjusted_session(session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same after `oed adjust`."""
+    folder = tmp_path_factory.mktemp("adjusted") / "out"
+    shutil.copytree(session, folder)
+    assert cli.main(["adjust", str(folder)]) == 0
+    return folder
+
+
+@pytest.fixture
+def adjusted(adjusted_session: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(adjusted_session, tmp_path / "adjusted"))
+
+
 def test_the_files_say_the_same(folder: Path, oed: Run) -> None:
     code, out, _ = oed("adjust", folder)
     assert code == 0
@@ -110,9 +124,8 @@ def test_the_files_say_the_same(folder: Path, oed: Run) -> None:
     assert (folder / "adjustment.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_total_and_what_software_leaves(folder: Path, oed: Run) -> None:
-    oed("adjust", folder)
-    result = json.loads((folder / "result.json").read_text("utf-8"))
+def test_total_and_what_software_leaves(adjusted: Path) -> None:
+    result = json.loads((adjusted / "result.json").read_text("utf-8"))
     records = result["adjustment"]["accuracy"]
     lever, arcsec = 0.340722, np.pi / 648000.0
     scale = [1.0, 1.0, 1.0, *[lever * arcsec * 1e6] * 3]
@@ -127,10 +140,9 @@ def test_total_and_what_software_leaves(folder: Path, oed: Run) -> None:
     assert records[-1]["plain"]["z"] > 50.0
 
 
-def test_the_next_study_takes_the_adjusted_machine(folder: Path, oed: Run) -> None:
-    oed("adjust", folder)
-    result = json.loads((folder / "result.json").read_text("utf-8"))
-    table = tomllib.loads((folder / "adjusted.toml").read_text("utf-8"))
+def test_the_next_study_takes_the_adjusted_machine(adjusted: Path) -> None:
+    result = json.loads((adjusted / "result.json").read_text("utf-8"))
+    table = tomllib.loads((adjusted / "adjusted.toml").read_text("utf-8"))
     nominal = table["machine"]["nominal"]
     moved = {a["parameter"]: a["amount"] for a in result["adjustment"]["lines"]}
     for name, p in result["estimate"]["parameters"].items():
@@ -138,9 +150,9 @@ def test_the_next_study_takes_the_adjusted_machine(folder: Path, oed: Run) -> No
             value = p["value"] + moved.get(name, 0.0)
             assert nominal[f"{name}_mm"] == pytest.approx(value, rel=1e-8, abs=1e-9)
     text = (STUDIES / "prs_adjust.study.toml").read_text("utf-8")
-    block = (folder / "adjusted.toml").read_text("utf-8")
+    block = (adjusted / "adjusted.toml").read_text("utf-8")
     text = text.replace("[[setup]]", f"{block}\n[[setup]]")
-    machine = study_machine(parse(text, folder / "next.study.toml"))
+    machine = study_machine(parse(text, adjusted / "next.study.toml"))
     assert machine.nominal[machine.index("db1z")] == pytest.approx(
         1e-3 * nominal["db1z_mm"]
     )
@@ -165,28 +177,25 @@ def test_a_controller_gets_the_adjusted_machine(folder: Path, oed: Run) -> None:
     assert values["db1z"] == pytest.approx(expected, rel=1e-6)
 
 
-def test_the_fitters_own_notes_stay(folder: Path, oed: Run) -> None:
-    oed("adjust", folder)
-    path = folder / "adjust.csv"
+def test_the_fitters_own_notes_stay(adjusted: Path, oed: Run) -> None:
+    path = adjusted / "adjust.csv"
     notes = path.read_text("utf-8") + "done by the late shift\n"
     path.write_text(notes, encoding="utf-8")
-    code, out, _ = oed("adjust", folder)
+    code, out, _ = oed("adjust", adjusted)
     assert code == 0
     assert path.read_text("utf-8") == notes
     assert "adjust-2.csv" in out
 
 
-def test_the_report_has_the_chapter(folder: Path, oed: Run) -> None:
-    oed("adjust", folder)
-    assert oed("report", folder)[0] == 0
-    page = (folder / "report.html").read_text("utf-8")
+def test_the_report_has_the_chapter(adjusted: Path, oed: Run) -> None:
+    assert oed("report", adjusted)[0] == 0
+    page = (adjusted / "report.html").read_text("utf-8")
     assert "Adjustments at the machine" in page
     assert "shim under ball joint 1" in page
 
 
-def test_a_section_that_contradicts_itself_is_refused(folder: Path, oed: Run) -> None:
-    oed("adjust", folder)
-    path = folder / "result.json"
+def test_a_section_that_contradicts_itself_is_refused(adjusted: Path, oed: Run) -> None:
+    path = adjusted / "result.json"
     result = json.loads(path.read_text("utf-8"))
     for field, change in {
         "adjustment.accuracy": lambda s: s["accuracy"].pop(),
@@ -196,7 +205,7 @@ def test_a_section_that_contradicts_itself_is_refused(folder: Path, oed: Run) ->
         broken = json.loads(json.dumps(result))
         change(broken["adjustment"])
         path.write_text(json.dumps(broken), encoding="utf-8")
-        code, _, error = oed("report", folder)
+        code, _, error = oed("report", adjusted)
         assert code == 2
         assert field in error
 
@@ -219,20 +228,19 @@ def test_what_is_wanted_counts_and_a_thread_has_no_steps(
         assert line["amount"] == pytest.approx(round(line["amount"], 3), abs=1e-9)
 
 
-def test_the_posterior_of_the_folder_counts(folder: Path, oed: Run) -> None:
+def test_the_posterior_of_the_folder_counts(adjusted: Path, oed: Run) -> None:
     """Draws that scatter more than the normal approximation leave more unknown."""
-    oed("adjust", folder)
-    path = folder / "result.json"
+    path = adjusted / "result.json"
     sections = [json.loads(path.read_text("utf-8"))["adjustment"]]
     with xr.open_dataset(
-        folder / "posterior.nc", group="posterior", engine="h5netcdf"
+        adjusted / "posterior.nc", group="posterior", engine="h5netcdf"
     ) as data:
         wide = data.load()
     middle = wide["theta"].mean(("chain", "draw"))
     wide["theta"] = 10.0 * (wide["theta"] - middle) + middle
-    (folder / "posterior.nc").unlink()
-    wide.to_netcdf(folder / "posterior.nc", group="posterior", engine="h5netcdf")
-    oed("adjust", folder)
+    (adjusted / "posterior.nc").unlink()
+    wide.to_netcdf(adjusted / "posterior.nc", group="posterior", engine="h5netcdf")
+    oed("adjust", adjusted)
     sections.append(json.loads(path.read_text("utf-8"))["adjustment"])
     driven = [s["accuracy"][0]["corrected"]["alpha"] for s in sections]
     assert driven[1] == pytest.approx(10.0 * driven[0], rel=0.05)

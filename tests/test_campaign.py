@@ -106,6 +106,7 @@ def test_the_realised_error_is_that_of_the_compensated_machine(
     """One case again, step by step, by the notebook's functions."""
     import oed
 
+    campaign.write_text(sample.changed(CAMPAIGN, ("seeds = 3", "seeds = 1")), "utf-8")
     loaded = tables.load_campaign(campaign)
     runner.run_cases(loaded, tmp_path / "out", workers=1)
     row = results.read_table(loaded, tmp_path / "out").iloc[0]
@@ -131,8 +132,10 @@ def test_processes_are_as_many_as_cores_by_default(
     campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 1)
-    assert cli.main(["campaign", str(campaign), "--out", str(tmp_path / "out")]) == 0
-    assert len(pd.read_csv(tmp_path / "out" / "cases.csv")) == 12
+    out = tmp_path / "out"
+    options = ["--out", str(out), "--seeds", "1"]
+    assert cli.main(["campaign", str(campaign), *options]) == 0
+    assert len(pd.read_csv(out / "cases.csv")) == 4
 
 
 def test_a_summary_counts_failures_and_means(campaign: Path) -> None:
@@ -356,16 +359,14 @@ def test_a_failure_in_another_process_is_the_user_s_too(
     assert "KeyError" in capsys.readouterr().err
 
 
-def test_a_folder_of_another_campaign_is_left_alone(
-    campaign: Path, tmp_path: Path
-) -> None:
-    loaded = tables.load_campaign(campaign)
+def test_a_folder_of_another_campaign_is_left_alone(own: Path, tmp_path: Path) -> None:
+    loaded = tables.load_campaign(own)
     out = tmp_path / "out"
     runner.run_cases(loaded, out, workers=1)
     before = {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
-    campaign.write_text(sample.changed(CAMPAIGN, ("2.0", "3.0")), encoding="utf-8")
+    own.write_text(sample.changed(OWN, ("[4]", "[5]")), encoding="utf-8")
     with pytest.raises(InputError, match="another campaign"):
-        runner.run_cases(tables.load_campaign(campaign), out, workers=1)
+        runner.run_cases(tables.load_campaign(own), out, workers=1)
     assert before == {p: p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
 
 

@@ -39,7 +39,8 @@ def test_further_files_take_the_name_without_its_end(
     name: str, stem: str, oed: Run, delta_folder: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out" / name
-    assert oed("compensate", delta_folder, "--to", "csv", "--out", out)[0] == 0
+    options = ("--to", "csv", "--commands", 64, "--out", out)
+    assert oed("compensate", delta_folder, *options)[0] == 0
     written = {path.name for path in out.parent.iterdir()}
     others = {f"{stem}_{end}.csv" for end in ("columns", "grid", "parameters")}
     assert written == {name, *others}

@@ -82,7 +82,8 @@ def first_round(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("rounds")
     first = sample.save(base / "first", sample.result(a3_head.machine, si(KNOWN)))
     for form in ("json", "csv"):  # its errors are larger than the tolerances
-        assert cli.main(["compensate", str(first), "--to", form, "--force"]) == 0
+        options = ["--to", form, "--force", "--commands", "200"]
+        assert cli.main(["compensate", str(first), *options]) == 0
     return base
 
 

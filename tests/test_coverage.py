@@ -101,9 +101,9 @@ def test_intervals_hold_where_runs_are_off() -> None:
     """Of the delta with offsets of 2 sigma, which intervals of the stated noise miss."""
     one_machine = module("measure").one_machine
     bench = module("configurations").configuration("delta")
-    estimated = [one_machine(bench, "offsets", k, 1) for k in range(12)]
+    estimated = [one_machine(bench, "offsets", k, 1) for k in range(8)]
     stated = [
-        one_machine(bench, "offsets", k, 1, estimate_noise=False) for k in range(12)
+        one_machine(bench, "offsets", k, 1, estimate_noise=False) for k in range(8)
     ]
     assert np.mean([o.combinations for o in estimated]) > 0.85
     assert np.mean([o.bands for o in estimated]) > 0.85

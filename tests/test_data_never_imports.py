@@ -48,7 +48,7 @@ REFERENCES = (
     f"{NAME}_package.inner",
 )
 EXAMPLES = settings(
-    max_examples=25,
+    max_examples=12,
     deadline=None,
     phases=[Phase.explicit, Phase.reuse, Phase.generate],  # an example says enough
     suppress_health_check=[HealthCheck.function_scoped_fixture],

@@ -174,7 +174,7 @@ def test_one_tool_never_tells_scale_from_bar(
 @pytest.mark.parametrize(
     ("truth", "seed"),
     [
-        ("encoder_scale", 1),
+        pytest.param("encoder_scale", 1, marks=SLOW),
         pytest.param("encoder_scale", 2, marks=SLOW),
         pytest.param("bar_length", 1, marks=SLOW),
         pytest.param("bar_length", 2, marks=SLOW),
@@ -206,7 +206,7 @@ def test_two_known_tools_tell_scale_from_bar(
     [
         pytest.param("encoder_scale", 5, marks=SLOW),
         pytest.param("encoder_scale", 8, marks=SLOW),
-        ("bar_length", 5),
+        pytest.param("bar_length", 5, marks=SLOW),
     ],
 )
 def test_two_tools_do_not_misname_what_is_small(
@@ -287,7 +287,7 @@ def test_with_all_columns_all_is_tested(blind: SimpleNamespace, tmp_path: Path) 
         pytest.param("gravity", 3, marks=SLOW),
         pytest.param("servo_lag", 4, marks=SLOW),
         pytest.param("pitch_accumulation", 1, marks=SLOW),
-        ("step", 1),
+        pytest.param("step", 1, marks=SLOW),
         pytest.param("step", 2, marks=SLOW),
     ],
     ids=lambda v: str(v),

@@ -33,7 +33,8 @@ def _session(folder: Path, scale: float) -> tuple[Measurement, Dataset]:
 
 
 @pytest.mark.parametrize(
-    "scale", [-0.1, 0.001, pytest.param(0.03, marks=pytest.mark.slow)]
+    "scale",
+    [-0.1, *(pytest.param(k, marks=pytest.mark.slow) for k in (0.001, 0.03))],
 )
 def test_the_joint_estimate_is_that_of_least_squares(
     tmp_path: Path, scale: float
@@ -62,6 +63,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     return pipeline.diagnose(study, None, folder / "out", seed=1)
 
 
+@pytest.mark.slow
 def test_six_percent_are_named_and_called_implausible(result: StudyResult) -> None:
     gap = result.gap
     assert gap is not None
@@ -74,6 +76,7 @@ def test_six_percent_are_named_and_called_implausible(result: StudyResult) -> No
     assert "conversion factor" in sentence
 
 
+@pytest.mark.slow
 def test_both_sections_have_one_estimate(result: StudyResult) -> None:
     gap, corrected = result.gap, result.corrected
     assert gap is not None

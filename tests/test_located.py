@@ -165,6 +165,7 @@ def test_every_figure_is_without_the_row_set_aside(
     assert "without the 1 row set aside" in page
 
 
+@pytest.mark.usefixtures("no_search_for_mistakes")
 @pytest.mark.parametrize("rows", [(20, 21, 22)])
 def test_neighbours_off_the_same_way_stay_for_the_diagnosis(
     rows: Sequence[int],

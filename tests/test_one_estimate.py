@@ -105,7 +105,7 @@ MACHINES = {"a3_head": A3, "planar_2dof": PLANAR, "linear_delta": DELTA}
     scope="module",
     params=[
         "a3_head",
-        "planar_2dof",
+        pytest.param("planar_2dof", marks=pytest.mark.slow),
         pytest.param("linear_delta", marks=pytest.mark.slow),
     ],
 )

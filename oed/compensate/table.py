@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
+import scipy  # its parts load when first used: checks need no interpolation
 
 from oed.base.arrays import Array
 
@@ -47,7 +47,8 @@ class InterpolationTable:
         knots = [self.knots[k] for k in varied]
         shape = [len(axis) for axis in knots]
         values = self.values.reshape(*shape, self.values.shape[-1])
-        return np.asarray(RegularGridInterpolator(knots, values)(inside[:, varied]))
+        interpolator = scipy.interpolate.RegularGridInterpolator(knots, values)
+        return np.asarray(interpolator(inside[:, varied]))
 
     def _in_first_turn(self, places: Array, low: Array, high: Array) -> Array:
         """Places with the angles of full turns between the ends of their axes."""

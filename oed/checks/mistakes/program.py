@@ -23,12 +23,15 @@ from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
 from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Coordinate
 
 #: commands of a machine from which on a length leaves many programs open
 MOST_COMMANDS = 3
 #: Newton steps to the pose with the same reading, step for differences, closeness, SI
 ROUNDS, DIFFERENCE, CLOSE = 12, 1e-5, 1e-10
+#: widths of the workspace outside of it beyond which Newton steps do not come back
+FAR_OUTSIDE = 2.0
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
@@ -132,11 +135,25 @@ def _solved(
             return None
         step = -here * DIFFERENCE / change
         command[rows, follower] += step[place]
+        _check_distance(command, follower, measurement)
     else:
         return None
     if not inside(command[rows], measurement.machine, setup.tool, SLACK):
         return None
     return _at(measurement, series, command)
+
+
+def _check_distance(command: Array, follower: int, measurement: Measurement) -> None:
+    """Raise AssemblyError for commands (m, n_dof) whose follower is far outside.
+
+    The kinematics would follow them from home in hundreds of steps before it gave up.
+    """
+    coordinate = measurement.machine.command[follower]
+    room = FAR_OUTSIDE * (coordinate.upper - coordinate.lower)
+    value = command[:, follower]
+    is_far = (value < coordinate.lower - room) | (value > coordinate.upper + room)
+    if is_far.any():
+        raise AssemblyError("no command has this reading", np.flatnonzero(is_far))
 
 
 def _place_of_rows(series: Series, rows: Mask) -> Array:

@@ -17,8 +17,8 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import scipy  # its parts load when first used: plans need no path
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from oed.base.arrays import Array, Index, rows_by_label
 
@@ -162,7 +162,8 @@ def _lay_path(along: _Along, q: Array, tip: Array, at: Index, rolling: bool) -> 
     length, closed = _path_length(tip[at])
     places = length[: len(at)]
     around = np.vstack([q[at], q[at[:1]]]) if closed else q[at]
-    path = CubicSpline(length, around, bc_type="periodic" if closed else "not-a-knot")
+    ends = "periodic" if closed else "not-a-knot"
+    path = scipy.interpolate.CubicSpline(length, around, bc_type=ends)
     approach = ARRIVAL * _steps_before(length, len(at))
     arriving = path(places) - path(places - approach)
     sense = _sense(arriving / approach[:, None])
@@ -235,7 +236,7 @@ def _fill(sign: Array, k: int, neighbour: int) -> None:
 
 
 def _since_reversal(
-    path: CubicSpline,
+    path: scipy.interpolate.CubicSpline,
     length: Array,
     arrival: Array,
     closed: bool,

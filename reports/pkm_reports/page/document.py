@@ -250,7 +250,7 @@ def _block(block: Block, numbering: Numbering) -> DocumentBlock:
         case Table():
             return _table(block, next(numbering.tables))
         case Picture():
-            image = style.render(block.draw())
+            image = drawn_image(block)
             numbering.images[block.name] = image
             return _picture(block, next(numbering.figures), image)
         case Items():
@@ -266,6 +266,11 @@ def _block(block: Block, numbering: Numbering) -> DocumentBlock:
             return TextBlock(block.kind, text.cleaned(block.text).rstrip("\n"))
         case Paragraph() | Notice():
             return TextBlock(block.kind, text.cleaned(block.text))
+
+
+def drawn_image(picture: Picture) -> style.Image:
+    """The figure of a picture, drawn and written."""
+    return style.render(picture.draw())
 
 
 def _table(table: Table, number: int) -> TableBlock:

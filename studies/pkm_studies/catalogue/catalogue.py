@@ -19,6 +19,7 @@ import pkgutil
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
@@ -34,6 +35,13 @@ KINDS = ("machines", "instruments", "effects", "criteria", "formats")
 #: these are not `pkm_models.KIND` and the kind's singular
 PACKAGES = {"formats": "pkm_studies.compensation.formats"}
 ATTRIBUTES = {"formats": "controller"}
+#: module and name of the class of a kind's items
+CLASSES = {
+    "machines": ("oed.model.machine", "Machine"),
+    "instruments": ("oed.model.instrument", "Instrument"),
+    "effects": ("oed.model.effect", "Effect"),
+    "formats": ("pkm_studies.catalogue.controller_format", "ControllerFormat"),
+}
 #: how the groups of entry points begin whose modules have a long name
 GROUPS = "pkm_oed."
 
@@ -147,18 +155,7 @@ def _criteria() -> Mapping[str, Any]:
 @functools.cache
 def named_items(kind: str) -> dict[str, tuple[str, Any]]:
     """Machines, instruments, effects or formats by name, each with its long name."""
-    from oed.model.effect import Effect
-    from oed.model.instrument import Instrument
-    from oed.model.machine import Machine
-    from pkm_studies.catalogue.controller_format import ControllerFormat
-
-    kinds: dict[str, Any] = {
-        "machines": Machine,
-        "instruments": Instrument,
-        "effects": Effect,
-        "formats": ControllerFormat,
-    }
-    wanted = kinds[kind]
+    wanted = _item_class(kind)
     package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
     items: dict[str, tuple[str, Any]] = {}
     for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
@@ -169,6 +166,12 @@ def named_items(kind: str) -> dict[str, tuple[str, Any]]:
         if isinstance(item, wanted):
             items.setdefault(item.name, (point.value, item))
     return items
+
+
+def _item_class(kind: str) -> Any:
+    """Class of the items of a kind; its module alone is imported."""
+    module_name, class_name = CLASSES[kind]
+    return getattr(importlib.import_module(module_name), class_name)
 
 
 def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
@@ -213,6 +216,9 @@ def _lookup(
 
 
 def _by_short_name(name: str, kind: str, place: Place) -> Any:
+    item = _shipped_item(name, kind)
+    if item is not None:
+        return item
     items = named_items(kind)
     if name not in items:
         remedy = (
@@ -221,6 +227,21 @@ def _by_short_name(name: str, kind: str, place: Place) -> Any:
         )
         raise place.error(f"no such {kind.removesuffix('s')}", remedy, name)
     return items[name][1]
+
+
+def _shipped_item(name: str, kind: str) -> Any | None:
+    """The shipped item in the module of its name; None where there is none.
+
+    Importing one module takes less than reading the catalogue, which prefers shipped
+    items to those of other packages.
+    """
+    package = PACKAGES.get(kind, f"pkm_models.{kind}")
+    if not name.isidentifier() or find_spec(f"{package}.{name}") is None:
+        return None
+    items = vars(importlib.import_module(f"{package}.{name}")).values()
+    item_class = _item_class(kind)
+    named = (item for item in items if isinstance(item, item_class))
+    return next((item for item in named if item.name == name), None)
 
 
 def _module(name: str, origin: Origin, place: Place) -> ModuleType:

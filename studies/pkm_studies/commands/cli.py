@@ -1,8 +1,8 @@
 """The command `oed`: runs a subcommand and turns its errors into exit codes.
 
 Exit 0: done; 1: a claim fails; 2: bad input, in one paragraph on stderr; 130:
-interrupted. Everything heavy is imported inside the subcommand that needs it, so that
-`oed --help` answers at once.
+interrupted. A subcommand is imported when it is called, and everything heavy inside it,
+so that `oed --help` answers at once.
 """
 
 from __future__ import annotations
@@ -16,31 +16,12 @@ import typer
 
 from pkm_studies.base import console
 from pkm_studies.base.errors import InputError, shorten
-from pkm_studies.commands.adjust import adjust
-from pkm_studies.commands.campaign import campaign
-from pkm_studies.commands.certificate import certificate
-from pkm_studies.commands.check import check
-from pkm_studies.commands.compare import compare
-from pkm_studies.commands.compensate import compensate
-from pkm_studies.commands.diagnose import diagnose
-from pkm_studies.commands.forecast import forecast
-from pkm_studies.commands.history import history
-from pkm_studies.commands.identify import identify
-from pkm_studies.commands.import_files import import_files
-from pkm_studies.commands.listing import list_entries
-from pkm_studies.commands.new import new
-from pkm_studies.commands.next import next_reading
-from pkm_studies.commands.plan import plan
-from pkm_studies.commands.report import report
-from pkm_studies.commands.run import run
-from pkm_studies.commands.schema import schema
-from pkm_studies.commands.serve import serve
-from pkm_studies.commands.simulate import simulate
-from pkm_studies.commands.verify import verify
+from pkm_studies.commands.subcommands import SubcommandGroup
 from pkm_studies.stages.outcome import BAD_INPUT, DONE
 
 app = typer.Typer(
     name="oed",
+    cls=SubcommandGroup,
     help=(
         "Optimal experiment design and uncertainty for calibrating parallel kinematic"
         " machines."
@@ -51,27 +32,12 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-app.command()(run)
-app.command()(check)
-app.command()(simulate)
-app.command()(identify)
-app.command()(diagnose)
-app.command()(plan)
-app.command()(compare)
-app.command()(report)
-app.command(name="list")(list_entries)
-app.command()(schema)
-app.command()(new)
-app.command(name="import")(import_files)
-app.command()(compensate)
-app.command()(forecast)
-app.command()(verify)
-app.command()(adjust)
-app.command()(certificate)
-app.command()(history)
-app.command()(campaign)
-app.command(name="next")(next_reading)
-app.command()(serve)
+
+@app.callback()
+def oed() -> None:
+    """What is common to all subcommands: nothing."""
+
+
 INTERRUPTED = 130
 #: new objects after which Python looks for garbage: after its usual 700 that takes a tenth
 #: of a run, most of it during imports
@@ -91,8 +57,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # before NumPy is loaded: the matrices are small, and two BLAS threads on busy cores
     # slow them down tenfold
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if arguments is None:  # the process is the command's own
-        gc.set_threshold(GARBAGE_THRESHOLD, 20, 50)
+    if arguments is not None:
+        return _guarded(arguments)
+    # the process is the command's own
+    gc.set_threshold(GARBAGE_THRESHOLD, 20, 50)
+    try:
+        return _guarded(None)
+    finally:
+        # what is alive now goes with the process: to look through all of it for garbage
+        # once more takes a tenth of a light command; files are closed, and whole
+        gc.freeze()
+
+
+def _guarded(arguments: Sequence[str] | None) -> int:
+    """The exit code, also of what the command refuses."""
     try:
         console.set_up()
         return _call(arguments)

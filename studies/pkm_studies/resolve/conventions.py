@@ -16,12 +16,11 @@ from oed.model.machine import Component, Coordinate, Machine
 from oed.model.passive_joint import PassiveJoint
 from pkm_studies.catalogue import catalogue
 from pkm_studies.catalogue.catalogue import CatalogueEntry
-from pkm_studies.resolve.machine import study_machine
 from pkm_studies.resolve.quantities import column
-from pkm_studies.study import Study
 
 if TYPE_CHECKING:
     from oed.measurement.measurement import Measurement
+    from pkm_studies.study import Study
 
 COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
 PASSIVE = "passive joint"
@@ -117,6 +116,8 @@ def comments_of(
 
 def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
     """`readings_comments` of a study, over the names of the columns. Raises InputError."""
+    from pkm_studies.resolve.machine import study_machine
+
     machine = study_machine(study)
     setups = {}
     for i, table in enumerate(study.setup):

@@ -6,8 +6,6 @@ import numpy as np
 
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import order, select
-from pkm_studies.stages.forecast.files import read_nodes
-from pkm_studies.stages.forecast.task import forecast_task
 from pkm_studies.stages.gap.virtual_readings import check_coefficients
 from pkm_studies.stages.run_state import RunState, Stream
 from pkm_studies.stages.steps import readings
@@ -38,6 +36,9 @@ def _check_forecast(state: RunState) -> None:
     table = state.study.forecast
     if table is None:
         return
+    from pkm_studies.stages.forecast.files import read_nodes
+    from pkm_studies.stages.forecast.task import forecast_task
+
     task = forecast_task(state.resolved, None, state.rng(Stream.FORECAST))
     for name in filter(None, (table.readings, table.check)):
         read_nodes(task, state.study.folder / name)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from oed.result import trust
 from pkm_studies.base import console
 
 if TYPE_CHECKING:
@@ -28,6 +27,8 @@ def report_outcome(
         from pkm_studies.stages import summary
 
         print(*summary.lines(result, folder, verbose, above), sep="\n")
+    from oed.result import trust
+
     failing = [claim for claim in result.claims if not claim.met]
     for claim in failing:
         console.print_error(f"claim {verdict(claim)}")

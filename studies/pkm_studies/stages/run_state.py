@@ -17,27 +17,27 @@ import msgspec
 import numpy as np
 
 from oed.base.arrays import Array, Mask
-from oed.checks import CheckedSession
-from oed.estimation.identification import Estimate
-from oed.identifiability.assessment import Assessment
 from oed.measurement.measurement import Measurement, Series
 from oed.noise.prior import LEAST_FREEDOM
-from oed.posterior.checkpoint import Checkpoint
-from oed.posterior.posterior import Posterior
 from oed.result import EstimateSection, GoodnessSection, StudyResult
 from pkm_studies.base.progress import Progress
 from pkm_studies.resolve.noise import LEAST_OF_SCALE, noise_is_a_guess
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
 from pkm_studies.stages import describe
-from pkm_studies.stages.design.select import ChosenDesign
-from pkm_studies.stages.plan.section import PlanOutcome
 from pkm_studies.study import Study
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from oed.checks import CheckedSession
     from oed.compensate.effects.expected_columns import ExpectedColumns
     from oed.compensate.effects.fit import CorrectedEstimate
+    from oed.estimation.identification import Estimate
+    from oed.identifiability.assessment import Assessment
+    from oed.posterior.checkpoint import Checkpoint
+    from oed.posterior.posterior import Posterior
+    from pkm_studies.stages.design.select import ChosenDesign
+    from pkm_studies.stages.plan.section import PlanOutcome
 
 
 class Stream(enum.IntEnum):

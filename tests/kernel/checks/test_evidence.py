@@ -181,19 +181,19 @@ def test_an_offset_is_estimated_as_by_generalised_least_squares(
 
 
 def test_long_sessions_are_cut_where_a_mistake_begins() -> None:
-    """The likeliest coarse part leads to the row; 4 circles of 60 readings."""
-    session = circles(4, 60)
+    """The likeliest coarse part leads to the row; 3 circles of 40 readings."""
+    session = circles(3, 40)
     assert cuts_are_coarse(session)
     assert len(part_scopes(session)) < 300
     y = session.y.copy()
-    y[137:180] *= 1e3
+    y[53:80] *= 1e3
     checked = checks.check_session(
         session.with_y(y),
         checks.Alternatives(session.measurement),
         np.random.default_rng(0),
     )
     first = checked.findings[0].sentence
-    assert "the readings of rows 139 to 181 are in um, not in mm" in first
+    assert "the readings of rows 55 to 81 are in um, not in mm" in first
 
 
 def test_scopes_are_the_file_its_setups_and_runs(bar: checks.SessionReadings) -> None:

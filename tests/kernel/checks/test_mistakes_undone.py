@@ -33,6 +33,7 @@ from oed.checks.mistakes import (
     values,
 )
 from oed.checks.mistakes.trial import MistakeTrial
+from oed.mechanism.inverse import InverseKinematics
 
 BY_NAME = {blunder.name: blunder for blunder in BLUNDERS}
 #: mistakes without amounts, or with those, SI, that were made
@@ -157,6 +158,21 @@ def test_another_program_reads_the_same_on_the_nominal_machine() -> None:
     assert read[of_run] == pytest.approx(np.full(12, 0.3), abs=1e-7)
     heights = np.concatenate([s.reading_commands()[:, 0] for s in driven.series])
     assert heights[of_run] == pytest.approx(np.full(12, 1.276), abs=1e-9)
+
+
+def test_programs_out_of_reach_are_not_followed_from_home(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Newton's steps to the bar's length leave the workspace for tilts far off."""
+
+    def follow(*arguments: object) -> None:
+        raise AssertionError("hundreds of steps")
+
+    given = session(BY_NAME["the circle of another height"])
+    names = [c.name for c in given.session.measurement.machine.command]
+    monkeypatch.setattr(InverseKinematics, "_from_home", follow)
+    displaced = program._displaced(given, names.index("theta"), names.index("z"))
+    assert {trial.family for trial in displaced}
 
 
 @pytest.mark.parametrize(

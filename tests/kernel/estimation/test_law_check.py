@@ -74,7 +74,7 @@ def test_readings_of_the_law_are_rarely_contradicted(
     rng = np.random.default_rng(3)
     slopes = 2.0 * rng.standard_normal((len(structure), 6))
     root = np.linalg.cholesky(dense_covariance(structure, law))
-    count, contradicted = 600, 0
+    count, contradicted = 300, 0
     for _ in range(count):
         errors = root @ rng.standard_normal(len(structure))
         residual = slopes @ rng.standard_normal(6) + errors

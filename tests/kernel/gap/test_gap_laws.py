@@ -31,7 +31,7 @@ def test_evidence_over_laws_is_the_mean_over_the_prior(repeat: float) -> None:
     models = [np.zeros((len(problem), 0)), 0.8 * rng.standard_normal((len(problem), 2))]
     posteriors = [laws.posterior(problem, columns) for columns in models]
     mixture = laws.mixture(problem, posteriors)
-    drawn = rng.standard_normal((1000, posteriors[0].draws.shape[1]))
+    drawn = rng.standard_normal((500, posteriors[0].draws.shape[1]))
     every = laws._laws(problem, drawn)
     for model in posteriors:
         values = [evidence.log_evidence(problem, law, model.columns) for law in every]

@@ -86,7 +86,7 @@ def test_draws_are_those_of_exact_rejection(
         assert len(drawn) == 4000
     else:
         result = posterior.sample(
-            m, [SERIES], Y, estimate, rng, sampler=sampler, ess=2000.0
+            m, [SERIES], Y, estimate, rng, sampler=sampler, ess=1000.0
         )
         drawn = result.pooled
         assert result.sampler == ("emcee" if sampler == "emcee" else "importance")

@@ -1,0 +1,66 @@
+"""The subcommands of `oed`, each imported and parsed by typer when it is asked for.
+
+Reading the signatures of all takes longer than the work of a light command.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from typing import Any, cast
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_command
+
+#: module of this package and function in it, by subcommand, in the order of the help
+FUNCTIONS = {
+    "run": ("run", "run"),
+    "check": ("check", "check"),
+    "simulate": ("simulate", "simulate"),
+    "identify": ("identify", "identify"),
+    "diagnose": ("diagnose", "diagnose"),
+    "plan": ("plan", "plan"),
+    "compare": ("compare", "compare"),
+    "report": ("report", "report"),
+    "list": ("listing", "list_entries"),
+    "schema": ("schema", "schema"),
+    "new": ("new", "new"),
+    "import": ("import_files", "import_files"),
+    "compensate": ("compensate", "compensate"),
+    "forecast": ("forecast", "forecast"),
+    "verify": ("verify", "verify"),
+    "adjust": ("adjust", "adjust"),
+    "certificate": ("certificate", "certificate"),
+    "history": ("history", "history"),
+    "campaign": ("campaign", "campaign"),
+    "next": ("next", "next_reading"),
+    "serve": ("serve", "serve"),
+}
+
+
+class Subcommands(Mapping[str, Any]):
+    """typer's command by name. Raises KeyError for a name that is none."""
+
+    def __getitem__(self, name: str) -> Any:
+        module_name, function_name = FUNCTIONS[name]
+        module = importlib.import_module(f"pkm_studies.commands.{module_name}")
+        single = typer.Typer(
+            add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+        )
+        single.command(name=name)(getattr(module, function_name))
+        return get_command(single)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(FUNCTIONS)
+
+    def __len__(self) -> int:
+        return len(FUNCTIONS)
+
+
+class SubcommandGroup(TyperGroup):
+    """A group whose commands are these subcommands."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = cast(Any, Subcommands())  # typer changes none
