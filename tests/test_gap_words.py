@@ -139,6 +139,51 @@ def test_mixtures_and_unknowns_in_words() -> None:
     assert "2 effects" in unknown
 
 
+def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
+    """Its probability counts both; what is named elsewhere, or unseen, is another."""
+    answers = [
+        AnswerRecord(("gravity",), 0.54, (("gravity",),)),
+        AnswerRecord(("gravity", "unknown"), 0.25, (("gravity",),)),
+        AnswerRecord(("servo_lag",), 0.11, (("servo_lag",),)),
+        AnswerRecord(("gravity",), 0.1, (("gravity", "servo_lag"),), unseen=0.1),
+    ]
+    words = _gap("effect", ["gravity"], [], answers=answers).words
+    assert words[0] == "The gap comes from gravity (probability 79 %)."
+    beside = words.index(
+        "An effect of unknown form may act beside it (probability 25 %)."
+    )
+    assert words[beside + 1] == (
+        "The next most likely explanation is servo lag (probability 11 %)."
+    )
+    mixed = _gap("mixture", ["gravity"], [], answers=[answers[1], answers[0]]).words
+    assert mixed[0] == (
+        "Part of the gap comes from gravity (probability 79 %); a remainder has a form"
+        " that no known effect has (probability 25 %)."
+    )
+    assert not any("beside it" in sentence for sentence in mixed)
+
+
+def test_a_clear_effect_stands_before_a_class() -> None:
+    classes = [["gravity", "encoder_scale"], ["servo_lag"]]
+    section = _gap("class", ["gravity", "servo_lag"], classes)
+    assert section.words[0].startswith(
+        "The gap comes from servo lag, and gravity or encoder scale; these readings"
+    )
+    assert section.words[1].startswith("If it is gravity, it changes length by 12.3 um")
+    assert section.words[2].startswith("Servo lag changes length by 12.3 um rms")
+
+
+def test_no_gap_in_doubt_names_the_way_to_a_second_session() -> None:
+    for probability, in_doubt in ((0.04, False), (0.08, True)):
+        answers = [
+            AnswerRecord((), 0.6),
+            AnswerRecord(("gravity",), 0.3, (("gravity", "servo_lag"),), unseen=0.3),
+            AnswerRecord(("unknown",), probability),
+        ]
+        section = _gap("none", [], [], answers=answers)
+        assert any("--after DIR" in text for text in section.next) == in_doubt
+
+
 def test_what_an_unknown_effect_resembles() -> None:
     """The likeliest form, and others that matter; nothing where there is none."""
     forms = {
@@ -239,6 +284,9 @@ def test_a_coefficient_far_beyond_its_expected_size_is_marked() -> None:
 def test_a_gap_is_never_reported_as_closed_whole() -> None:
     near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[3]
+    rounded = [ClosureRecord("within", 0.766, None, None, 0.0, 3.0, 1.1, 1.0, 200)]
+    words = _gap("effect", ["gravity"], [["gravity"]], closure=rounded).words[3]
+    assert "shrinks by 77 % on held-out" in words
     assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in sentence
 
 

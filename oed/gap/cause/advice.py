@@ -122,11 +122,13 @@ def _without_effect(
     answers: Sequence[AnswerRecord], unstated: float | None
 ) -> list[str]:
     """What to do where no effect is reported: act only where none is probable."""
-    visible = sum(answer.visible for answer in answers if answer.effects)
+    visible = visible_probability(answers)
     if visible > DOUBT:
         return [
-            "An effect is not excluded: take the same run again before you compensate the"
-            " geometry."
+            f"An effect is not excluded (probability {100.0 * visible:.0f} %): before you"
+            " compensate the geometry, take one run again, and once in the other"
+            " direction. What recurs at its poses beyond the noise is an effect; what does"
+            " not is noise."
         ]
     if unstated is not None:
         return [
@@ -138,6 +140,11 @@ def _without_effect(
     return [
         "Nothing beyond the geometry and the noise is seen: compensate the geometry."
     ]
+
+
+def visible_probability(answers: Sequence[AnswerRecord]) -> float:
+    """That an effect acts at a size that the readings show."""
+    return sum(answer.visible for answer in answers if answer.effects)
 
 
 def _for_class(members: Sequence[str], known: Mapping[str, Effect]) -> str:
@@ -176,6 +183,10 @@ def _between(
     for effect in others:
         for test in _tests([effect], known):
             sentences.append(f"To make sure that it is not {effect}: {test}.")
+    if set(second.effects) == {*first.effects, UNKNOWN}:
+        sentences.append(
+            "After that, read again: something of unknown form may act beside it."
+        )
     return sentences
 
 

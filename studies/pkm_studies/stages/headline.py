@@ -12,6 +12,7 @@ from oed.result import (
     DesignSection,
     EstimateSection,
     GapBeforeSection,
+    GapSection,
     GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
@@ -23,6 +24,7 @@ from oed.result import (
     indices,
 )
 from pkm_studies.stages.forecast import words as forecast_words
+from pkm_studies.stages.gap.words import join_words, plain_name
 from pkm_studies.stages.plan.phrases import bound_sentences, plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
 from pkm_studies.stages.recording_words import recording_sentences
@@ -63,7 +65,7 @@ def sentences(
     findings = [] if result.gap is None else result.gap.findings
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
-    noise = [] if checked is None else checked.noise_words
+    noise = [] if checked is None else _noise(checked, result.gap)
     rounds = [] if machine is None else earlier_sentences(machine)
     asked = _indices(result.identifiability)
     held_out = _held_out(result.held_out)
@@ -77,6 +79,13 @@ def sentences(
         *asked,
         *recording_sentences(result.plan, chosen),
     ]
+
+
+def _noise(checked: GoodnessSection, gap: GapSection | None) -> list[str]:
+    """How the noise departs from the stated one: beside the effects of a diagnosis."""
+    if not checked.noise_words or gap is None:
+        return checked.noise_words
+    return [f"Beside what the diagnosis explains, {'; '.join(gap.noise)}."]
 
 
 def earlier_sentences(machine: MachineInfo) -> list[str]:
@@ -137,7 +146,7 @@ def _corrected(section: CorrectedSection | None) -> list[str]:
     """What compensation of parameters and effects reaches, and on which conditions."""
     if section is None or section.prediction is None:
         return []
-    effects = " and ".join(section.constants)
+    effects = join_words([plain_name(name) for name in section.constants])
     reference = REFERENCES[section.prediction.reference]
     return [
         f"With {effects} in the model, compensation of parameters and effects is"

@@ -32,6 +32,14 @@ def test_an_unsure_cause_is_answered_with_the_reading_that_tells_its_rival() -> 
     )
 
 
+def test_an_unsure_cause_is_read_again_for_what_may_act_beside_it() -> None:
+    advice = advise([_answer(0.6, "bow"), _answer(0.4, "bow", UNKNOWN)], EFFECTS, {})
+    assert advice == (
+        "bow: straighten.",
+        "After that, read again: something of unknown form may act beside it.",
+    )
+
+
 def test_a_class_of_many_is_not_listed_effect_by_effect() -> None:
     names = tuple(f"slip {k}" for k in range(6))
     effects = [dataclasses.replace(SLIP, name=name) for name in names]
@@ -74,7 +82,10 @@ def test_geometry_is_compensated_where_no_effect_and_no_unstated_noise_is_probab
     sure = [_answer(0.97), _answer(0.03, "bow")]
     assert "compensate the geometry" in advise(sure, EFFECTS, {})[0]
     doubtful = advise([_answer(0.92), _answer(0.08, "bow")], EFFECTS, {})
-    assert doubtful[0].startswith("An effect is not excluded: take the same run again")
+    assert doubtful[0].startswith(
+        "An effect is not excluded (probability 8 %): before you"
+    )
+    assert "(probability 8 %)" in doubtful[0]
     noisy = advise(sure, EFFECTS, {}, unstated=1.83)
     assert noisy[0].startswith("A reading scatters 1.8 times as much as stated")
 
