@@ -163,6 +163,27 @@ def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
     assert not any("beside it" in sentence for sentence in mixed)
 
 
+def test_an_unknown_effect_is_as_probable_as_all_answers_with_one() -> None:
+    """Its place is where to look first; a rival that is any of many has no name."""
+    many = ("gravity", *(f"effect_{k}" for k in range(6)))
+    answers = [
+        AnswerRecord(("unknown",), 0.57),
+        AnswerRecord(("gravity", "unknown"), 0.31, (many,)),
+        AnswerRecord((), 0.12),
+    ]
+    section = _gap("unknown", ["unknown"], [], answers=answers)
+    assert section.words[0].startswith(
+        "There is a gap that no known effect explains (probability 88 %)"
+    )
+    assert section.words[1] == (
+        "The next most likely explanation is any of 7 effects and an effect of unknown"
+        " form (probability 31 %)."
+    )
+    assert "Look first at the time from 10 min to 20 min." in section.next
+    spread = _gap("unknown", ["unknown"], [], where=[PlaceRecord("leg 1", 0.3)])
+    assert not any("Look first" in step for step in spread.next)
+
+
 def test_a_clear_effect_stands_before_a_class() -> None:
     classes = [["gravity", "encoder_scale"], ["servo_lag"]]
     section = _gap("class", ["gravity", "servo_lag"], classes)
@@ -301,6 +322,19 @@ def test_a_gap_that_grows_does_not_shrink() -> None:
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=grown).words[3]
     assert "grows by 21 % (50 % more to 10 % less) on whole held-out runs" in sentence
     assert "shrinks" not in sentence
+
+
+@pytest.mark.parametrize(("lows", "proven"), [
+    ((0.1, -0.2), True), ((-0.1, -0.2), False), ((None, -0.2), False), ((None,), True),
+])  # fmt: skip
+def test_what_no_held_out_reading_confirms_is_measured_first(
+    lows: tuple[float | None, ...], proven: bool
+) -> None:
+    closures = [
+        ClosureRecord("whole", 0.3, low, 0.5, 0.1, 3.0, 2.4, 1.2, 200) for low in lows
+    ]
+    section = _gap("effect", ["gravity"], [["gravity"]], closure=closures)
+    assert section.next[0].startswith("Measure before you exchange") != proven
 
 
 def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow() -> None:

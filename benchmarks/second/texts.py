@@ -4,21 +4,17 @@
     python -m benchmarks.second.texts truths
 
 The first command draws 25 cases of each machine, takes five of each at random, and
-diagnoses them as a user would: `oed diagnose` on a study folder. `NN.txt` has what the
-command prints, and the text of the report's parts on the gap. The second one prints what
-acts in each case.
+diagnoses them as `oed diagnose` does. `NN.txt` has what the command prints of it, and the
+words of the report's chapters on the gap. The second one prints what acts in each case.
 """
 
 from __future__ import annotations
 
 import argparse
-import html.parser
 import json
-import os
-import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +23,22 @@ import numpy as np
 from benchmarks.second import adapter, cases
 from benchmarks.second.cases import Case
 from oed.base.whole_file import whole_file
+from oed.result import trust
+from pkm_reports.page.blocks import Block, Items, Notice, Paragraph, Picture, Table
+from pkm_reports.sections.gap import chapter as gap
+from pkm_reports.sections.gap import second_visit
+from pkm_studies import pipeline
+from pkm_studies import study as studies
+from pkm_studies.base.progress import Silent
+from pkm_studies.stages import run_state, session_files
+from pkm_studies.stages.steps import readings as readings_steps
+from pkm_studies.stages.steps.checks import check_readings
+from pkm_studies.stages.steps.design import analyse_identifiability
+from pkm_studies.stages.steps.fit import fit_parameters
+from pkm_studies.stages.steps.gap import diagnose_always
 
 #: cases of each machine in the set, and those of them that are read
 DRAWN, READ = 25, 5
-#: sections of the report with the answer of a diagnosis
-SECTIONS = ("causes", "gap", "second_visit")
-#: elements that begin a line
-BLOCKS = frozenset({"p", "li", "tr", "h2", "h3", "figcaption", "dt"})
-#: elements that do not hold words
-SILENT = frozenset({"script", "style", "svg"})
 #: file of the set that says which case has which number
 CHOSEN = "chosen.json"
 #: kinds of noise laws by the label's name of their size, in units of the stated noise
@@ -105,57 +108,41 @@ def chosen(folder: Path, seed: int) -> list[Case]:
 
 
 def answer(case: Case, folder: Path) -> str:
-    """What a user reads of a case that is diagnosed in `folder`."""
-    study, readings = adapter.write_case(case.stem, folder)
-    command = ["diagnose", str(study), "--readings", str(readings), "--allow-code"]
-    completed = subprocess.run(
-        [str(Path(sys.executable).with_name("oed")), *command, "--out", folder / "out"],
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    path = folder / "out" / "report.html"
-    if not path.is_file():
-        raise ValueError(f"{study}: {completed.stderr}")
-    printed = completed.stdout + completed.stderr
-    report = path.read_text(encoding="utf-8")
-    return f"{printed}\n{section_text(report)}\n"
+    """What a user reads of a case: the command's findings, and the report's chapters.
+
+    Readings are fitted and diagnosed as by `oed diagnose`. The accuracy that compensation
+    would reach is not predicted, and no figure is drawn.
+    """
+    path, readings = adapter.write_case(case.stem, folder)
+    study = studies.load(path, studies.Consent.GIVEN)
+    state = run_state.start(study, None, Silent(), [readings])
+    state = session_files.with_sessions(state, [readings], None)
+    data = state.resolved.dataset
+    assert data is not None  # the readings that were given
+    measured = check_readings(readings_steps.take_recorded(state, data))
+    fitted = diagnose_always(fit_parameters(analyse_identifiability(measured)[0]))
+    result = pipeline.assemble_result(fitted)
+    chapters = [gap.CHAPTER, second_visit.CHAPTER]
+    blocks = [block for chapter in chapters for block in chapter.blocks(result)]
+    printed = [*result.headline, *result.warnings, *trust.objections(result)]
+    return "\n".join([*dict.fromkeys(printed), "", *block_lines(blocks)]) + "\n"
 
 
-class _SectionText(html.parser.HTMLParser):
-    """Collects the words of some sections of a report."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.words: list[str] = []
-        self._is_inside = False
-        self._silent = 0
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag == "section":
-            self._is_inside = dict(attrs).get("id") in SECTIONS
-        self._silent += tag in SILENT
-        if tag in BLOCKS:
-            self.handle_data("\n")
-        if tag in ("td", "th"):
-            self.handle_data(" | ")
-
-    def handle_endtag(self, tag: str) -> None:
-        self._is_inside = self._is_inside and tag != "section"
-        self._silent -= tag in SILENT
-
-    def handle_data(self, data: str) -> None:
-        if self._is_inside and not self._silent:
-            self.words.append(data if data == "\n" else re.sub(r"\s+", " ", data))
-
-
-def section_text(report: str) -> str:
-    """The words of a report's parts on the gap, a paragraph or a table's row a line."""
-    parser = _SectionText()
-    parser.feed(report)
-    lines = "".join(parser.words).splitlines()
-    return "\n".join(line.strip() for line in lines if line.strip(" |"))
+def block_lines(blocks: Sequence[Block]) -> list[str]:
+    """Blocks of a report in lines of text, of figures their captions."""
+    lines: list[str] = []
+    for block in blocks:
+        if isinstance(block, Items):
+            lines += [f"- {item}" for item in block.items]
+        elif isinstance(block, Table):
+            lines.append(block.caption)
+            lines.append(" | ".join(column.title for column in block.columns))
+            lines += [" | ".join(row) for row in block.rows]
+        elif isinstance(block, Picture):
+            lines.append(block.caption)
+        elif isinstance(block, (Paragraph, Notice)):
+            lines.append(block.text)
+    return lines
 
 
 # -- truths ----------------------------------------------------------------------------

@@ -41,7 +41,7 @@ def advise(
     if scatter is not None:
         return (_for_scatter(scatter),)
     sentences = (
-        _for_answer(first, known)
+        _for_answer(answers, known)
         if first.effects
         else _without_effect(answers, unstated)
     )
@@ -50,7 +50,9 @@ def advise(
     sure = first.probability + (0.0 if first.effects else unseen)
     if sure < SURE and rivals:
         rival = max(rivals, key=lambda answer: answer.visible)
-        sentences += _between(first, rival, known)
+        tests = _between(first, rival, known)
+        # what decides comes before a remedy that may be for another effect
+        sentences = [*tests, *sentences] if first.effects else [*sentences, *tests]
     missing = _missing_covariates(not_testable)
     if missing and not first.effects:
         sentences.append(
@@ -75,14 +77,20 @@ def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
     return sorted(missing)
 
 
-def _for_answer(answer: AnswerRecord, known: Mapping[str, Effect]) -> list[str]:
+def _for_answer(
+    answers: Sequence[AnswerRecord], known: Mapping[str, Effect]
+) -> list[str]:
+    """Remedies or tests of the leading answer, by how sure each of its effects is."""
+    answer = answers[0]
     sentences = []
     named = [e for e in answer.effects if e != UNKNOWN]
     for effect, members in zip(named, answer.classes, strict=True):
         if len(members) > 1:
             sentences.append(_for_class(members, known))
         elif known[effect].remedy:
-            sentences.append(f"{effect}: {known[effect].remedy}.")
+            sure = probability_of(effect, answers) >= SURE
+            lead = effect if sure else f"If it is {effect}"
+            sentences.append(f"{lead}: {known[effect].remedy}.")
     if answer.effects == (UNKNOWN,):
         sentences.append(
             "Something acts that no effect of the library explains: look at where it"
@@ -142,6 +150,11 @@ def _without_effect(
     ]
 
 
+def probability_of(effect: str, answers: Sequence[AnswerRecord]) -> float:
+    """That an effect acts, whatever is beside it."""
+    return sum(answer.visible for answer in answers if effect in answer.effects)
+
+
 def visible_probability(answers: Sequence[AnswerRecord]) -> float:
     """That an effect acts at a size that the readings show."""
     return sum(answer.visible for answer in answers if answer.effects)
@@ -178,14 +191,15 @@ def _between(
             f"Noise alone has a probability of {chance}: read again before acting on"
             f" the gap.{more}"
         ]
-    others = [e for e in second.effects if e not in first.effects]
+    many = {names[0] for names in second.classes if len(names) > MOST_NAMES}
+    others = [e for e in second.effects if e not in first.effects and e not in many]
     sentences = []
     for effect in others:
         for test in _tests([effect], known):
             sentences.append(f"To make sure that it is not {effect}: {test}.")
     if set(second.effects) == {*first.effects, UNKNOWN}:
         sentences.append(
-            "After that, read again: something of unknown form may act beside it."
+            "Something of unknown form may act beside it: read again after a remedy."
         )
     return sentences
 

@@ -36,6 +36,12 @@ def sentences(gap: GapSection) -> list[str]:
     return words
 
 
+def may_grow(gap: GapSection) -> bool:
+    """Whether the gap may grow in every way of holding readings out that is known."""
+    lows = [closure.low for closure in gap.closure if closure.low is not None]
+    return bool(lows) and max(lows) < 0.0
+
+
 def _closure(closure: ClosureRecord, value: float) -> str:
     """`80 % (60 to 90 %) on whole held-out runs`, of a closure that is no growth."""
     digits = _digits(closure.low)

@@ -9,13 +9,19 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from oed.gap.cause.advice import DOUBT, MOST_NAMES, SURE, visible_probability
+from oed.gap.cause.advice import (
+    DOUBT,
+    MOST_NAMES,
+    SURE,
+    probability_of,
+    visible_probability,
+)
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
 from oed.result.gap import AnswerRecord, GapSection, SizeRecord
 from pkm_studies.stages.gap import closures, implausible, scatter
-from pkm_studies.stages.gap.places import named_places, place_sentences
+from pkm_studies.stages.gap.places import named_places, place_names, place_sentences
 from pkm_studies.stages.gap.words import (
     capitalised,
     format_probability,
@@ -31,6 +37,11 @@ EVEN = 0.5
 SECOND_SESSION = (
     "Diagnose such readings together with these: `oed diagnose STUDY --readings NEW.csv"
     " --after DIR`, with the folder of this result."
+)
+#: advice where no held-out reading confirms what is named
+UNPROVEN = (
+    "Measure before you exchange or correct anything: on held-out readings the correction"
+    " may do harm."
 )
 #: effective number of noise laws below which probabilities are rough
 FEW_LAWS = 1.5
@@ -70,11 +81,12 @@ def _verdict(gap: GapSection) -> list[str]:
     if gap.verdict == "none":
         return _no_gap(gap)
     if gap.verdict == "unknown":
-        chance = f"(probability {format_probability(best.probability)})"
+        unknown = [a.visible for a in gap.answers if UNKNOWN in a.effects]
+        chance = f"(probability {format_probability(sum(unknown))})"
         testable = len(gap.tried) - len(gap.not_testable)
         return [
-            f"There is a gap that no known effect explains {chance}: its cause is not"
-            f" among the {testable} effects that these readings can test."
+            f"There is a gap that no known effect explains {chance}: it has the form of"
+            f" none of the {testable} effects that these readings can test."
         ]
     probability = _probability_of_causes(gap)
     chance = f"(probability {format_probability(probability)})"
@@ -84,15 +96,14 @@ def _verdict(gap: GapSection) -> list[str]:
             f"The gap {comes} from {_classes(gap)}; these readings cannot tell which"
             f" {chance}."
         ]
-    causes = join_words([plain_name(n) for n in gap.selected])
     if UNKNOWN in best.effects:
         sure = "" if best.probability == probability else _chance(best.probability)
         return [
-            f"Part of the gap {comes} from {causes} {chance}; a remainder has a form that"
-            f" no known effect has{sure}."
+            f"Part of the gap {comes} from {_classes(gap)} {chance}; a remainder has a"
+            f" form that no known effect has{sure}."
         ]
     together = " together" if len(gap.selected) > 1 else ""
-    return [f"The gap {comes} from {causes}{together} {chance}."]
+    return [f"The gap {comes} from {_classes(gap)}{together} {chance}."]
 
 
 def _probability_of_causes(gap: GapSection) -> float:
@@ -132,7 +143,8 @@ def _no_gap(gap: GapSection) -> list[str]:
 def _classes(gap: GapSection) -> str:
     """Effects that the readings cannot tell apart, `a or b`; clear ones before them."""
     best = gap.answers[0]
-    classes = best.classes or [(name,) for name in best.effects]
+    named = [(name,) for name in best.effects if name != UNKNOWN]
+    classes = best.classes or named
     clear = [plain_name(names[0]) for names in classes if len(names) == 1]
     vague = [_class(gap, names) for names in classes if len(names) > 1]
     if not clear:
@@ -241,8 +253,18 @@ def _second_explanation(gap: GapSection) -> list[str]:
             " gap."
         )
         return words
-    causes = join_words([plain_name(n) for n in second.effects]) or "no gap at all"
+    causes = _spoken(second) or "no gap at all"
     return [*words, f"The next most likely explanation is {causes}{chance}."]
+
+
+def _spoken(answer: AnswerRecord) -> str:
+    """An answer's effects; one that could be any of many is not named before them."""
+    sizes = {names[0]: len(names) for names in answer.classes}
+    spoken = []
+    for name in answer.effects:
+        many = sizes.get(name, 1) > MOST_NAMES
+        spoken.append(f"any of {sizes[name]} effects" if many else plain_name(name))
+    return join_words(spoken)
 
 
 def _few_laws(gap: GapSection) -> list[str]:
@@ -276,12 +298,18 @@ def _untested(gap: GapSection) -> list[str]:
 def _next_steps(gap: GapSection) -> list[str]:
     """The diagnosis' advice; remedies and tests of its effects that it leaves out."""
     steps = [_with_plain_names(text, gap.about) for text in gap.next]
-    doubtful = gap.verdict == "class"
+    if gap.selected and closures.may_grow(gap):
+        steps.insert(0, UNPROVEN)
+    places = place_names(gap) if UNKNOWN in gap.answers[0].effects else []
+    if places:
+        steps.append(f"Look first at {join_words(places)}.")
     for name in _effects_in_question(gap):
         note = gap.about.get(name)
         if note is None:
             continue
         known, effect = " ".join(steps), plain_name(name)
+        is_sure = probability_of(name, gap.answers) >= SURE
+        doubtful = not is_sure or _is_one_of_several(name, gap)
         if doubtful and note.exposed_by and note.exposed_by not in known:
             steps.append(f"To tell {effect} from the others: {note.exposed_by}.")
         if note.remedy and note.remedy not in known:
