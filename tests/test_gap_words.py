@@ -176,7 +176,7 @@ def test_an_unknown_effect_is_as_probable_as_all_answers_with_one() -> None:
         "There is a gap that no known effect explains (probability 88 %)"
     )
     assert section.words[1] == (
-        "The next most likely explanation is any of 7 effects and an effect of unknown"
+        "The next most likely explanation is any of 7 effects, and an effect of unknown"
         " form (probability 31 %)."
     )
     assert "Look first at the time from 10 min to 20 min." in section.next
@@ -189,6 +189,18 @@ def test_a_clear_effect_stands_before_a_class() -> None:
     section = _gap("class", ["gravity", "servo_lag"], classes)
     assert section.words[0].startswith(
         "The gap comes from servo lag, and gravity or encoder scale; these readings"
+    )
+    answers = [
+        AnswerRecord(("gravity", "servo_lag"), 0.52, classes),
+        AnswerRecord(("gravity",), 0.41, classes[:1]),
+    ]
+    parts = _gap("class", ["gravity", "servo_lag"], classes, answers=answers).words
+    assert parts[0] == (
+        "The gap comes from servo lag (probability 52 %), and gravity or encoder scale"
+        " (probability 93 %); these readings cannot tell which (probability 52 %)."
+    )
+    assert "The next most likely explanation is gravity or encoder scale (pro" in (
+        " ".join(parts)
     )
     assert section.words[1].startswith("If it is gravity, it changes length by 12.3 um")
     assert section.words[2].startswith("Servo lag changes length by 12.3 um rms")

@@ -23,7 +23,7 @@ import numpy as np
 from benchmarks.second import adapter, cases
 from benchmarks.second.cases import Case
 from oed.base.whole_file import whole_file
-from oed.result import trust
+from oed.result import StudyResult, trust
 from pkm_reports.page.blocks import Block, Items, Notice, Paragraph, Picture, Table
 from pkm_reports.sections.gap import chapter as gap
 from pkm_reports.sections.gap import second_visit
@@ -88,7 +88,7 @@ def _write_answers(options: argparse.Namespace) -> None:
     for number, case in numbered.items():
         path = options.out / f"{number}.txt"
         if not path.is_file():
-            _write(path, answer(case, folder / "studies" / number))
+            _write(path, answer(diagnosis(case, folder / "studies" / number)))
 
 
 def _write(path: Path, content: str) -> None:
@@ -107,12 +107,8 @@ def chosen(folder: Path, seed: int) -> list[Case]:
     return [drawn[k] for k in rng.permutation(len(drawn))]
 
 
-def answer(case: Case, folder: Path) -> str:
-    """What a user reads of a case: the command's findings, and the report's chapters.
-
-    Readings are fitted and diagnosed as by `oed diagnose`. The accuracy that compensation
-    would reach is not predicted, and no figure is drawn.
-    """
+def diagnosis(case: Case, folder: Path) -> StudyResult:
+    """The result of `oed diagnose` of a case, without the accuracy of a correction."""
     path, readings = adapter.write_case(case.stem, folder)
     study = studies.load(path, studies.Consent.GIVEN)
     state = run_state.start(study, None, Silent(), [readings])
@@ -121,7 +117,14 @@ def answer(case: Case, folder: Path) -> str:
     assert data is not None  # the readings that were given
     measured = check_readings(readings_steps.take_recorded(state, data))
     fitted = diagnose_always(fit_parameters(analyse_identifiability(measured)[0]))
-    result = pipeline.assemble_result(fitted)
+    return pipeline.assemble_result(fitted)
+
+
+def answer(result: StudyResult) -> str:
+    """What a user reads: the command's findings, and the report's chapters.
+
+    Of a figure it is the caption.
+    """
     chapters = [gap.CHAPTER, second_visit.CHAPTER]
     blocks = [block for chapter in chapters for block in chapter.blocks(result)]
     printed = [*result.headline, *result.warnings, *trust.objections(result)]

@@ -136,7 +136,7 @@ def _without_effect(
             f"An effect is not excluded (probability {100.0 * visible:.0f} %): before you"
             " compensate the geometry, take one run again, and once in the other"
             " direction. What recurs at its poses beyond the noise is an effect; what does"
-            " not is noise."
+            " not is noise, or changes with time."
         ]
     if unstated is not None:
         return [

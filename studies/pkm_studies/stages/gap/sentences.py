@@ -43,6 +43,8 @@ UNPROVEN = (
     "Measure before you exchange or correct anything: on held-out readings the correction"
     " may do harm."
 )
+#: difference between the probabilities of parts of an answer from which each is given
+WORTH_SAYING = 0.01
 #: effective number of noise laws below which probabilities are rough
 FEW_LAWS = 1.5
 #: what to record for an effect's covariate
@@ -141,15 +143,28 @@ def _no_gap(gap: GapSection) -> list[str]:
 
 
 def _classes(gap: GapSection) -> str:
-    """Effects that the readings cannot tell apart, `a or b`; clear ones before them."""
+    """Effects that the readings cannot tell apart, `a or b`; clear ones before them.
+
+    Of several, each has its probability where they differ by one percent or more.
+    """
     best = gap.answers[0]
     named = [(name,) for name in best.effects if name != UNKNOWN]
-    classes = best.classes or named
-    clear = [plain_name(names[0]) for names in classes if len(names) == 1]
-    vague = [_class(gap, names) for names in classes if len(names) > 1]
-    if not clear:
-        return ", and ".join(vague)
-    return ", and ".join([join_words(clear), *vague])
+    classes = sorted(best.classes or named, key=lambda names: len(names) > 1)
+    parts = [_class(gap, names) for names in classes]
+    chances = [_probability_of_any(names, gap.answers) for names in classes]
+    if max(chances) - min(chances) >= WORTH_SAYING:
+        together = zip(parts, chances, strict=True)
+        parts = [f"{part}{_chance(chance)}" for part, chance in together]
+        return ", and ".join(parts)
+    clear = [part for part, n in zip(parts, classes, strict=True) if len(n) == 1]
+    vague = parts[len(clear) :]
+    return ", and ".join([join_words(clear), *vague] if clear else vague)
+
+
+def _probability_of_any(names: Sequence[str], answers: Sequence[AnswerRecord]) -> float:
+    """That one of several effects acts, whatever is beside it."""
+    acting = [answer for answer in answers if {*names} & {*answer.effects}]
+    return sum(answer.visible for answer in acting)
 
 
 def _class(gap: GapSection, names: Sequence[str]) -> str:
@@ -258,13 +273,16 @@ def _second_explanation(gap: GapSection) -> list[str]:
 
 
 def _spoken(answer: AnswerRecord) -> str:
-    """An answer's effects; one that could be any of many is not named before them."""
-    sizes = {names[0]: len(names) for names in answer.classes}
+    """An answer's effects, with those that cannot be told from them, or their number."""
+    classes = {names[0]: names for names in answer.classes}
     spoken = []
     for name in answer.effects:
-        many = sizes.get(name, 1) > MOST_NAMES
-        spoken.append(f"any of {sizes[name]} effects" if many else plain_name(name))
-    return join_words(spoken)
+        alike = classes.get(name, (name,))
+        plain = join_words([plain_name(n) for n in alike], last="or")
+        many = len(alike) > MOST_NAMES
+        spoken.append(f"any of {len(alike)} effects" if many else plain)
+    has_alternatives = any(len(alike) > 1 for alike in answer.classes)
+    return ", and ".join(spoken) if has_alternatives else join_words(spoken)
 
 
 def _few_laws(gap: GapSection) -> list[str]:
