@@ -184,6 +184,12 @@ def test_the_largest_coefficient_stands_first(gap: GapSection) -> None:
     assert float(table.rows[0][-1].split()[0]) == pytest.approx(3.0, abs=0.1)
 
 
+def test_a_coefficient_without_an_expected_size_has_none(gap: GapSection) -> None:
+    unknown = [replace(c, prior_sd=None) for c in gap.coefficients]
+    (table,) = coefficients.blocks(replace(gap, coefficients=unknown))
+    assert {row[-1] for row in table.rows} == {text.MISSING}
+
+
 def test_one_of_many_is_not_named_before_the_others() -> None:
     few, many = ["friction", "backlash"], ["step", *(f"effect_{k}" for k in range(6))]
     answer = AnswerRecord(["friction", "step", "unknown"], 0.4, [few, many])
