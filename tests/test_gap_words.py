@@ -379,25 +379,15 @@ def test_an_open_answer_names_the_way_to_a_second_session() -> None:
 
 
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
-    section = _gap(
-        "effect",
-        ["encoder_scale"],
-        [["encoder_scale"]],
-        next=["encoder_scale: measure the scale."],
-    )
+    advice, named = ["encoder_scale: measure the scale."], ["encoder_scale"]
+    section = _gap("effect", named, [named], next=advice)
     assert section.next == ["Encoder scale: measure the scale."]
 
 
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [
-        (1.0, "100 %"),
-        (0.9999, "over 99 %"),
-        (0.0001, "under 1 %"),
-        (0.0, "0 %"),
-        (0.734, "73 %"),
-    ],
-)
+@pytest.mark.parametrize(("share", "text"), [
+    (1.0, "100 %"), (0.9999, "over 99 %"), (0.0001, "under 1 %"), (0.0, "0 %"),
+    (0.734, "73 %"),
+])  # fmt: skip
 def test_a_probability_is_never_made_certain(share: float, text: str) -> None:
     assert format_probability(share) == text
 

@@ -12,7 +12,6 @@ from oed.result import (
     DesignSection,
     EstimateSection,
     GapBeforeSection,
-    GapSection,
     GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
@@ -24,6 +23,7 @@ from oed.result import (
     indices,
 )
 from pkm_studies.stages.forecast import words as forecast_words
+from pkm_studies.stages.gap import scatter
 from pkm_studies.stages.gap.words import join_words, plain_name
 from pkm_studies.stages.plan.phrases import bound_sentences, plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
@@ -65,9 +65,8 @@ def sentences(
     findings = [] if result.gap is None else result.gap.findings
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
-    noise = [] if checked is None else _noise(checked, result.gap)
+    noise = [] if checked is None else scatter.noise_words(checked, result.gap)
     rounds = [] if machine is None else earlier_sentences(machine)
-    asked = _indices(result.identifiability)
     held_out = _held_out(result.held_out)
     return [
         *alarms,
@@ -76,16 +75,9 @@ def sentences(
         *rounds,
         *held_out,
         *ranked[:MAX_SENTENCES],
-        *asked,
+        *_indices(result.identifiability),
         *recording_sentences(result.plan, chosen),
     ]
-
-
-def _noise(checked: GoodnessSection, gap: GapSection | None) -> list[str]:
-    """How the noise departs from the stated one: beside the effects of a diagnosis."""
-    if not checked.noise_words or gap is None:
-        return checked.noise_words
-    return [f"Beside what the diagnosis explains, {'; '.join(gap.noise)}."]
 
 
 def earlier_sentences(machine: MachineInfo) -> list[str]:

@@ -21,6 +21,8 @@ from pkm_reports.page.blocks import (
 MOST_ANSWERS: Final = 6
 #: members from which a class is counted, not represented by one of its names
 MANY: Final = 6
+#: share of an explanation's probability from which it is said to be too small to be seen
+MUCH: Final = 0.1
 #: what the probability of one effect counts, beside that of an explanation
 MARGINALS: Final = (
     "It counts sizes that these readings show, and each of several effects that look"
@@ -126,7 +128,7 @@ def _explanation(answer: AnswerRecord) -> str:
     sizes = {group[0]: len(group) for group in answer.classes if len(group) >= MANY}
     names = [_effect(name, sizes) for name in answer.effects]
     explanation = text.listing(names) or "no gap: noise alone"
-    if answer.unseen <= 0.0:
+    if answer.unseen < MUCH * answer.probability or answer.unseen <= 0.0:
         return explanation
     part = "" if answer.unseen >= answer.probability else "in part "
     return f"{explanation}, {part}{hidden}"
