@@ -56,7 +56,7 @@ def advise(
     missing = _missing_covariates(not_testable)
     if missing and not first.effects:
         sentences.append(
-            "Record more with the readings, and more can be tested:"
+            "These readings cannot test all effects. Record more with the next ones:"
             f" {_listed(missing)}."
         )
     elif missing and UNKNOWN in first.effects:
@@ -80,17 +80,19 @@ def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
 def _for_answer(
     answers: Sequence[AnswerRecord], known: Mapping[str, Effect]
 ) -> list[str]:
-    """Remedies or tests of the leading answer, by how sure each of its effects is."""
+    """Remedies or tests of the leading answer, those of what is sure first."""
     answer = answers[0]
-    sentences = []
+    sentences, unsure = [], []
     named = [e for e in answer.effects if e != UNKNOWN]
     for effect, members in zip(named, answer.classes, strict=True):
         if len(members) > 1:
             sentences.append(_for_class(members, known))
         elif known[effect].remedy:
-            sure = probability_of(effect, answers) >= SURE
-            lead = effect if sure else f"If it is {effect}"
-            sentences.append(f"{lead}: {known[effect].remedy}.")
+            remedy = f"{effect}: {known[effect].remedy}."
+            if probability_of(effect, answers) >= SURE:
+                sentences.append(remedy)
+            else:
+                unsure.append(f"If it is {remedy}")
     if answer.effects == (UNKNOWN,):
         sentences.append(
             "Something acts that no effect of the library explains: look at where it"
@@ -102,7 +104,7 @@ def _for_answer(
             "A remainder of unknown shape is left: look at its trace, and at where it"
             " lies, before acting on it."
         )
-    return sentences
+    return [*sentences, *unsure]
 
 
 def _for_scatter(scatter: ExcessScatter) -> str:

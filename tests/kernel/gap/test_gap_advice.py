@@ -79,7 +79,9 @@ def test_no_gap_asks_for_what_was_not_recorded() -> None:
         EFFECTS,
         {"drift": "the readings do not have time"},
     )
-    assert advice[-1] == "Record more with the readings, and more can be tested: time."
+    assert advice[-1] == (
+        "These readings cannot test all effects. Record more with the next ones: time."
+    )
 
 
 def test_what_is_too_small_to_be_seen_is_no_rival() -> None:
