@@ -16,6 +16,8 @@ SURE = 0.8
 #: 31 of 37 cases below it have none, 13 of 25 up to twice as much
 #: (docs/benchmarks/second.md)
 DOUBT = 0.05
+#: probability of noise alone from which a gap is read again before anything else
+WORTH_A_REPEAT = 0.1
 #: members of a class that are named each
 MOST_NAMES = 4
 
@@ -51,6 +53,9 @@ def advise(
     if sure < SURE and rivals:
         rival = max(rivals, key=lambda answer: answer.visible)
         tests = _between(first, rival, known)
+        if first.effects:
+            noise = [a for a in rivals if not a.effects and a.visible >= WORTH_A_REPEAT]
+            tests = [s for a in noise for s in _between(first, a, known)] + tests
         # what decides comes before a remedy that may be for another effect
         sentences = [*tests, *sentences] if first.effects else [*sentences, *tests]
     missing = _missing_covariates(not_testable)
@@ -94,8 +99,9 @@ def _for_answer(
             else:
                 unsure.append(f"If it is {remedy}")
     if answer.effects == (UNKNOWN,):
+        acts = "acts" if probability_of(UNKNOWN, answers) >= SURE else "may act"
         sentences.append(
-            "Something acts that no effect of the library explains: look at where it"
+            f"Something {acts} that no effect of the library explains: look at where it"
             " lies, vary one condition at a time (direction, feed, payload, time) on"
             " the runs that show it, and add an effect of your own."
         )

@@ -53,6 +53,9 @@ def test_a_rival_that_is_any_of_many_is_not_tested_by_name() -> None:
     advice = advise([_answer(0.6, UNKNOWN), rival], EFFECTS, {})
     assert len(advice) == 1
     assert advice[0].startswith("Something acts that no effect of the library explains")
+    unsure = advise([_answer(0.5, UNKNOWN), _answer(0.3, "bow"), _answer(0.2)], (), {})
+    assert unsure[0].startswith("Noise alone has a probability of 20 %: read again")
+    assert unsure[1].startswith("Something may act that no effect of the library")
 
 
 def test_a_class_of_many_is_not_listed_effect_by_effect() -> None:

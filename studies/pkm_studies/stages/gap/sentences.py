@@ -83,11 +83,12 @@ def _verdict(gap: GapSection) -> list[str]:
     if gap.verdict == "none":
         return _no_gap(gap)
     if gap.verdict == "unknown":
-        unknown = [a.visible for a in gap.answers if UNKNOWN in a.effects]
-        chance = f"(probability {format_probability(sum(unknown))})"
+        unknown = probability_of(UNKNOWN, gap.answers)
+        chance = f"(probability {format_probability(unknown)})"
+        is_there = "is" if unknown >= EVEN else "may be"
         testable = len(gap.tried) - len(gap.not_testable)
         return [
-            f"There is a gap that no known effect explains {chance}: it has the form of"
+            f"There {is_there} a gap that no known effect explains {chance}: it has the form of"
             f" none of the {testable} effects that these readings can test."
         ]
     probability = _probability_of_causes(gap)
