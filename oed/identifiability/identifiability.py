@@ -117,9 +117,11 @@ def echelon(space: Array) -> Array:
     pivots = _pivots(space)
     rows = np.linalg.solve(space[:, pivots], space)
     largest = np.abs(rows).max(axis=1, keepdims=True)
-    rows = np.where(np.abs(rows) < ROUNDING * largest, 0.0, rows)
-    rows[:, pivots] = np.eye(len(rows))  # nearly dependent pivots leave rounding errors
-    return rows
+    basis: Array = np.where(np.abs(rows) < ROUNDING * largest, 0.0, rows)
+    basis[:, pivots] = np.eye(
+        len(rows)
+    )  # nearly dependent pivots leave rounding errors
+    return basis
 
 
 def _pivots(space: Array) -> Index:

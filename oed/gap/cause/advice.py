@@ -51,13 +51,7 @@ def advise(
     unseen = sum(answer.unseen for answer in answers)
     sure = first.probability + (0.0 if first.effects else unseen)
     if sure < SURE and rivals:
-        rival = max(rivals, key=lambda answer: answer.visible)
-        tests = _between(first, rival, known)
-        if first.effects:
-            noise = [a for a in rivals if not a.effects and a.visible >= WORTH_A_REPEAT]
-            tests = [s for a in noise for s in _between(first, a, known)] + tests
-        # what decides comes before a remedy that may be for another effect
-        sentences = [*tests, *sentences] if first.effects else [*sentences, *tests]
+        sentences = _with_rivals(sentences, first, rivals, known)
     missing = _missing_covariates(not_testable)
     if missing and not first.effects:
         sentences.append(
@@ -70,6 +64,27 @@ def advise(
             f" {_listed(missing)} with them."
         )
     return tuple(dict.fromkeys(sentences))
+
+
+def _with_rivals(
+    sentences: Sequence[str],
+    first: AnswerRecord,
+    rivals: Sequence[AnswerRecord],
+    known: Mapping[str, Effect],
+) -> list[str]:
+    """What decides comes before a remedy, which may be for another effect."""
+    rival = max(rivals, key=lambda answer: answer.visible)
+    tests = _between(first, rival, known)
+    if not first.effects:
+        return [*sentences, *tests]
+    noise = [a for a in rivals if not a.effects and a.visible >= WORTH_A_REPEAT]
+    repeats = [text for answer in noise for text in _between(first, answer, known)]
+    beside = []
+    if set(rival.effects) == {*first.effects, UNKNOWN}:
+        beside = [
+            "Something of unknown form may act beside it: read again after a remedy."
+        ]
+    return [*repeats, *tests, *sentences, *beside]
 
 
 def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
@@ -205,10 +220,6 @@ def _between(
     for effect in others:
         for test in _tests([effect], known):
             sentences.append(f"To make sure that it is not {effect}: {test}.")
-    if set(second.effects) == {*first.effects, UNKNOWN}:
-        sentences.append(
-            "Something of unknown form may act beside it: read again after a remedy."
-        )
     return sentences
 
 

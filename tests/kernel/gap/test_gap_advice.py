@@ -42,8 +42,8 @@ def test_an_effect_that_acts_whatever_is_beside_it_has_its_remedy() -> None:
 def test_an_unsure_cause_is_read_again_for_what_may_act_beside_it() -> None:
     advice = advise([_answer(0.6, "bow"), _answer(0.4, "bow", UNKNOWN)], EFFECTS, {})
     assert advice == (
-        "Something of unknown form may act beside it: read again after a remedy.",
         "bow: straighten.",
+        "Something of unknown form may act beside it: read again after a remedy.",
     )
 
 

@@ -263,7 +263,7 @@ def _second_explanation(gap: GapSection) -> list[str]:
     if second is best or second.visible < CONSIDERABLE:
         return words
     chance = _chance(second.visible)
-    if not second.effects and second.probability > best.probability:
+    if not second.effects and second.probability > _probability_of_causes(gap):
         words.append(
             f"Noise alone is more likely{chance}, but not likely enough to report no"
             " gap."
