@@ -139,6 +139,84 @@ def test_mixtures_and_unknowns_in_words() -> None:
     assert "2 effects" in unknown
 
 
+def test_an_effect_beside_an_unknown_one_is_the_same_cause() -> None:
+    """Its probability counts both; what is named elsewhere, or unseen, is another."""
+    answers = [
+        AnswerRecord(("gravity",), 0.54, (("gravity",),)),
+        AnswerRecord(("gravity", "unknown"), 0.25, (("gravity",),)),
+        AnswerRecord(("servo_lag",), 0.11, (("servo_lag",),)),
+        AnswerRecord(("gravity",), 0.1, (("gravity", "servo_lag"),), unseen=0.1),
+    ]
+    words = _gap("effect", ["gravity"], [], answers=answers).words
+    assert words[0] == "The gap comes from gravity (probability 79 %)."
+    beside = words.index(
+        "An effect of unknown form may act beside it (probability 25 %)."
+    )
+    assert words[beside + 1] == (
+        "The next most likely explanation is servo lag (probability 11 %)."
+    )
+    mixed = _gap("mixture", ["gravity"], [], answers=[answers[1], answers[0]]).words
+    assert mixed[0] == (
+        "Part of the gap comes from gravity (probability 79 %); a remainder has a form"
+        " that no known effect has (probability 25 %)."
+    )
+    assert not any("beside it" in sentence for sentence in mixed)
+
+
+def test_an_unknown_effect_is_as_probable_as_all_answers_with_one() -> None:
+    """Its place is where to look first; a rival that is any of many has no name."""
+    many = ("gravity", *(f"effect_{k}" for k in range(6)))
+    answers = [
+        AnswerRecord(("unknown",), 0.57),
+        AnswerRecord(("gravity", "unknown"), 0.31, (many,)),
+        AnswerRecord((), 0.12),
+    ]
+    section = _gap("unknown", ["unknown"], [], answers=answers)
+    assert section.words[0].startswith(
+        "There is a gap that no known effect explains (probability 88 %)"
+    )
+    assert section.words[1] == (
+        "The next most likely explanation is any of 7 effects, and an effect of unknown"
+        " form (probability 31 %)."
+    )
+    unsure = _gap("unknown", ["unknown"], [], answers=[AnswerRecord(("unknown",), 0.4)])
+    assert unsure.words[0].startswith("There may be a gap that no known effect")
+    assert "Look first at the time from 10 min to 20 min." in section.next
+    spread = _gap("unknown", ["unknown"], [], where=[PlaceRecord("leg 1", 0.3)]).next
+    assert not any("Look first" in step for step in spread)
+
+
+def test_a_clear_effect_stands_before_a_class() -> None:
+    classes = [["gravity", "encoder_scale"], ["servo_lag"]]
+    section = _gap("class", ["gravity", "servo_lag"], classes)
+    assert section.words[0].startswith(
+        "The gap comes from servo lag, and gravity or encoder scale; these readings"
+    )
+    answers = [
+        AnswerRecord(("gravity", "servo_lag"), 0.52, classes),
+        AnswerRecord(("gravity",), 0.41, classes[:1]),
+    ]
+    parts = _gap("class", ["gravity", "servo_lag"], classes, answers=answers).words
+    assert parts[0] == (
+        "The gap comes from servo lag (probability 52 %), and gravity or encoder scale"
+        " (probability 93 %); these readings cannot tell which (probability 52 %)."
+    )
+    assert any("explanation is gravity or encoder scale (pro" in w for w in parts)
+    assert section.words[1].startswith("If it is gravity, it changes length by 12.3 um")
+    assert section.words[2].startswith("Servo lag changes length by 12.3 um rms")
+
+
+def test_no_gap_in_doubt_names_the_way_to_a_second_session() -> None:
+    for probability, in_doubt in ((0.04, False), (0.08, True)):
+        answers = [
+            AnswerRecord((), 0.6),
+            AnswerRecord(("gravity",), 0.3, (("gravity", "servo_lag"),), unseen=0.3),
+            AnswerRecord(("unknown",), probability),
+        ]
+        section = _gap("none", [], [], answers=answers)
+        assert any("--after DIR" in text for text in section.next) == in_doubt
+
+
 def test_what_an_unknown_effect_resembles() -> None:
     """The likeliest form, and others that matter; nothing where there is none."""
     forms = {
@@ -239,6 +317,9 @@ def test_a_coefficient_far_beyond_its_expected_size_is_marked() -> None:
 def test_a_gap_is_never_reported_as_closed_whole() -> None:
     near = [ClosureRecord("within", 0.9996, 0.9984, 1.0002, 0.0, 280.0, 1.1, 1.0, 200)]
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=near).words[3]
+    rounded = [ClosureRecord("within", 0.766, None, None, 0.0, 3.0, 1.1, 1.0, 200)]
+    words = _gap("effect", ["gravity"], [["gravity"]], closure=rounded).words[3]
+    assert "shrinks by 77 % on held-out" in words
     assert "shrinks by 99.9 % (99.8 to 100.0 %) on held-out" in sentence
 
 
@@ -253,6 +334,19 @@ def test_a_gap_that_grows_does_not_shrink() -> None:
     sentence = _gap("effect", ["gravity"], [["gravity"]], closure=grown).words[3]
     assert "grows by 21 % (50 % more to 10 % less) on whole held-out runs" in sentence
     assert "shrinks" not in sentence
+
+
+@pytest.mark.parametrize(("lows", "proven"), [
+    ((0.1, -0.2), True), ((-0.1, -0.2), False), ((None, -0.2), False), ((None,), True),
+])  # fmt: skip
+def test_what_no_held_out_reading_confirms_is_measured_first(
+    lows: tuple[float | None, ...], proven: bool
+) -> None:
+    closures = [
+        ClosureRecord("whole", 0.3, low, 0.5, 0.1, 3.0, 2.4, 1.2, 200) for low in lows
+    ]
+    section = _gap("effect", ["gravity"], [["gravity"]], closure=closures)
+    assert section.next[0].startswith("Measure before you exchange") != proven
 
 
 def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow() -> None:
@@ -285,25 +379,15 @@ def test_an_open_answer_names_the_way_to_a_second_session() -> None:
 
 
 def test_advice_that_the_diagnosis_gives_is_not_given_twice() -> None:
-    section = _gap(
-        "effect",
-        ["encoder_scale"],
-        [["encoder_scale"]],
-        next=["encoder_scale: measure the scale."],
-    )
+    advice, named = ["encoder_scale: measure the scale."], ["encoder_scale"]
+    section = _gap("effect", named, [named], next=advice)
     assert section.next == ["Encoder scale: measure the scale."]
 
 
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [
-        (1.0, "100 %"),
-        (0.9999, "over 99 %"),
-        (0.0001, "under 1 %"),
-        (0.0, "0 %"),
-        (0.734, "73 %"),
-    ],
-)
+@pytest.mark.parametrize(("share", "text"), [
+    (1.0, "100 %"), (0.9999, "over 99 %"), (0.0001, "under 1 %"), (0.0, "0 %"),
+    (0.734, "73 %"),
+])  # fmt: skip
 def test_a_probability_is_never_made_certain(share: float, text: str) -> None:
     assert format_probability(share) == text
 

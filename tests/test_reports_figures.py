@@ -147,3 +147,16 @@ def test_a_figure_of_many_marks_becomes_pixels() -> None:
     assert report.images["residuals"].kind == "png"
     assert b"data:image/png" in html_writer.render(report)
     assert pdf_writer.render(report).startswith(b"%PDF")
+
+
+def test_a_figure_placed_by_hand_becomes_pixels_without_a_warning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(style, "LARGEST_SVG", 0)
+    place = (0.1, 0.1, 0.4, 0.4)
+    with style.applied():
+        figure = style.placed_figure(2.0)
+        axes = figure.add_axes(place)
+        image = style.render(figure)
+    assert image.kind == "png"
+    assert axes.get_position().bounds == pytest.approx(place)

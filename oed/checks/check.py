@@ -52,8 +52,13 @@ class CheckedSession:
 
     @property
     def mistaken(self) -> bool:
-        """Whether a mistake explains the readings that no effect of a machine mimics."""
-        return any(one.kind not in PHYSICAL for one in self.explanations)
+        """Whether the readings are likelier mistaken than changed by an effect.
+
+        Some mistakes are what an effect of a machine does as well.
+        """
+        total = sum(one.probability for one in self.explanations)
+        mimicked = [one for one in self.explanations if one.kind in PHYSICAL]
+        return total > 2.0 * sum(one.probability for one in mimicked)
 
     @property
     def doubtful_values(self) -> Mask:
@@ -131,6 +136,8 @@ def _explanations(
         return explain(session, solution, alternatives)
     # what an effect can mimic, the noise law holds as well here
     likely = explain(session, solution, alternatives, thorough=False)
+    if likely and likely[0].kind in PHYSICAL:
+        return []
     return [one for one in likely if one.kind not in PHYSICAL]
 
 

@@ -114,9 +114,14 @@ def echelon(space: Array) -> Array:
     """
     if space.shape[0] == 0:
         return space
-    rows = np.linalg.solve(space[:, _pivots(space)], space)
+    pivots = _pivots(space)
+    rows = np.linalg.solve(space[:, pivots], space)
     largest = np.abs(rows).max(axis=1, keepdims=True)
-    return np.where(np.abs(rows) < ROUNDING * largest, 0.0, rows)
+    basis: Array = np.where(np.abs(rows) < ROUNDING * largest, 0.0, rows)
+    basis[:, pivots] = np.eye(
+        len(rows)
+    )  # nearly dependent pivots leave rounding errors
+    return basis
 
 
 def _pivots(space: Array) -> Index:

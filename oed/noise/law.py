@@ -190,8 +190,8 @@ def describe(law: NoiseLaw, longest: float = np.inf) -> tuple[str, ...]:
         )
     if law.seat_sd > WORTH_SAYING:
         sentences.append(
-            f"what a run seats anew repeats to {law.level * law.seat_sd:.2g} times the"
-            " stated noise"
+            "what a run seats anew, such as a cup on its magnet, repeats to"
+            f" {law.level * law.seat_sd:.2g} times the stated noise"
         )
     if law.ar1_sd > WORTH_SAYING:
         sentences.append(

@@ -224,10 +224,8 @@ class GapSection(Record, frozen=True):
 
     @property
     def findings(self) -> list[str]:
-        """Findings in sentences, and the second visit that is advised."""
-        return (
-            self.words if self.second_visit is None else [*self.words, *self.next[:1]]
-        )
+        """Findings in sentences, and what to do first."""
+        return [*self.words, *self.next[:1]]
 
     @property
     def effect_reported(self) -> bool:

@@ -16,6 +16,8 @@ SURE = 0.8
 #: 31 of 37 cases below it have none, 13 of 25 up to twice as much
 #: (docs/benchmarks/second.md)
 DOUBT = 0.05
+#: probability of noise alone from which a gap is read again before anything else
+WORTH_A_REPEAT = 0.1
 #: members of a class that are named each
 MOST_NAMES = 4
 
@@ -41,7 +43,7 @@ def advise(
     if scatter is not None:
         return (_for_scatter(scatter),)
     sentences = (
-        _for_answer(first, known)
+        _for_answer(answers, known)
         if first.effects
         else _without_effect(answers, unstated)
     )
@@ -49,12 +51,11 @@ def advise(
     unseen = sum(answer.unseen for answer in answers)
     sure = first.probability + (0.0 if first.effects else unseen)
     if sure < SURE and rivals:
-        rival = max(rivals, key=lambda answer: answer.visible)
-        sentences += _between(first, rival, known)
+        sentences = _with_rivals(sentences, first, rivals, known)
     missing = _missing_covariates(not_testable)
     if missing and not first.effects:
         sentences.append(
-            "Record more with the readings, and more can be tested:"
+            "These readings cannot test all effects. Record more with the next ones:"
             f" {_listed(missing)}."
         )
     elif missing and UNKNOWN in first.effects:
@@ -63,6 +64,27 @@ def advise(
             f" {_listed(missing)} with them."
         )
     return tuple(dict.fromkeys(sentences))
+
+
+def _with_rivals(
+    sentences: Sequence[str],
+    first: AnswerRecord,
+    rivals: Sequence[AnswerRecord],
+    known: Mapping[str, Effect],
+) -> list[str]:
+    """What decides comes before a remedy, which may be for another effect."""
+    rival = max(rivals, key=lambda answer: answer.visible)
+    tests = _between(first, rival, known)
+    if not first.effects:
+        return [*sentences, *tests]
+    noise = [a for a in rivals if not a.effects and a.visible >= WORTH_A_REPEAT]
+    repeats = [text for answer in noise for text in _between(first, answer, known)]
+    beside = []
+    if set(rival.effects) == {*first.effects, UNKNOWN}:
+        beside = [
+            "Something of unknown form may act beside it: read again after a remedy."
+        ]
+    return [*repeats, *tests, *sentences, *beside]
 
 
 def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
@@ -75,17 +97,26 @@ def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
     return sorted(missing)
 
 
-def _for_answer(answer: AnswerRecord, known: Mapping[str, Effect]) -> list[str]:
-    sentences = []
+def _for_answer(
+    answers: Sequence[AnswerRecord], known: Mapping[str, Effect]
+) -> list[str]:
+    """Remedies or tests of the leading answer, those of what is sure first."""
+    answer = answers[0]
+    sentences, unsure = [], []
     named = [e for e in answer.effects if e != UNKNOWN]
     for effect, members in zip(named, answer.classes, strict=True):
         if len(members) > 1:
             sentences.append(_for_class(members, known))
         elif known[effect].remedy:
-            sentences.append(f"{effect}: {known[effect].remedy}.")
+            remedy = f"{effect}: {known[effect].remedy}."
+            if probability_of(effect, answers) >= SURE:
+                sentences.append(remedy)
+            else:
+                unsure.append(f"If it is {remedy}")
     if answer.effects == (UNKNOWN,):
+        acts = "acts" if probability_of(UNKNOWN, answers) >= SURE else "may act"
         sentences.append(
-            "Something acts that no effect of the library explains: look at where it"
+            f"Something {acts} that no effect of the library explains: look at where it"
             " lies, vary one condition at a time (direction, feed, payload, time) on"
             " the runs that show it, and add an effect of your own."
         )
@@ -94,7 +125,7 @@ def _for_answer(answer: AnswerRecord, known: Mapping[str, Effect]) -> list[str]:
             "A remainder of unknown shape is left: look at its trace, and at where it"
             " lies, before acting on it."
         )
-    return sentences
+    return [*sentences, *unsure]
 
 
 def _for_scatter(scatter: ExcessScatter) -> str:
@@ -122,11 +153,13 @@ def _without_effect(
     answers: Sequence[AnswerRecord], unstated: float | None
 ) -> list[str]:
     """What to do where no effect is reported: act only where none is probable."""
-    visible = sum(answer.visible for answer in answers if answer.effects)
+    visible = visible_probability(answers)
     if visible > DOUBT:
         return [
-            "An effect is not excluded: take the same run again before you compensate the"
-            " geometry."
+            f"An effect is not excluded (probability {100.0 * visible:.0f} %): before you"
+            " compensate the geometry, take one run again, and once in the other"
+            " direction. What recurs at its poses beyond the noise is an effect; what does"
+            " not is noise, or changes with time."
         ]
     if unstated is not None:
         return [
@@ -138,6 +171,16 @@ def _without_effect(
     return [
         "Nothing beyond the geometry and the noise is seen: compensate the geometry."
     ]
+
+
+def probability_of(effect: str, answers: Sequence[AnswerRecord]) -> float:
+    """That an effect acts, whatever is beside it."""
+    return sum(answer.visible for answer in answers if effect in answer.effects)
+
+
+def visible_probability(answers: Sequence[AnswerRecord]) -> float:
+    """That an effect acts at a size that the readings show."""
+    return sum(answer.visible for answer in answers if answer.effects)
 
 
 def _for_class(members: Sequence[str], known: Mapping[str, Effect]) -> str:
@@ -171,7 +214,8 @@ def _between(
             f"Noise alone has a probability of {chance}: read again before acting on"
             f" the gap.{more}"
         ]
-    others = [e for e in second.effects if e not in first.effects]
+    many = {names[0] for names in second.classes if len(names) > MOST_NAMES}
+    others = [e for e in second.effects if e not in first.effects and e not in many]
     sentences = []
     for effect in others:
         for test in _tests([effect], known):

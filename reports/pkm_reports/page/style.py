@@ -134,7 +134,9 @@ class _ReportFigure(Figure):
         engine = self.get_layout_engine()
         precedes = self.canvas.is_saving() and bool(self.axes)
         if precedes and isinstance(engine, ConstrainedLayoutEngine):
-            engine.execute(self)
+            # after a save matplotlib gives its default layout to a figure that had none
+            if any(axes.get_subplotspec() is not None for axes in self.axes):
+                engine.execute(self)
         else:
             super().draw(renderer)
 

@@ -23,6 +23,8 @@ from oed.result import (
     indices,
 )
 from pkm_studies.stages.forecast import words as forecast_words
+from pkm_studies.stages.gap import scatter
+from pkm_studies.stages.gap.words import join_words, plain_name
 from pkm_studies.stages.plan.phrases import bound_sentences, plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
 from pkm_studies.stages.recording_words import recording_sentences
@@ -63,9 +65,8 @@ def sentences(
     findings = [] if result.gap is None else result.gap.findings
     checked = result.goodness
     alarms = [] if checked is None else checked.findings
-    noise = [] if checked is None else checked.noise_words
+    noise = [] if checked is None else scatter.noise_words(checked, result.gap)
     rounds = [] if machine is None else earlier_sentences(machine)
-    asked = _indices(result.identifiability)
     held_out = _held_out(result.held_out)
     return [
         *alarms,
@@ -74,7 +75,7 @@ def sentences(
         *rounds,
         *held_out,
         *ranked[:MAX_SENTENCES],
-        *asked,
+        *_indices(result.identifiability),
         *recording_sentences(result.plan, chosen),
     ]
 
@@ -137,7 +138,7 @@ def _corrected(section: CorrectedSection | None) -> list[str]:
     """What compensation of parameters and effects reaches, and on which conditions."""
     if section is None or section.prediction is None:
         return []
-    effects = " and ".join(section.constants)
+    effects = join_words([plain_name(name) for name in section.constants])
     reference = REFERENCES[section.prediction.reference]
     return [
         f"With {effects} in the model, compensation of parameters and effects is"

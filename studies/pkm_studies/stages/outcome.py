@@ -34,7 +34,9 @@ def report_outcome(
         console.print_error(f"claim {verdict(claim)}")
     objections = trust.objections(result)
     for objection in objections:
-        console.print_error(f"{objection}; nothing that rests on it can be trusted")
+        console.print_error(
+            f"{objection}: do not rely on its parameters, nor on what they predict"
+        )
     return FAILED if failing or objections else DONE
 
 

@@ -7,9 +7,12 @@ import blunder_machines as machines
 import numpy as np
 import pytest
 
+from oed.checks import check
 from oed.checks.blind import unseen_mistakes
 from oed.checks.check import CheckedSession, _exchanged, check_session
+from oed.checks.explain import Explanation
 from oed.checks.findings import Severity
+from oed.checks.judgement import Judgement
 from oed.checks.mistakes import Alternatives, Given, trials
 from oed.checks.outliers import find_outliers
 from oed.checks.session import SessionReadings
@@ -115,3 +118,30 @@ def test_mistakes_without_amounts_are_all_there_alone() -> None:
     of_amounts = [name for name in names if name[0] in commands and name[2] > 0]
     assert of_amounts
     assert without == [name for name in names if name not in of_amounts]
+
+
+SCALE = Explanation("factor", "the bar is 1 % too long", 1.6, 1.0, 0.98)
+SHIFT = Explanation("moved", "z_mm is 2 mm too low", 1.6, 1.6, 0.003)
+
+
+def test_readings_are_mistaken_where_no_effect_is_likelier() -> None:
+    """An unlikely mistake beside one that an effect mimics stops no diagnosis."""
+    for explanations, mistaken in (
+        ((SCALE, SHIFT), False),
+        ((SCALE,), False),
+        ((dataclasses.replace(SHIFT, probability=0.9), SCALE), False),
+        ((SHIFT,), True),
+        ((), False),
+    ):
+        session = CheckedSession(clean(), (), None, None, explanations)
+        assert session.mistaken == mistaken
+
+
+def test_a_mistake_that_the_law_holds_brings_no_unlikelier_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    by_law = Judgement(None, None, strained=False, sound=True, stated=False)
+    alternatives = Alternatives(clean().measurement)
+    for likely, expected in (([SCALE, SHIFT], []), ([SHIFT, SCALE], [SHIFT])):
+        monkeypatch.setattr(check, "explain", lambda *_, some=likely, **__: some)
+        assert check._explanations(clean(), alternatives, by_law) == expected

@@ -27,9 +27,35 @@ def test_a_sure_cause_is_answered_with_its_remedy() -> None:
 def test_an_unsure_cause_is_answered_with_the_reading_that_tells_its_rival() -> None:
     advice = advise([_answer(0.6, "bow"), _answer(0.4, "slip")], EFFECTS, {})
     assert advice == (
-        "bow: straighten.",
         "To make sure that it is not slip: both ways.",
+        "If it is bow: straighten.",
     )
+
+
+def test_an_effect_that_acts_whatever_is_beside_it_has_its_remedy() -> None:
+    oiled = dataclasses.replace(SLIP, remedy="oil")
+    answers = [_answer(0.5, "bow", "slip"), _answer(0.4, "bow"), _answer(0.1)]
+    advice = advise(answers, (BOW, oiled, DRIFT), {})
+    assert {"bow: straighten.", "If it is slip: oil."} <= set(advice)
+
+
+def test_an_unsure_cause_is_read_again_for_what_may_act_beside_it() -> None:
+    advice = advise([_answer(0.6, "bow"), _answer(0.4, "bow", UNKNOWN)], EFFECTS, {})
+    assert advice == (
+        "bow: straighten.",
+        "Something of unknown form may act beside it: read again after a remedy.",
+    )
+
+
+def test_a_rival_that_is_any_of_many_is_not_tested_by_name() -> None:
+    many = ("slip", *(f"slip {k}" for k in range(6)))
+    rival = AnswerRecord(("slip", UNKNOWN), 0.4, (many,))
+    advice = advise([_answer(0.6, UNKNOWN), rival], EFFECTS, {})
+    assert len(advice) == 1
+    assert advice[0].startswith("Something acts that no effect of the library explains")
+    unsure = advise([_answer(0.5, UNKNOWN), _answer(0.3, "bow"), _answer(0.2)], (), {})
+    assert unsure[0].startswith("Noise alone has a probability of 20 %: read again")
+    assert unsure[1].startswith("Something may act that no effect of the library")
 
 
 def test_a_class_of_many_is_not_listed_effect_by_effect() -> None:
@@ -43,10 +69,10 @@ def test_a_class_of_many_is_not_listed_effect_by_effect() -> None:
 
 def test_a_gap_that_noise_may_be_is_to_be_read_again() -> None:
     advice = advise([_answer(0.3, "slip"), _answer(0.66)], EFFECTS, {})
-    assert "Noise alone has a probability of 66 %" in advice[-1]
-    assert "both ways" in advice[-1]
+    assert "Noise alone has a probability of 66 %" in advice[0]
+    assert "both ways" in advice[0]
     assert (
-        "Noise alone" in advise([_answer(0.5, UNKNOWN), _answer(0.5)], EFFECTS, {})[-1]
+        "Noise alone" in advise([_answer(0.5, UNKNOWN), _answer(0.5)], EFFECTS, {})[0]
     )
 
 
@@ -56,7 +82,9 @@ def test_no_gap_asks_for_what_was_not_recorded() -> None:
         EFFECTS,
         {"drift": "the readings do not have time"},
     )
-    assert advice[-1] == "Record more with the readings, and more can be tested: time."
+    assert advice[-1] == (
+        "These readings cannot test all effects. Record more with the next ones: time."
+    )
 
 
 def test_what_is_too_small_to_be_seen_is_no_rival() -> None:
@@ -74,7 +102,10 @@ def test_geometry_is_compensated_where_no_effect_and_no_unstated_noise_is_probab
     sure = [_answer(0.97), _answer(0.03, "bow")]
     assert "compensate the geometry" in advise(sure, EFFECTS, {})[0]
     doubtful = advise([_answer(0.92), _answer(0.08, "bow")], EFFECTS, {})
-    assert doubtful[0].startswith("An effect is not excluded: take the same run again")
+    assert doubtful[0].startswith(
+        "An effect is not excluded (probability 8 %): before you"
+    )
+    assert "(probability 8 %)" in doubtful[0]
     noisy = advise(sure, EFFECTS, {}, unstated=1.83)
     assert noisy[0].startswith("A reading scatters 1.8 times as much as stated")
 

@@ -79,6 +79,17 @@ def test_combinations_are_told_in_si_whatever_the_scaling() -> None:
         assert v.lost[0] / v.lost[0, 1] == pytest.approx([-0.5, 1.0])
 
 
+def test_combinations_that_hardly_depend_on_their_last_parameters() -> None:
+    """The last three columns are independent, with a determinant of 4e-12."""
+    last = np.array([[8e-3, 8e-3, 1.6e-4], [8e-3, 1.6e-4, 0.0], [1.6e-4, 0.0, 0.0]])
+    first = np.linalg.cholesky(np.eye(3) - last @ last.T)
+    v = analyse(np.hstack([first, last]))
+    assert v.rank == 3
+    assert np.linalg.matrix_rank(v.combinations, tol=1e-6) == 3
+    shares = v.combinations / np.linalg.norm(v.combinations, axis=1, keepdims=True)
+    assert shares @ v.lost.T == pytest.approx(np.zeros((3, 3)), abs=1e-6)
+
+
 def test_the_published_relative_measurement() -> None:
     """Chang, Li and Li (2011), section 2.3, two struts on vertical guides: moving
     horizontally at one height, a difference of heights sees the two struts' guide tilts

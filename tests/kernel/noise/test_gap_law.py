@@ -81,7 +81,8 @@ def test_a_law_of_the_noise_model_has_the_same_covariance_run_by_run() -> None:
 def test_a_law_in_words_names_each_part_that_is_large() -> None:
     law = NoiseLaw(0.0, 0.0, 1.0, np.ones(1), level=2.0, seat_sd=0.8)
     assert [words for words in describe(law) if "seats anew" in words] == [
-        "what a run seats anew repeats to 1.6 times the stated noise"
+        "what a run seats anew, such as a cup on its magnet, repeats to 1.6 times the"
+        " stated noise"
     ]
     assert len(describe(law)) == 2
     assert len(describe(dataclasses.replace(law, seat_sd=0.1))) == 1

@@ -97,8 +97,9 @@ def _table(
             ]
         )
     caption = (
-        "Causes by their size in the readings, and what calibration leaves of it. Size of"
-        " its own: the"
+        "Causes by their size in the readings, and what calibration leaves of it."
+        f" Probability: {explanations.MARGINALS[:1].lower()}{explanations.MARGINALS[1:]}"
+        " Size of its own: the"
         f" clearest coefficients (beyond {CLEAR:.0f} standard deviations), with their"
         " standard deviations."
     )
@@ -139,6 +140,13 @@ def _remains(gap: GapSection) -> str:
     """The rms residual before and after, and what the noise is."""
     if not gap.rms_before:
         return ""
+    if not gap.selected:
+        sizes = [
+            f"{name} {text.in_unit_of(name, rms, gap.units)}"
+            for name, rms in gap.rms_before.items()
+        ]
+        words = f"What calibration leaves, rms: {'; '.join(sizes)}."
+        return " ".join([words, *text.sentences(gap.noise)])
     parts = []
     for name, before in gap.rms_before.items():
         after = missing.entry(gap.rms_after, name)
@@ -147,8 +155,5 @@ def _remains(gap: GapSection) -> str:
             f" {text.in_unit_of(name, after, gap.units)} after"
         )
         parts.append(change)
-    words = "What remains with these causes in the model, rms: "
-    if not gap.selected:
-        words = "The rms residual, before and after: "
-    sentences = [f"{words}{'; '.join(parts)}."]
-    return " ".join([*sentences, *text.sentences(gap.noise)])
+    words = f"What remains with these causes in the model, rms: {'; '.join(parts)}."
+    return " ".join([words, *text.sentences(gap.noise)])

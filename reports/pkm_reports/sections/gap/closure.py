@@ -18,8 +18,8 @@ NEARLY_WHOLE: Final = 0.99
 
 
 def blocks(gap: GapSection) -> list[Block]:
-    """One row for each way of holding readings out."""
-    if not gap.closure:
+    """One row for each way of holding readings out; none where no effect is reported."""
+    if not gap.closure or not gap.effect_reported:
         return []
     columns = [
         wide_column("Held out"),

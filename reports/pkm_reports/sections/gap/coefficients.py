@@ -43,13 +43,14 @@ def blocks(gap: GapSection) -> list[Block]:
 def _row(coefficient: CoefficientRecord) -> list[str]:
     value = in_expected_sizes(coefficient, coefficient.value)
     sd = in_expected_sizes(coefficient, coefficient.sd)
+    expected = f"{text.fixed(value, 2)} ± {text.fixed(sd, 2)}"
     unit, factor = units.coefficient_unit(coefficient.unit)
     return [
         spoken(coefficient.effect),
         f"{coefficient.name} [{text.unit_symbol(unit)}]",
         text.number(coefficient.value / factor),
         text.number(coefficient.sd / factor, 2),
-        f"{text.fixed(value, 2)} ± {text.fixed(sd, 2)}",
+        text.MISSING if math.isnan(value) else expected,
     ]
 
 

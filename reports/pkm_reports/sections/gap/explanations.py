@@ -21,6 +21,13 @@ from pkm_reports.page.blocks import (
 MOST_ANSWERS: Final = 6
 #: members from which a class is counted, not represented by one of its names
 MANY: Final = 6
+#: share of an explanation's probability from which it is said to be too small to be seen
+MUCH: Final = 0.1
+#: what the probability of one effect counts, beside that of an explanation
+MARGINALS: Final = (
+    "It counts sizes that these readings show, and each of several effects that look"
+    " alike by itself."
+)
 #: rms, in the unit of its channel, from which an effect shows in a channel
 VISIBLE: Final = 1e-9
 
@@ -41,7 +48,7 @@ def probabilities_caption(gap: GapSection) -> str:
     """How many effects could be tested, and which are not shown."""
     sentences = [
         "Probability that each effect acts in these readings, after calibration"
-        " explained what it can.",
+        f" explained what it can. {MARGINALS}",
         f"{len(gap.tried) - len(gap.not_testable)} of"
         f" {text.count(len(gap.tried), 'effect')} could be tested.",
     ]
@@ -115,11 +122,16 @@ def row(answer: AnswerRecord) -> list[str]:
 
 def _explanation(answer: AnswerRecord) -> str:
     """The effects of an answer; one of a large class is not named before the others."""
+    hidden = "too small for these readings to show"
     if answer.classes and answer.unseen >= answer.probability > 0.0:
-        return "an effect too small for these readings to show"
+        return f"an effect {hidden}"
     sizes = {group[0]: len(group) for group in answer.classes if len(group) >= MANY}
     names = [_effect(name, sizes) for name in answer.effects]
-    return text.listing(names) or "no gap: noise alone"
+    explanation = text.listing(names) or "no gap: noise alone"
+    if answer.unseen < MUCH * answer.probability or answer.unseen <= 0.0:
+        return explanation
+    part = "" if answer.unseen >= answer.probability else "in part "
+    return f"{explanation}, {part}{hidden}"
 
 
 def _effect(name: str, class_sizes: Mapping[str, int]) -> str:

@@ -30,6 +30,7 @@ from pkm_studies.stages.corrected.coefficients import coefficient_records
 from pkm_studies.stages.corrected.tables import effect_tables
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
+from pkm_studies.stages.gap.words import join_words, plain_name
 from pkm_studies.stages.predict.accuracy import (
     accuracy_section,
     spread_record,
@@ -192,7 +193,7 @@ def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str
     moving = [f.effect.name for f in corrected.forms if _moves_machine(corrected, f)]
     sentences = []
     if moving:
-        names = ", ".join(moving)
+        names = join_words([plain_name(name) for name in moving])
         sentences.append(f"the controller corrects {names} as well as the parameters")
     for form in corrected.forms:
         sentences += _of_effect(corrected, form)
@@ -203,7 +204,7 @@ def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str
 
 def _of_effect(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
     """Conditions of one effect."""
-    name = form.effect.name
+    name = plain_name(form.effect.name)
     if not _moves_machine(corrected, form):
         return [
             f"{name}: it belongs to the measurement; the machine needs no correction"
@@ -215,7 +216,7 @@ def _of_effect(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
             sentences.append(f"{name}: {KNOWN[covariate]}")
         elif "time" in need or "temp" in need:
             sentences.append(_of_warmth(name, form))
-    if not sentences and name in LOADED:
+    if not sentences and form.effect.name in LOADED:
         sentences.append(f"{name}: the payload is known, or that of these readings")
     return sentences
 
@@ -248,10 +249,11 @@ def _of_diagnosis(corrected: CorrectedEstimate, gap: GapSection) -> list[str]:
     for group in gap.confusable:
         rivals = [n for n in group if n not in used]
         if rivals and used & set(group):
-            taken = next(n for n in group if n in used)
+            taken = plain_name(next(n for n in group if n in used))
+            others = join_words([plain_name(name) for name in rivals], last="or")
             sentences.append(
                 f"{taken} is the cause: these readings cannot distinguish it from"
-                f" {', '.join(rivals)}"
+                f" {others}"
             )
     if gap.answers and UNKNOWN in gap.answers[0].effects:
         sentences.append(

@@ -27,6 +27,13 @@ def place_sentences(gap: GapSection) -> list[str]:
     return [f"It shows most in {join_words([_place(p) for p in places])}."]
 
 
+def place_names(gap: GapSection) -> list[str]:
+    """The places that are named, without their shares."""
+    if not gap.effect_reported:
+        return []
+    return [_place_name(place.block) for place in named_places(gap.where)]
+
+
 def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
     """Significant places in the diagnosis' order: the one that confines best first.
 

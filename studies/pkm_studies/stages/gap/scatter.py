@@ -1,10 +1,10 @@
-"""Sentences of a diagnosis whose readings scatter beyond their instrument."""
+"""Sentences of a diagnosis about noise: how it departs from the stated one."""
 
 from __future__ import annotations
 
 from oed.base.text import rounded
 from oed.gap.data.diagnosis import DATA_SHEET
-from oed.result.gap import GapSection
+from oed.result import GapSection, GoodnessSection
 
 
 def sentences(gap: GapSection, factor: float) -> list[str]:
@@ -24,3 +24,10 @@ def sentences(gap: GapSection, factor: float) -> list[str]:
     if gap.scatter_shape.startswith(("leg", "run")):
         words.append(f"Most of it is in {gap.scatter_shape}.")
     return words
+
+
+def noise_words(checked: GoodnessSection, gap: GapSection | None) -> list[str]:
+    """How the noise departs from the stated one, beside the effects of a diagnosis."""
+    if not checked.noise_words or gap is None:
+        return checked.noise_words
+    return [f"Beside what the diagnosis explains, {'; '.join(gap.noise)}."]

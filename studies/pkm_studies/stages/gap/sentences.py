@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import collections
 import dataclasses
-import math
 import re
 from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from oed.gap.cause.advice import MOST_NAMES, SURE
+from oed.gap.cause.advice import (
+    DOUBT,
+    MOST_NAMES,
+    SURE,
+    probability_of,
+    visible_probability,
+)
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
-from oed.result.gap import ClosureRecord, GapSection, SizeRecord
-from pkm_studies.stages.gap import implausible, scatter
-from pkm_studies.stages.gap.places import named_places, place_sentences
+from oed.result.gap import AnswerRecord, GapSection, SizeRecord
+from pkm_studies.stages.gap import closures, implausible, scatter
+from pkm_studies.stages.gap.places import named_places, place_names, place_sentences
 from pkm_studies.stages.gap.words import (
     capitalised,
     format_probability,
@@ -33,6 +38,13 @@ SECOND_SESSION = (
     "Diagnose such readings together with these: `oed diagnose STUDY --readings NEW.csv"
     " --after DIR`, with the folder of this result."
 )
+#: advice where no held-out reading confirms what is named
+UNPROVEN = (
+    "Measure before you exchange or correct anything: on held-out readings the correction"
+    " may do harm."
+)
+#: difference between the probabilities of parts of an answer from which each is given
+WORTH_SAYING = 0.01
 #: effective number of noise laws below which probabilities are rough
 FEW_LAWS = 1.5
 #: what to record for an effect's covariate
@@ -42,10 +54,6 @@ COLUMNS = {
     "payload": "payload_N",
     "tension": "tension_1_N and those of the other cables",
     "direction": "direction, with runs both ways (+1 and -1)",
-}
-SPLITS = {
-    "within": "on held-out stretches of runs",
-    "whole": "on whole held-out runs",
 }
 
 
@@ -59,7 +67,7 @@ def with_sentences(gap: GapSection) -> GapSection:
         *_second_explanation(gap),
         *_few_laws(gap),
         *place_sentences(gap),
-        *_closures(gap),
+        *closures.sentences(gap),
         *_untested(gap),
     ]
     return msgspec.structs.replace(gap, words=findings, next=_next_steps(gap))
@@ -74,27 +82,50 @@ def _verdict(gap: GapSection) -> list[str]:
         return scatter.sentences(gap, gap.scatter)
     if gap.verdict == "none":
         return _no_gap(gap)
-    chance = f"(probability {format_probability(best.probability)})"
     if gap.verdict == "unknown":
+        unknown = probability_of(UNKNOWN, gap.answers)
+        chance = f"(probability {format_probability(unknown)})"
+        is_there = "is" if unknown >= EVEN else "may be"
         testable = len(gap.tried) - len(gap.not_testable)
         return [
-            f"There is a gap that no known effect explains {chance}: its cause is not"
-            f" among the {testable} effects that these readings can test."
+            f"There {is_there} a gap that no known effect explains {chance}: it has the form of"
+            f" none of the {testable} effects that these readings can test."
         ]
-    comes = "comes" if best.probability >= EVEN else "may come"
+    probability = _probability_of_causes(gap)
+    chance = f"(probability {format_probability(probability)})"
+    comes = "comes" if probability >= EVEN else "may come"
     if gap.verdict == "class":
         return [
             f"The gap {comes} from {_classes(gap)}; these readings cannot tell which"
             f" {chance}."
         ]
-    causes = join_words([plain_name(n) for n in gap.selected])
     if UNKNOWN in best.effects:
+        sure = "" if best.probability == probability else _chance(best.probability)
         return [
-            f"Part of the gap {comes} from {causes} {chance}; a remainder has a form that"
-            " no known effect has."
+            f"Part of the gap {comes} from {_classes(gap)} {chance}; a remainder has a"
+            f" form that no known effect has{sure}."
         ]
     together = " together" if len(gap.selected) > 1 else ""
-    return [f"The gap {comes} from {causes}{together} {chance}."]
+    return [f"The gap {comes} from {_classes(gap)}{together} {chance}."]
+
+
+def _probability_of_causes(gap: GapSection) -> float:
+    """That the best answer's named effects act, alone or beside one of unknown form."""
+    same = [answer for answer in gap.answers if _has_its_causes(answer, gap)]
+    return sum(answer.visible for answer in same)
+
+
+def _has_its_causes(answer: AnswerRecord, gap: GapSection) -> bool:
+    """Whether an answer differs from the best one by an unknown remainder at most."""
+    best = gap.answers[0]
+    if answer is best:
+        return True
+    names, others = ({*a.effects} - {UNKNOWN} for a in (best, answer))
+    return bool(names) and names == others and answer.visible > 0.0
+
+
+def _chance(probability: float) -> str:
+    return f" (probability {format_probability(probability)})"
 
 
 def _no_gap(gap: GapSection) -> list[str]:
@@ -113,10 +144,28 @@ def _no_gap(gap: GapSection) -> list[str]:
 
 
 def _classes(gap: GapSection) -> str:
-    """Effects that the readings cannot tell apart, `a or b`, for each of the answer."""
+    """Effects that the readings cannot tell apart, `a or b`; clear ones before them.
+
+    Of several, each has its probability where they differ by one percent or more.
+    """
     best = gap.answers[0]
-    classes = best.classes or [[name] for name in best.effects]
-    return join_words([_class(gap, names) for names in classes])
+    named = [(name,) for name in best.effects if name != UNKNOWN]
+    classes = sorted(best.classes or named, key=lambda names: len(names) > 1)
+    parts = [_class(gap, names) for names in classes]
+    chances = [_probability_of_any(names, gap.answers) for names in classes]
+    if max(chances) - min(chances) >= WORTH_SAYING:
+        together = zip(parts, chances, strict=True)
+        parts = [f"{part}{_chance(chance)}" for part, chance in together]
+        return ", and ".join(parts)
+    clear = [part for part, n in zip(parts, classes, strict=True) if len(n) == 1]
+    vague = parts[len(clear) :]
+    return ", and ".join([join_words(clear), *vague] if clear else vague)
+
+
+def _probability_of_any(names: Sequence[str], answers: Sequence[AnswerRecord]) -> float:
+    """That one of several effects acts, whatever is beside it."""
+    acting = [answer for answer in answers if {*names} & {*answer.effects}]
+    return sum(answer.visible for answer in acting)
 
 
 def _class(gap: GapSection, names: Sequence[str]) -> str:
@@ -141,11 +190,19 @@ def _sizes(gap: GapSection) -> list[str]:
                 unit = gap.units[channel]
                 parts.append(f"{channel} by {_format_size(rms)} {unit} rms")
         if parts:
-            name = capitalised(plain_name(size.effect))
+            subject = capitalised(plain_name(size.effect))
+            if _is_one_of_several(size.effect, gap):
+                subject = f"If it is {plain_name(size.effect)}, it"
             sentences.append(
-                f"{name} changes {join_words(parts)}{_remaining(gap, size)}."
+                f"{subject} changes {join_words(parts)}{_remaining(gap, size)}."
             )
     return sentences
+
+
+def _is_one_of_several(effect: str, gap: GapSection) -> bool:
+    """Whether the best answer has others in an effect's place."""
+    classes = gap.answers[0].classes
+    return any(effect in names and len(names) > 1 for names in classes)
 
 
 def _remaining(gap: GapSection, size: SizeRecord) -> str:
@@ -193,18 +250,40 @@ def _second_explanation(gap: GapSection) -> list[str]:
     """The next explanation, where its probability is considerable."""
     if len(gap.answers) < 2:
         return []
-    best, *others = gap.answers
-    second = max(others, key=lambda answer: answer.visible)
-    if second.visible < CONSIDERABLE:
-        return []
-    chance = f"(probability {format_probability(second.visible)})"
-    if not second.effects and second.probability > best.probability:
-        return [
-            f"Noise alone is more likely {chance}, but not likely enough to report no"
+    best, *rest = gap.answers
+    words = [
+        f"An effect of unknown form may act beside it{_chance(answer.visible)}."
+        for answer in rest
+        if _has_its_causes(answer, gap)
+        and UNKNOWN in answer.effects
+        and answer.visible >= CONSIDERABLE
+    ]
+    others = [answer for answer in rest if not _has_its_causes(answer, gap)]
+    second = max(others, key=lambda answer: answer.visible, default=best)
+    if second is best or second.visible < CONSIDERABLE:
+        return words
+    chance = _chance(second.visible)
+    if not second.effects and second.probability > _probability_of_causes(gap):
+        words.append(
+            f"Noise alone is more likely{chance}, but not likely enough to report no"
             " gap."
-        ]
-    causes = join_words([plain_name(n) for n in second.effects]) or "no gap at all"
-    return [f"The next most likely explanation is {causes} {chance}."]
+        )
+        return words
+    causes = _spoken(second) or "no gap at all"
+    return [*words, f"The next most likely explanation is {causes}{chance}."]
+
+
+def _spoken(answer: AnswerRecord) -> str:
+    """An answer's effects, with those that cannot be told from them, or their number."""
+    classes = {names[0]: names for names in answer.classes}
+    spoken = []
+    for name in answer.effects:
+        alike = classes.get(name, (name,))
+        plain = join_words([plain_name(n) for n in alike], last="or")
+        many = len(alike) > MOST_NAMES
+        spoken.append(f"any of {len(alike)} effects" if many else plain)
+    has_alternatives = any(len(alike) > 1 for alike in answer.classes)
+    return ", and ".join(spoken) if has_alternatives else join_words(spoken)
 
 
 def _few_laws(gap: GapSection) -> list[str]:
@@ -215,85 +294,6 @@ def _few_laws(gap: GapSection) -> list[str]:
         "The probabilities are rough: of the noise laws that were tried one alone suits"
         " these readings."
     ]
-
-
-# -- how far ---------------------------------------------------------------------------
-
-
-def _closures(gap: GapSection) -> list[str]:
-    """How far the gap shrinks on held-out readings, or by how much it grows there."""
-    if not gap.effect_reported:
-        return []
-    known = [(c, c.value) for c in gap.closure if c.value is not None]
-    shrinking = [_closure(c, value) for c, value in known if value >= 0.0]
-    growing = [_growth(c, value) for c, value in known if value < 0.0]
-    causes = join_words([plain_name(n) for n in gap.selected]) or "the remainder"
-    lead = (
-        f"With {causes} in the model, the mean square of what calibration leaves beyond"
-        " the noise"
-    )
-    sentences = []
-    if shrinking:
-        sentences.append(f"{lead} shrinks by {join_words(shrinking)}.")
-    if growing:
-        sentences.append(
-            f"{lead} grows by {join_words(growing)}: what was fitted to the other readings"
-            " does not carry over to these."
-        )
-    return sentences
-
-
-def _closure(closure: ClosureRecord, value: float) -> str:
-    """`80 % (60 to 90 %) on whole held-out runs`, of a closure that is no growth."""
-    digits = _digits(closure.low)
-    if value == 0.0:
-        size = "nothing"
-    elif value < 1.0:
-        size = f"{_format_share(value, digits)} %"
-    else:
-        size = "all that exceeds the noise"
-    interval = _interval(closure, digits)
-    return f"{size}{interval} {SPLITS.get(closure.split, closure.split)}"
-
-
-def _growth(closure: ClosureRecord, value: float) -> str:
-    """`40 % (90 % more to 10 % less) on whole held-out runs`, of a closure below 0."""
-    size = f"{-100.0 * value:.0f} %{_interval(closure, 0)}"
-    return f"{size} {SPLITS.get(closure.split, closure.split)}"
-
-
-def _interval(closure: ClosureRecord, digits: int) -> str:
-    """` (60 to 90 %)`, of which an end below 0 is growth; "" where it is not known."""
-    low, high = closure.low, closure.high
-    if low is None or high is None:
-        return ""
-    if low < 0.0:
-        return f" ({_bound_in_words(low)} to {_bound_in_words(high)})"
-    return f" ({_format_bound(low, digits)} to {_format_bound(high, digits)} %)"
-
-
-def _bound_in_words(share: float) -> str:
-    """`40 % more` or `10 % less`: an end of the interval of a share by which it shrinks."""
-    return f"{abs(100.0 * min(share, 1.0)):.0f} % {'more' if share < 0.0 else 'less'}"
-
-
-def _digits(low: float | None) -> int:
-    """Decimals of a percentage: near 100 %, enough to show that something remains."""
-    if low is None or low < 0.99:
-        return 0
-    return 1 if low < 0.999 else 2
-
-
-def _format_share(value: float, digits: int) -> str:
-    """A share in percent, never rounded up to the whole."""
-    scaled = value * 10 ** (digits + 2)
-    whole = math.floor(scaled + 1e-9) if 0.0 < value < 1.0 else round(scaled)
-    return f"{whole / 10**digits:.{digits}f}"
-
-
-def _format_bound(value: float, digits: int) -> str:
-    """An end of the interval of a share; no gap shrinks by more than 100 %."""
-    return _format_share(min(value, 1.0), digits)
 
 
 # -- what could not be tested, and what next -------------------------------------------
@@ -317,12 +317,18 @@ def _untested(gap: GapSection) -> list[str]:
 def _next_steps(gap: GapSection) -> list[str]:
     """The diagnosis' advice; remedies and tests of its effects that it leaves out."""
     steps = [_with_plain_names(text, gap.about) for text in gap.next]
-    doubtful = gap.verdict == "class"
+    if gap.selected and closures.may_grow(gap):
+        steps.insert(0, UNPROVEN)
+    places = place_names(gap) if UNKNOWN in gap.answers[0].effects else []
+    if places:
+        steps.append(f"Look first at {join_words(places)}.")
     for name in _effects_in_question(gap):
         note = gap.about.get(name)
         if note is None:
             continue
         known, effect = " ".join(steps), plain_name(name)
+        is_sure = probability_of(name, gap.answers) >= SURE
+        doubtful = not is_sure or _is_one_of_several(name, gap)
         if doubtful and note.exposed_by and note.exposed_by not in known:
             steps.append(f"To tell {effect} from the others: {note.exposed_by}.")
         if note.remedy and note.remedy not in known:
@@ -335,6 +341,8 @@ def _next_steps(gap: GapSection) -> list[str]:
 
 def _asks_for_readings(gap: GapSection) -> bool:
     """Whether further readings would make the answer clearer."""
+    if gap.verdict == "none":
+        return visible_probability(gap.answers) > DOUBT
     open_verdicts = ("class", "unknown", "scatter")
     unsure = gap.effect_reported and gap.answers[0].probability < SURE
     return gap.verdict in open_verdicts or unsure
