@@ -78,8 +78,8 @@ def test_the_page_has_findings_causes_places_and_closure(
     source = page.read_text(encoding="utf-8")
     shown = " ".join(text_of(source).replace("\N{NO-BREAK SPACE}", " ").split())
     for words in (
-        "The gap comes from backlash (probability 98 %)",  # 1 % beside an unknown
-        "Remedy for backlash: preload the screws",
+        "The gap comes from backlash or friction (probability 98 %)",
+        "If it is backlash: preload the screws",
         "96 % 91 % to 99 %",  # closure within runs, with its interval
         "stretches of runs",
         "These readings cannot tell the effects of a group from one another",

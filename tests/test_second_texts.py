@@ -4,21 +4,30 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from benchmarks.second import adapter, cases, texts
-
-REPORT = """<html><style>p {color: red}</style><section id="plan"><p>a plan</p></section>
-<section id="gap" class="chapter"><h2>1 The gap</h2><ol><li>It comes
- from <b>friction</b>.</li></ol><table><tr><th>Cause</th><th></th></tr>
-<tr><td>friction</td><td>90 %</td></tr></table><svg><text>axis</text></svg>
-</section><p>outside</p>"""
+from pkm_reports.page.blocks import Items, Paragraph, Picture, Table, TableColumn
 
 
-def test_the_words_of_the_answer_and_no_others() -> None:
-    assert texts.section_text(REPORT).splitlines() == [
-        "1 The gap",
-        "It comes from friction.",
-        "| Cause |",
-        "| friction | 90 %",
+def test_the_words_of_blocks_in_lines() -> None:
+    blocks = [
+        Items(["It comes from friction."]),
+        Table(
+            [TableColumn("Cause"), TableColumn("Probability")],
+            [["friction", "90 %"]],
+            "T",
+        ),
+        Picture("causes", Figure, "A figure."),
+        Paragraph("The rms residual falls."),
+    ]
+    assert texts.block_lines(blocks) == [
+        "- It comes from friction.",
+        "T",
+        "Cause | Probability",
+        "friction | 90 %",
+        "A figure.",
+        "The rms residual falls.",
     ]
 
 
