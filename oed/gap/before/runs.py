@@ -121,8 +121,16 @@ def prepare(
     """The problem of all candidate runs as if taken, and each run's rows in it."""
     series, covariates = lay_out(measurement, runs)
     problem = assemble(measurement, series, covariates, gravity=gravity)
-    at = problem.rows.groupby(["setup", "run"], sort=False).indices
-    return problem, tuple(np.asarray(at[r.setup, r.name], dtype=np.intp) for r in runs)
+    return problem, rows_of_runs(problem, runs)
+
+
+def rows_of_runs(
+    problem: GapProblem, runs: Sequence[Run], first: int = 0
+) -> tuple[Index, ...]:
+    """Readings of each run of a problem, of which they are those from `first` on."""
+    later = problem.rows.iloc[first:].reset_index(drop=True)
+    at = later.groupby(["setup", "run"], sort=False).indices
+    return tuple(np.asarray(at[r.setup, r.name], dtype=np.intp) + first for r in runs)
 
 
 def pool_runs(

@@ -30,8 +30,7 @@ def advise(
 ) -> tuple[str, ...]:
     """Sentences, the most useful first, for the leading answer.
 
-    Where it is not sure, they also consider its likeliest rival. Neither no gap nor a
-    rival is less sure for what is too small to be seen.
+    Where it is not sure, they also consider its likeliest rival.
 
     scatter   of readings beyond their instrument, which nothing explains
     unstated  scatter of a reading over the stated one, where it is beyond a data sheet
@@ -45,11 +44,8 @@ def advise(
         if first.effects
         else _without_effect(answers, unstated)
     )
-    rivals = [answer for answer in answers[1:] if answer.visible > 0.0]
-    unseen = sum(answer.unseen for answer in answers)
-    sure = first.probability + (0.0 if first.effects else unseen)
-    if sure < SURE and rivals:
-        rival = max(rivals, key=lambda answer: answer.visible)
+    if not is_sure(answers):
+        rival = max(answers[1:], key=lambda answer: answer.visible)
         sentences += _between(first, rival, known)
     missing = _missing_covariates(not_testable)
     if missing and not first.effects:
@@ -63,6 +59,17 @@ def advise(
             f" {_listed(missing)} with them."
         )
     return tuple(dict.fromkeys(sentences))
+
+
+def is_sure(answers: Sequence[AnswerRecord]) -> bool:
+    """Whether the leading answer is sure, or no other has a size that shows.
+
+    No gap is no less sure for what is too small to be seen.
+    """
+    first, *others = answers
+    unseen = 0.0 if first.effects else sum(answer.unseen for answer in answers)
+    is_alone = not any(answer.visible > 0.0 for answer in others)
+    return is_alone or first.probability + unseen >= SURE
 
 
 def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:
