@@ -188,7 +188,9 @@ def answer_forms(
         dataclasses.replace(forms, columns=forms.columns[first])
         for forms in (library, processes)
     ]
-    search = Search(taken, *of_taken, dataclasses.replace(diagnosis.law, level=1.0), 0.0)
+    search = Search(
+        taken, *of_taken, dataclasses.replace(diagnosis.law, level=1.0), 0.0
+    )
     by_key = {h.key: h for h in search.run()}
     answers: list[AnswerForm] = []
     for key, share in likely:

@@ -7,13 +7,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
-from oed.gap.cause.remainder import Remainders, energies, groups_of
-from oed.gap.data import evidence
-from oed.gap.data.evidence import Grams
+from oed.base.arrays import Array
+from oed.gap.cause.remainder import Remainders, energies
+from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.products import ColumnProducts
 from oed.gap.forms.library import Library
 from oed.model.size_prior import EFFECT_SIZES
 from oed.noise.law import NoiseLaw
@@ -38,36 +36,34 @@ class FormProducts:
         self._needed = np.unique(np.concatenate([np.empty(0, dtype=np.intp), *forms]))
 
     @functools.cached_property
-    def products(self) -> ColumnProducts:
-        """Products of the columns of the effects in question and of processes."""
-        groups: list[Index] = [columns for _, columns in groups_of(self._processes)]
-        return ColumnProducts(
-            self._problem,
-            Metric(self._problem, self._law),
-            self._library.columns,
-            self._processes.columns,
-            groups,
-            self._needed,
-        )
+    def metric(self) -> Metric:
+        """The metric of the law."""
+        return Metric(self._problem, self._law)
+
+    @functools.cached_property
+    def effects(self) -> WhitenedColumns:
+        """Columns of the effects in question."""
+        columns = self._library.columns
+        return WhitenedColumns(self._problem, self.metric, columns, self._needed)
 
     @functools.cached_property
     def remainders(self) -> Remainders:
         """The processes that an unknown remainder may be."""
-        return Remainders(self.products, self._processes)
+        columns = WhitenedColumns(self._problem, self.metric, self._processes.columns)
+        return Remainders(self.effects, columns, self._processes)
 
     @functools.cached_property
     def grams(self) -> Grams:
         """Grams of all columns of all effects."""
-        every = np.arange(self._library.columns.shape[1])
-        if len(self._needed) == len(every):
-            return self.products.grams(every)
-        metric = Metric(self._problem, self._law)
-        return evidence.grams(self._problem, metric, self._library.columns)
+        columns = self._library.columns
+        if len(self._needed) == columns.shape[1]:
+            return self.effects.grams()
+        return WhitenedColumns(self._problem, self.metric, columns).grams()
 
     @functools.cached_property
     def log_prior(self) -> Array:
         """Log prior (atoms, sizes) of each form of the effects in question."""
-        return self._log_prior(self.products.diagonal)
+        return self._log_prior(self.effects.diagonal)
 
     @functools.cached_property
     def log_prior_of_all(self) -> Array:
@@ -82,5 +78,5 @@ class FormProducts:
 
     def release(self) -> None:
         """Give the memory back; what is asked for again is computed again."""
-        for name in ("products", "remainders", "grams"):
+        for name in ("metric", "effects", "remainders", "grams"):
             self.__dict__.pop(name, None)

@@ -9,8 +9,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.gap.data import evidence
-from oed.gap.data.evidence import Grams
-from oed.gap.data.products import ColumnProducts
+from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.forms.library import Library
 from oed.model.size_prior import UNKNOWN_SIZES
 
@@ -38,42 +37,25 @@ class Remainder:
 class Remainders:
     """The processes that an unknown remainder may be, under one noise law."""
 
-    def __init__(self, products: ColumnProducts, processes: Library) -> None:
-        """Lay out the processes, in the groups of `groups_of`."""
-        self._products = products
+    def __init__(
+        self, effects: WhitenedColumns, columns: WhitenedColumns, processes: Library
+    ) -> None:
+        """Lay out the processes, those with as many columns together."""
+        self._effects, self._whitened = effects, columns
         self._columns = [atom.columns for atom in processes.atoms]
-        self._groups = groups_of(processes)
+        #: numbers (a,), columns (a, d) and Gram matrices (a, d, d)
+        self._groups = [
+            (numbers, rows, columns.blocks(rows))
+            for numbers, rows in evidence.group_by_count(self._columns)
+        ]
         log_weights = np.array([atom.log_weight for atom in processes.atoms])
         log_share = np.log(max(len(processes.effects), 1))
-        energy = energies(products.process_diagonal, self._columns)
+        energy = energies(columns.diagonal, self._columns)
         log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
         self._log_prior = log_weights[:, None] - log_share + log_sizes
 
     def __len__(self) -> int:
         return len(self._columns)
-
-    def grams_with(self, alone: Grams, selected: Index, process: int) -> Grams:
-        """Grams of the selected columns (k,), followed by those of a process.
-
-        alone  grams of the selected columns
-        """
-        columns = self._columns[process]
-        group, row = self._place_of(process)
-        cross = self._products.with_processes(selected)[:, columns]
-        gram = np.block(
-            [[alone.gram, cross], [cross.T, self._products.blocks[group][row]]]
-        )
-        b = np.concatenate([alone.b, self._products.process_b[columns]])
-        whole = np.concatenate([alone.whole, self._products.process_whole[columns]])
-        return dataclasses.replace(alone, gram=gram, b=b, whole=whole)
-
-    def _place_of(self, process: int) -> tuple[int, int]:
-        """Group of a process, and its row in it."""
-        for group, (numbers, _) in enumerate(self._groups):
-            row = np.flatnonzero(numbers == process)
-            if row.size:
-                return group, int(row[0])
-        raise IndexError(process)
 
     def log_evidences(self, alone: Grams, selected: Selected) -> Array:
         """Log evidence (processes, sizes) of each process, over no remainder.
@@ -82,10 +64,12 @@ class Remainders:
         selected    columns of each selected effect, with their size
         """
         table = np.empty((len(self._columns), len(SIZES)))
-        whole = self._products.process_whole
-        for numbers, gram, b in self._orthogonal(selected):
-            of_group = np.array([whole[self._columns[k]].max() for k in numbers])
-            least = evidence.ROUNDING * of_group
+        taken, projected = self._taken(selected)
+        for numbers, rows, blocks in self._groups:
+            over = taken[:, rows]
+            gram = blocks - np.einsum("kad,kae->ade", over, over, optimize=True)
+            b = self._whitened.b[rows] - np.einsum("kad,k->ad", over, projected)
+            least = evidence.ROUNDING * self._whitened.whole[rows].max(axis=1)
             gain, log_det = evidence.explained_energy(gram, b, SIZES, least)
             table[numbers] = alone.log_ratio(gain, log_det)
         return np.asarray(table + self._log_prior)
@@ -100,30 +84,14 @@ class Remainders:
             log_evidence=float(np.logaddexp.reduce(table, axis=None)),
         )
 
-    def _orthogonal(self, selected: Selected) -> list[tuple[Index, Array, Array]]:
-        """Processes without what the selected columns could explain.
-
-        Those with as many columns together: their numbers (a,), Gram matrices (a, d, d)
-        and projections (a, d).
-        """
-        taken, projected = self._taken(selected)
-        groups = []
-        parts = zip(self._groups, self._products.blocks, strict=True)
-        for (numbers, rows), alone in parts:
-            over = taken[:, rows]
-            grams = alone - np.einsum("kad,kae->ade", over, over, optimize=True)
-            b = self._products.process_b[rows] - np.einsum("kad,k->ad", over, projected)
-            groups.append((numbers, grams, b))
-        return groups
-
     def _taken(self, selected: Selected) -> tuple[Array, Array]:
         """Directions that the selected effects could explain, one effect after the other.
 
         Their products (k, P) with all processes' columns and (k,) with the residual.
         """
         columns = np.concatenate([_NONE, *(c for c, _ in selected)])
-        grams = self._products.grams(columns)
-        cross = self._products.with_processes(columns)
+        grams = self._effects.grams(columns)
+        cross = self._effects.with_others(columns, self._whitened)
         taken, projected = [np.zeros((0, cross.shape[1]))], [np.zeros(0)]
         start = 0
         for own, size in selected:
@@ -136,12 +104,6 @@ class Remainders:
             taken.append(over)
             projected.append(residual)
         return np.vstack(taken), np.concatenate(projected)
-
-
-def groups_of(processes: Library) -> list[tuple[Index, Index]]:
-    """Processes of as many columns together: their numbers (a,) and columns (a, d)."""
-    columns = [atom.columns for atom in processes.atoms]
-    return evidence.group_by_count(columns) if columns else []
 
 
 def energies(diagonal: Array, choices: Sequence[Index]) -> Array:

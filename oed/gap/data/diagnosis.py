@@ -75,7 +75,30 @@ class Closure:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Diagnosis:
+class Explained:
+    """What the effects of an answer explain of the residual.
+
+    constants       {effect: its constants in the form that suits the readings best}
+    coefficients    of the selected effects
+    sizes           of the selected effects
+    explained       (N,) part of the residual that the selected effects explain, SI
+    unexplained     (N,) part that what else the answer has explains, SI
+    before, after   (N,) residuals of the calibration without and with the selected
+                    effects, SI, both fitted by the stated noise, as an identification
+                    leaves them
+    """
+
+    constants: Mapping[str, Mapping[str, float]]
+    coefficients: tuple[CoefficientRecord, ...]
+    sizes: tuple[Size, ...]
+    explained: Array
+    unexplained: Array
+    before: Array
+    after: Array
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Diagnosis(Explained):
     """A diagnosis of one set of readings.
 
     problem         the residuals that it is of
@@ -86,15 +109,8 @@ class Diagnosis:
     marginal        {effect: probability that it acts}
     law             noise law as estimated
     noise_words     the same in words
-    constants       {effect: its constants in the form that suits the readings best}
-    coefficients    of the selected effects
-    sizes           of the selected effects
-    explained       (N,) part of the residual that the selected effects explain, SI
-    unexplained     (N,) part that an unknown remainder explains, SI
     likeness        {form of the unknown remainder in words: probability}, the likeliest
                     first; empty without a remainder
-    before, after   (N,) residuals of the calibration without and with the selected
-                    effects, SI
     where           blocks in which the gap lies
     closure         how far it shrinks on held-out readings
     not_testable    {effect: why these readings cannot test it}
@@ -115,14 +131,7 @@ class Diagnosis:
     marginal: Mapping[str, float]
     law: NoiseLaw
     noise_words: tuple[str, ...]
-    constants: Mapping[str, Mapping[str, float]]
-    coefficients: tuple[CoefficientRecord, ...]
-    sizes: tuple[Size, ...]
-    explained: Array
-    unexplained: Array
     likeness: Mapping[str, float]
-    before: Array
-    after: Array
     where: tuple[PlaceRecord, ...]
     closure: tuple[Closure, ...]
     not_testable: Mapping[str, str]
