@@ -131,7 +131,7 @@ def conclude(
     groups = answers.group(searched, hypotheses, shares)
     ranked, best = answers.rank(groups)
     first, verdict = ranked[0], answers.verdict(ranked[0])
-    is_rough = verdict == "unknown" and rough.share > EVEN
+    is_rough = verdict == "unknown" and rough > EVEN
     if is_rough:
         best = next(h for h in hypotheses if not h.is_gap)
     search = searched[best.law]
@@ -141,7 +141,7 @@ def conclude(
         named = set(best.effects)
     scatter = None
     if is_rough:
-        scatter = rough_scatter(search.problem, law, rough)
+        scatter = rough_scatter(search.problem, law)
     elif verdict == "none":
         scatter = excess_scatter(search.given, law)
     unstated = unstated_scatter(search.given, law)

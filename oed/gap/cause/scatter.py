@@ -85,22 +85,14 @@ def energies(problem: GapProblem, law: NoiseLaw, again: Replicates) -> Energies:
     )
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Roughness:
-    """Errors that recur at each pose in no smooth form, with no effect beside them.
-
-    share  part of an unknown alone that they are
-    again  the readings taken again
-    """
-
-    share: float
-    again: Replicates
-
-
 def with_roughness(
     searches: Sequence[Search], hypotheses: Sequence[Hypothesis]
-) -> tuple[list[Hypothesis], Roughness]:
-    """Hypotheses of which an unknown alone may be rough as well, best first."""
+) -> tuple[list[Hypothesis], float]:
+    """Hypotheses of which an unknown alone may be rough as well, best first.
+
+    Rough are errors that recur at each pose in no smooth form. The second result is the
+    part of an unknown alone that they are.
+    """
     nothing = next(h for h in hypotheses if not h.is_gap)
     given = searches[nothing.law].given
     again = replicates(given)
@@ -124,7 +116,7 @@ def with_roughness(
             h = dataclasses.replace(h, log_evidence=total)
         results.append(h)
     results.sort(key=lambda h: -h.score)
-    return results, Roughness(share, again)
+    return results, share
 
 
 def excess_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter | None:
@@ -161,15 +153,14 @@ def _within_runs(law: NoiseLaw) -> float:
     return law.level * float(np.sqrt(np.mean(variance)))
 
 
-def rough_scatter(
-    problem: GapProblem, law: NoiseLaw, rough: Roughness
-) -> ExcessScatter:
+def rough_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter:
     """Scatter of readings over that between readings taken again, or over the stated."""
-    parts = energies(problem, stated_law(problem), rough.again)
+    again = replicates(problem)
+    parts = energies(problem, stated_law(problem), again)
     if not parts.pure_freedom:
         factor = float(np.sqrt(parts.rest / max(parts.rest_freedom, 1)))
         return ExcessScatter(factor, DATA_SHEET, shape(problem, law))
-    against = ON_THE_SPOT if rough.again.on_the_spot else AGAIN
+    against = ON_THE_SPOT if again.on_the_spot else AGAIN
     return ExcessScatter(parts.factor, against, shape(problem, law))
 
 

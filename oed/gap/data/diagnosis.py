@@ -9,7 +9,12 @@ from typing import Literal
 from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
-from oed.result.gap import AnswerRecord, CoefficientRecord, PlaceRecord
+from oed.result.gap import (
+    AnswerRecord,
+    ClosureRecord,
+    CoefficientRecord,
+    PlaceRecord,
+)
 
 Verdict = Literal["none", "effect", "class", "mixture", "unknown", "scatter"]
 #: verdicts without an effect: noise as stated, and more scatter than the instrument has
@@ -47,31 +52,6 @@ class Size:
     rms: Mapping[str, float]
     remaining: Mapping[str, float]
     detectability: float
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class Closure:
-    """How far the gap shrinks on held-out readings: C = (S0 - S1) / (S0 - Snoise).
-
-    split        what is held out: parts of every run, or whole runs
-    value        C
-    low, high    95 % interval of C
-    p_worse      probability that the correction does harm
-    s0, s1       mean squared residuals without and with the effects, standardised by
-                 the predictive covariance
-    s_noise      expectation of s0 without a gap
-    n            number of readings held out
-    """
-
-    split: Literal["within", "whole"]
-    value: float
-    low: float
-    high: float
-    p_worse: float
-    s0: float
-    s1: float
-    s_noise: float
-    n: int
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -133,7 +113,7 @@ class Diagnosis(Explained):
     noise_words: tuple[str, ...]
     likeness: Mapping[str, float]
     where: tuple[PlaceRecord, ...]
-    closure: tuple[Closure, ...]
+    closure: tuple[ClosureRecord, ...]
     not_testable: Mapping[str, str]
     confusable: tuple[tuple[str, ...], ...]
     next: tuple[str, ...]

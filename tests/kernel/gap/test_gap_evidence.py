@@ -131,9 +131,7 @@ def test_what_is_taken_out_stays_out(problem: GapProblem) -> None:
     law = _law(problem)
     columns = np.random.default_rng(5).standard_normal((len(problem), 4))
     columns[:, 3] = columns[:, 0] - 2.0 * columns[:, 1]
-    projected = _grams(problem, law, columns).project_out(
-        np.array([0, 1])
-    )
+    projected = _grams(problem, law, columns).project_out(np.array([0, 1]))
     assert np.abs(projected.gram[3]).max() < 1e-8
     assert projected.gram[2, 2] > 1.0
 

@@ -41,9 +41,7 @@ def test_products_are_those_in_the_dense_metric(rng: np.random.Generator) -> Non
     effects = rng.standard_normal((len(problem), 4))
     processes = rng.standard_normal((len(problem), 3))
     needed = np.array([0, 2])
-    products = evidence.WhitenedColumns(
-        problem, Metric(problem, law), effects, needed
-    )
+    products = evidence.WhitenedColumns(problem, Metric(problem, law), effects, needed)
     others = evidence.WhitenedColumns(problem, Metric(problem, law), processes)
     np.testing.assert_allclose(
         products.diagonal[needed],
