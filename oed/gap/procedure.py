@@ -177,12 +177,12 @@ def conclude(
 
 def _likeness(search: Search, best: Hypothesis) -> dict[str, float]:
     """The likeliest few forms of the unknown remainder in words, with probabilities."""
-    if best.process is None:
-        return {}
     by_form: dict[str, float] = {}
-    for share, h in search.forms(best, len(best.effects)):
-        about = search.processes.atoms[h.process].about
-        by_form[about] = by_form.get(about, 0.0) + share
+    if best.process is not None:
+        for share, h in search.forms(best, len(best.effects)):
+            of, atom, _ = h.forms(search.library, search.processes)[-1]
+            about = of.atoms[atom].about
+            by_form[about] = by_form.get(about, 0.0) + share
     likeliest = sorted(by_form.items(), key=lambda item: -item[1])[:LIKE]
     return {form: share for form, share in likeliest if share > LEAST_LIKE}
 
@@ -223,7 +223,9 @@ def _models(search: Search, best: Hypothesis) -> list[Array]:
 
     The selected forms at other sizes, and with the next best forms of each effect.
     """
-    forms = {} if best.atoms or best.process is None else {(): best}
+    forms: dict[tuple[tuple[int, ...], tuple[float, ...]], Hypothesis] = {}
+    if best.process is not None and not best.atoms:
+        forms[(), ()] = best
     for i, (atom, size) in enumerate(zip(best.atoms, best.sizes, strict=True)):
         others = [best.with_form(i, atom, factor * size) for factor in FACTORS]
         others += [h for _, h in search.forms(best, i)[:FORMS]]

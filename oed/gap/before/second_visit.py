@@ -184,12 +184,12 @@ def answer_forms(
     first, single = np.arange(len(taken)), dataclasses.replace(law, level=1.0)
     library = libraries.build(both, involved, Metric(both, single, first))
     processes = discrepancy.build(both)
-    of_taken = [
-        dataclasses.replace(forms, columns=forms.columns[first])
-        for forms in (library, processes)
-    ]
     search = Search(
-        taken, *of_taken, dataclasses.replace(diagnosis.law, level=1.0), 0.0
+        taken,
+        dataclasses.replace(library, columns=library.columns[first]),
+        dataclasses.replace(processes, columns=processes.columns[first]),
+        dataclasses.replace(diagnosis.law, level=1.0),
+        0.0,
     )
     by_key = {h.key: h for h in search.run()}
     answers: list[AnswerForm] = []

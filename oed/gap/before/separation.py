@@ -29,6 +29,7 @@ from scipy import special
 from oed.base.arrays import Array, Index
 from oed.design.evaluator import PlanEvaluator
 from oed.design.objective import Objective, Tangent
+from oed.gap.data.evidence import separated
 from oed.result.gap_before import SeparationRecord
 
 #: least lambda that counts: its logarithm must stay finite
@@ -122,7 +123,11 @@ class Separation(Objective):
         cross = m[..., :n, n:]
         solved = np.linalg.solve(m[..., :n, :n], cross)
         profiled = m[..., n:, n:] - np.swapaxes(cross, -1, -2) @ solved
-        return np.array([_lambda(profiled, target) for target in self.targets])
+        lambdas = []
+        for t in self.targets:
+            left = separated(profiled, t.form.at, t.rival.at, t.rival.precision)
+            lambdas.append(np.einsum("k,...kl,l->...", t.shares, left, t.shares))
+        return np.maximum(lambdas, LEAST)
 
     def log_det(self, m: Array) -> Array:
         """log det (...) of the parameters' information, prior included."""
@@ -262,19 +267,6 @@ class Separation(Objective):
         """Of some of the targets only."""
         targets = tuple(self.targets[k] for k in numbers)
         return dataclasses.replace(self, targets=targets)
-
-
-def _lambda(profiled: Array, target: Target) -> Array:
-    """lambda (...) of a target, the parameters profiled out of (..., K, K)."""
-    at, rival, shares = target.form.at, target.rival.at, target.shares
-    block = profiled[..., at[:, None], at[None, :]]
-    whole = np.einsum("k,...kl,l->...", shares, block, shares)
-    inner = profiled[..., rival[:, None], rival[None, :]]
-    inner = inner + np.diag(target.rival.precision)
-    cross = profiled[..., rival[:, None], at[None, :]] @ shares
-    solved = np.linalg.solve(inner, cross[..., None])[..., 0]
-    absorbed = np.einsum("...k,...k->...", cross, solved)
-    return np.asarray(np.maximum(whole - absorbed, LEAST))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

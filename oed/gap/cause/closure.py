@@ -25,6 +25,7 @@ without that uncertainty.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -154,9 +155,12 @@ class RunNoise:
         if isinstance(factor, LinearFactor) and not Chains.suit(factor.errors):
             factor = law.dense_factor(problem)
         self._factor = factor
-        self._chains = None  # a linear factor's are shared
+        self._hold_out: Callable[[Index], Innovations]
         if isinstance(factor, LinearFactor):
-            self._chains = Chains(factor.errors)
+            chains = Chains(factor.errors)
+            self._hold_out = functools.partial(LinearInnovations, factor, chains)
+        else:
+            self._hold_out = functools.partial(DenseInnovations, factor)
 
     def score(self, values: Array) -> Array:
         """The noise's precision times values (N, k), as `Innovations` wants it."""
@@ -172,22 +176,7 @@ class RunNoise:
 
     def hold_out(self, held: Index) -> Innovations:
         """Readings held out; those of their run predict their noise."""
-        if isinstance(self._factor, LinearFactor):
-            return LinearInnovations(self._factor, self._chains, held)
-        return DenseInnovations(self._factor, held)
-
-
-def _cholesky(matrix: Array) -> Array:
-    return np.asarray(linalg.cholesky(matrix, lower=True, check_finite=False))
-
-
-def _solve(factor: Array, values: Array, trans: str = "N") -> Array:
-    """Solution of a lower triangular system, or of its transpose (`T`)."""
-    return np.asarray(
-        linalg.solve_triangular(
-            factor, values, lower=True, trans=trans, check_finite=False
-        )
-    )
+        return self._hold_out(held)
 
 
 def learn(information: Information, white: Array) -> tuple[Array, float]:
@@ -201,11 +190,11 @@ def learn(information: Information, white: Array) -> tuple[Array, float]:
     """
     precision, product = information
     slopes, residual = white[:, :-1], white[:, -1]
-    factor = _cholesky(precision - slopes.T @ slopes)
-    half = _solve(factor, product - slopes.T @ residual)
-    mean = _solve(factor, half, "T")
-    log_det = float(np.log(np.diag(factor)).sum())
-    return mean, 0.5 * float(half @ half) - log_det
+    root = linalg.cholesky(precision - slopes.T @ slopes, lower=True)
+    product = product - slopes.T @ residual
+    mean = linalg.cho_solve((root, True), product)
+    log_det = float(np.log(np.diag(root)).sum())
+    return np.asarray(mean), 0.5 * float(product @ mean) - log_det
 
 
 def standardise(
@@ -227,8 +216,9 @@ def standardise(
     precision, product = information[0][:n, :n], information[1][:n]
     mean, _ = learn((precision, product), alone)
     slopes = alone[:, :-1]
-    root = _cholesky(precision - slopes.T @ slopes)
-    spread = SharedFactor(_solve(root, slopes.T).T, np.zeros(1, dtype=np.intp))
+    root = linalg.cholesky(precision - slopes.T @ slopes, lower=True)
+    half = linalg.solve_triangular(root, slopes.T, lower=True)
+    spread = SharedFactor(half.T, np.zeros(1, dtype=np.intp))
     before = alone[:, -1] - slopes @ mean
     white_residuals = spread.whiten(np.column_stack([before, after]))
     return white_residuals[:, 0], white_residuals[:, 1]

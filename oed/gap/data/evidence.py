@@ -158,6 +158,18 @@ def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
     return groups
 
 
+def separated(gram: Array, at: Index, rival: Index, precision: Array) -> Array:
+    """What a rival leaves of some columns: A_kk - A_kj (A_jj + P)^-1 A_jk.
+
+    Grams (..., K, K); columns `at` (k,), those of the rival (j,) with their prior
+    precision (j,). The result is (..., k, k).
+    """
+    cross = gram[..., rival[:, None], at]
+    inner = gram[..., rival[:, None], rival] + np.diag(precision)
+    absorbed = np.swapaxes(cross, -1, -2) @ np.linalg.solve(inner, cross)
+    return np.asarray(gram[..., at[:, None], at] - absorbed)
+
+
 def explained_energy(
     gram: Array, b: Array, sizes: Array, least: Array
 ) -> tuple[Array, Array]:

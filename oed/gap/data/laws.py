@@ -176,7 +176,7 @@ class LawEvidence:
 
     def __init__(self, problem: GapProblem, columns: Array) -> None:
         """Prepare columns (N, k), the parameters' slopes among them."""
-        self._problem, layout = problem, problem.layout
+        self._problem, self._columns, layout = problem, columns, problem.layout
         values = np.column_stack([problem.residual, columns])
         self._values = values[layout.order]
         self._channel = problem.channel[layout.order]
@@ -190,10 +190,10 @@ class LawEvidence:
         Single readings of a law all have the same variance, 1 less what is carried.
         """
         if not self._apart:
-            columns = self._problem_columns()
-            return np.array(
-                [evidence.log_evidence(self._problem, law, columns) for law in laws]
-            )
+            every = [
+                evidence.log_evidence(self._problem, law, self._columns) for law in laws
+            ]
+            return np.array(every)
         products: dict[tuple[float, float], _Products] = {}
         values = []
         for law in laws:
@@ -202,12 +202,6 @@ class LawEvidence:
                 products[key] = self._whitened(law)
             values.append(self._log_evidence(law, products[key]))
         return np.array(values)
-
-    def _problem_columns(self) -> Array:
-        """The columns (N, k) in the order of the readings."""
-        columns = np.empty_like(self._values[:, 1:])
-        columns[self._problem.layout.order] = self._values[:, 1:]
-        return columns
 
     def _whitened(self, law: NoiseLaw) -> _Products:
         unit = dataclasses.replace(law, channel_ratio=None)

@@ -94,15 +94,13 @@ def draw_energies(
             )
         )
     is_known = all(model.other_way is not None for model, _ in drawn)
-    timed, acting, other_way, remaining, parts = map(
-        np.hstack, zip(*energies, strict=True)
-    )
+    every = [np.hstack(alike) for alike in zip(*energies, strict=True)]
     return Draws(
-        timed=timed,
-        acting=acting,
-        other_way=other_way if is_known else None,
-        remaining=remaining,
-        parts=dict(zip(names, parts, strict=True)),
+        timed=every[0],
+        acting=every[1],
+        other_way=every[2] if is_known else None,
+        remaining=every[3],
+        parts=dict(zip(names, every[4], strict=True)),
     )
 
 
