@@ -17,9 +17,9 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index
+from oed.gap.cause.form_products import SIZES as UNKNOWN_SIZES
 from oed.gap.cause.form_products import FormProducts
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
-from oed.gap.cause.remainder import SIZES as UNKNOWN_SIZES
 from oed.gap.data import evidence
 from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.data.problem import GapProblem

@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
@@ -220,18 +221,8 @@ def _sense(moved: Array) -> Array:
     """Signs of the joints' motion (k, nq); where one stands still, of its last motion."""
     size = np.abs(moved)
     least = 1e-6 * max(float(size.max()), 1e-12)
-    sign = np.where(size > least, np.sign(moved), 0.0)
-    count = len(sign)
-    for k in range(1, count):
-        _fill(sign, k, k - 1)
-    for k in range(count - 2, -1, -1):
-        _fill(sign, k, k + 1)
-    return sign
-
-
-def _fill(sign: Array, k: int, neighbour: int) -> None:
-    """Replace zeros in row k by the neighbouring row's signs."""
-    sign[k] = np.where(sign[k] == 0.0, sign[neighbour], sign[k])
+    sign = pd.DataFrame(np.where(size > least, np.sign(moved), np.nan))
+    return sign.ffill().bfill().fillna(0.0).to_numpy(copy=True)
 
 
 def _since_reversal(

@@ -238,9 +238,8 @@ def _column(rows: pd.DataFrame, name: str) -> Array:
 def _owner(series: Series) -> Index:
     """For each pose (m,) the first reading that sees it."""
     owner = np.zeros(len(series.q), dtype=np.intp)
-    backward = np.arange(len(series))[::-1]
-    for column in series.index.T[::-1]:
-        owner[column[::-1]] = backward
+    poses, first = np.unique(series.index.T, return_index=True)
+    owner[poses] = first % len(series)
     return owner
 
 

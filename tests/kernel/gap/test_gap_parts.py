@@ -12,7 +12,7 @@ from kernel import gap_problem as case
 from oed.gap.before.confusion import inverse_root
 from oed.gap.cause import closure
 from oed.gap.cause.folds import FOLDS, Paths
-from oed.gap.cause.remainder import energies
+from oed.gap.cause.form_products import energies
 from oed.gap.cause.searches import WIDE, wide_model
 from oed.gap.data import evidence
 from oed.gap.data.laws import LawEvidence
