@@ -280,4 +280,5 @@ def _parts(
         size = coefficients(white, residual)[0][both.slopes.shape[1] :]
         words = " + ".join(form.effects) or "nothing"
         parts.append(_Part(words, at, size, form.probability))
-    return np.hstack([form.columns for form in likeliest.values()]), parts
+    blocks = [form.columns for form in likeliest.values()]
+    return np.hstack([np.zeros((len(both), 0)), *blocks]), parts

@@ -122,31 +122,34 @@ def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[AnswerRecord, ...], Hypot
     answers: list[AnswerRecord] = []
     leading: list[Hypothesis] = []
     for entry in groups:
-        # what could be any of many beside a named effect is reported as unknown: a name
-        # drawn from them would be a guess
-        named = list(entry.members)
-        if len(named) > 1:
-            clear = [m for m in named if len(m) < VAGUE]
-            named = clear or [min(named, key=len)]
-        unknown = entry.unknown or len(named) < len(entry.members)
-        answer = _answer(named, unknown, entry.probability, entry.unseen)
-        names = frozenset(members[0] for members in named)
-        for k, other in enumerate(answers):
-            alike = (UNKNOWN in other.effects) == unknown and not entry.is_any_effect
-            if alike and _stands_for(names, other.classes):
-                answers[k] = replace(
-                    other,
-                    probability=other.probability + entry.probability,
-                    unseen=other.unseen + entry.unseen,
-                )
-                break
-        else:
-            answers.append(answer)
-            leading.append(entry.hypothesis)
+        _add(answers, entry)
+        leading += [entry.hypothesis] * (len(answers) - len(leading))
     decision = _decision(answers)
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
     order.remove(decision)
     return tuple(answers[k] for k in [decision, *order]), leading[decision]
+
+
+def _add(answers: list[AnswerRecord], entry: AnswerGroup) -> None:
+    """Add an answer, or its probability to the one that says the same.
+
+    What acts with a named effect and may be any of many is reported as unknown: a name
+    drawn from them would be a guess.
+    """
+    named = list(entry.members)
+    if len(named) > 1:
+        clear = [m for m in named if len(m) < VAGUE]
+        named = clear or [min(named, key=len)]
+    unknown = entry.unknown or len(named) < len(entry.members)
+    names = frozenset(members[0] for members in named)
+    for k, other in enumerate(answers):
+        alike = (UNKNOWN in other.effects) == unknown and not entry.is_any_effect
+        if alike and _stands_for(names, other.classes):
+            probability = other.probability + entry.probability
+            unseen = other.unseen + entry.unseen
+            answers[k] = replace(other, probability=probability, unseen=unseen)
+            return
+    answers.append(_answer(named, unknown, entry.probability, entry.unseen))
 
 
 def _decision(answers: Sequence[AnswerRecord]) -> int:
