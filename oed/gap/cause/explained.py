@@ -27,8 +27,7 @@ def explain(
     metric, library = Metric(problem, search.law), search.library
     residual, level = search.problem.residual, search.noise_level(h)
     columns = h.columns(library, search.processes)
-    precision = metric.gram(columns, columns) + np.eye(columns.shape[1])
-    mean = np.linalg.solve(precision, metric.gram(columns, residual[:, None])[:, 0])
+    mean, precision = metric.posterior(columns, residual)
     sd = level * np.sqrt(np.diag(np.linalg.inv(precision)))
     by_effects = np.zeros(len(problem))
     constants, coefficients, sizes, start = {}, [], [], 0

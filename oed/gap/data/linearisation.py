@@ -172,12 +172,10 @@ class _PointFit:
 
     def most_probable(self, point: _LinearPoint) -> Array:
         """Values (n + k,) by the linear model about a point."""
-        metric, columns = Metric(point.problem, self._law), point.columns
+        metric = Metric(point.problem, self._law)
         residual = point.problem.residual + self._outlying
-        precision = metric.gram(columns, columns) + np.eye(columns.shape[1])
-        b = metric.gram(columns, residual[:, None])[:, 0]
-        coefficients = np.linalg.solve(precision, b)
-        fitted = metric.fit(residual - columns @ coefficients)
+        coefficients, _ = metric.posterior(point.columns, residual)
+        fitted = metric.fit(residual - point.columns @ coefficients)
         return np.concatenate([fitted, coefficients])
 
     def departure(self, point: _LinearPoint, reached: _LinearPoint) -> float:

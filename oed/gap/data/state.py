@@ -92,14 +92,13 @@ def _first_temperatures(
     times: Array,
 ) -> dict[str, float]:
     """Temperature of each body at the session's first reading that has one."""
-    order = np.argsort(times, kind="stable")
-    first = {}
-    for name in _temperature_columns(covariates):
-        values = _column(covariates, name)[order]
-        known = values[np.isfinite(values)]
-        body = name.removeprefix(TEMPERATURE)
-        first[body] = float(known[0]) if known.size else np.nan
-    return first
+    in_time = covariates.iloc[np.argsort(times, kind="stable")]
+    return {
+        name.removeprefix(TEMPERATURE): float(
+            next(iter(in_time[name].dropna()), np.nan)
+        )
+        for name in _temperature_columns(covariates)
+    }
 
 
 def _temperature_columns(covariates: pd.DataFrame) -> list[str]:

@@ -78,7 +78,11 @@ def draw_energies(
     names = list(dict.fromkeys(label for model, _ in drawn for label in model.labels))
     energies = []
     for model, n in drawn:
-        beta = _coefficients(problem, metric, model.columns, rng, n)
+        mean, precision = metric.posterior(model.columns, problem.residual)
+        root = linalg.cholesky(precision, lower=True)
+        normal = rng.standard_normal((len(mean), n))
+        spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
+        beta = mean[:, None] + spread
         remaining = model.columns - problem.slopes @ metric.fit(model.columns)
         timed = slice(None) if model.timed is None else model.timed
         other_way = model.columns if model.other_way is None else model.other_way
@@ -102,22 +106,6 @@ def draw_energies(
         remaining=every[3],
         parts=dict(zip(names, every[4], strict=True)),
     )
-
-
-def _coefficients(
-    problem: GapProblem,
-    metric: Metric,
-    columns: Array,
-    rng: np.random.Generator,
-    count: int,
-) -> Array:
-    """Draws (k, count) of the coefficients of columns (N, k), of prior N(0, 1)."""
-    precision = metric.gram(columns, columns) + np.eye(columns.shape[1])
-    b = metric.gram(columns, problem.residual[:, None])
-    root = linalg.cholesky(precision, lower=True)
-    normal = rng.standard_normal((columns.shape[1], count))
-    spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
-    return np.asarray(linalg.cho_solve((root, True), b) + spread)
 
 
 class ReversedForms:
