@@ -196,9 +196,9 @@ class Separation(Objective):
         """
         m = self.at(active, weights)
         logs, table, _ = self._log_lambdas(m, self.grams)
-        shares = self._shares(logs)
-        slopes = self.share * self._volume_slopes(m, self.grams)
-        slopes = slopes + (1.0 - self.share) * shares @ table
+        shares = special.softmax(-self.sharp * logs)
+        of_volume, _ = self._volume(m, self.grams)
+        slopes = self.share * of_volume + (1.0 - self.share) * shares @ table
         volume = float(self.log_det(m) / self.size)
         height = self.share * volume + (1.0 - self.share) * float(shares @ logs)
         offset = height - float(weights @ slopes[active])
@@ -210,33 +210,22 @@ class Separation(Objective):
         """Slopes and curvature of the smoothed compound."""
         m, grams = self.at(active, weights), self.grams[active]
         logs, table, curvatures = self._log_lambdas(m, grams)
-        shares = self._shares(logs)
+        shares = special.softmax(-self.sharp * logs)
         mean = shares @ table
         covariance = (table.T * shares) @ table - np.outer(mean, mean)
         bend = np.tensordot(shares, curvatures, axes=1) + self.sharp * covariance
-        volume_slopes = self._volume_slopes(m, grams)
-        volume_curvature = self._volume_curvature(m, grams)
-        slopes = self.share * volume_slopes + (1.0 - self.share) * mean
-        curvature = self.share * volume_curvature + (1.0 - self.share) * bend
+        of_volume, volume_bend = self._volume(m, grams)
+        slopes = self.share * of_volume + (1.0 - self.share) * mean
+        curvature = self.share * volume_bend + (1.0 - self.share) * bend
         return np.asarray(slopes), np.asarray(curvature)
 
-    def _shares(self, logs: Array) -> Array:
-        """Weights (T,) of the targets in the smoothed minimum."""
-        return np.asarray(special.softmax(-self.sharp * logs))
-
-    def _volume_slopes(self, m: Array, grams: Array) -> Array:
-        """Slopes (C,) of log det over n."""
-        n = self.size
-        inverse = np.linalg.inv(m[:n, :n])
-        return np.asarray(np.einsum("cij,ji->c", grams[:, :n, :n], inverse) / n)
-
-    def _volume_curvature(self, m: Array, grams: Array) -> Array:
-        """Curvature (C, C) of log det over n."""
+    def _volume(self, m: Array, grams: Array) -> tuple[Array, Array]:
+        """Slopes (C,) and curvature (C, C) of log det over n."""
         n = self.size
         relative = np.linalg.inv(m[:n, :n]) @ grams[:, :n, :n]
         flat = relative.reshape(len(grams), -1)
         transposed = np.swapaxes(relative, 1, 2).reshape(len(grams), -1)
-        return flat @ transposed.T / n
+        return np.trace(relative, axis1=1, axis2=2) / n, flat @ transposed.T / n
 
     def _log_lambdas(self, m: Array, grams: Array) -> tuple[Array, Array, Array]:
         """log lambda (T,), its slopes (T, C) and curvatures (T, C, C)."""
