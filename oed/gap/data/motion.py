@@ -222,7 +222,7 @@ def _sense(moved: Array) -> Array:
     size = np.abs(moved)
     least = 1e-6 * max(float(size.max()), 1e-12)
     sign = pd.DataFrame(np.where(size > least, np.sign(moved), np.nan))
-    return sign.ffill().bfill().fillna(0.0).to_numpy(copy=True)
+    return np.array(sign.ffill().bfill().fillna(0.0), dtype=float)
 
 
 def _since_reversal(
