@@ -27,6 +27,7 @@ from oed.gap.before.expected import (
     expected_probability,
     probability_now,
 )
+from oed.gap.before.forms import ColumnSet
 from oed.gap.before.repeats import with_other_covariates
 from oed.gap.before.runs import Run, lay_out, rows_of_runs, separation
 from oed.gap.before.separation import Separation, Target
@@ -217,27 +218,6 @@ def answer_forms(
 # -- targets ---------------------------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Part:
-    """Columns of an answer among those of all, of prior N(0, 1).
-
-    effect       the answer in words
-    at           (k,) its columns
-    size         (k,) its coefficients, as the readings taken give them
-    probability  of the answer
-    """
-
-    effect: str
-    at: Index
-    size: Array
-    probability: float
-
-    @property
-    def precision(self) -> Array:
-        """Of each coefficient: 1."""
-        return np.ones(len(self.at))
-
-
 def _pool(
     both: GapProblem,
     law: NoiseLaw,
@@ -247,9 +227,13 @@ def _pool(
 ) -> tuple[Separation | None, list[tuple[str, str]]]:
     """The separation of the likely answers by the candidates, and pairs that none separates."""
     columns, parts = _parts(both, law, forms, first)
-    pairs = [(a, b) for a, b in itertools.permutations(parts, 2) if len(a.at)]
-    pairs.sort(key=lambda pair: -pair[0].probability * pair[1].probability)
-    targets = [Target(a, a.size, "", b) for a, b in pairs[:PAIRS]]
+    pairs = [
+        (p * q, Target(answer, size, "", rival))
+        for (answer, size, p), (rival, _, q) in itertools.permutations(parts, 2)
+        if len(size)
+    ]
+    pairs.sort(key=lambda pair: -pair[0])
+    targets = [target for _, target in pairs[:PAIRS]]
     if not targets:
         return None, []
     pool = separation(both, law, rows, columns, targets, first)
@@ -265,8 +249,12 @@ def _pool(
 
 def _parts(
     both: GapProblem, law: NoiseLaw, forms: Sequence[AnswerForm], first: Index
-) -> tuple[Array, list[_Part]]:
-    """Columns (N, K) of the answers, each in its likeliest form, and their places."""
+) -> tuple[Array, list[tuple[ColumnSet, Array, float]]]:
+    """Columns (N, K) of the answers, each in its likeliest form.
+
+    Then of each its columns, of prior N(0, 1), their coefficients as the readings taken
+    give them, and its probability.
+    """
     likeliest: dict[tuple[str, ...], AnswerForm] = {}
     for form in sorted(forms, key=lambda form: -form.probability):
         likeliest.setdefault(form.effects, form)
@@ -279,6 +267,7 @@ def _parts(
         white = whiten(np.hstack([both.slopes, form.columns]))
         size = coefficients(white, residual)[0][both.slopes.shape[1] :]
         words = " + ".join(form.effects) or "nothing"
-        parts.append(_Part(words, at, size, form.probability))
+        columns = ColumnSet(words, at, np.ones(len(at)))
+        parts.append((columns, size, form.probability))
     blocks = [form.columns for form in likeliest.values()]
     return np.hstack([np.zeros((len(both), 0)), *blocks]), parts

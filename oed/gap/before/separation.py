@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from scipy import special
@@ -29,6 +28,7 @@ from scipy import special
 from oed.base.arrays import Array, Index
 from oed.design.evaluator import PlanEvaluator
 from oed.design.objective import Objective, Tangent
+from oed.gap.before.forms import ColumnSet
 from oed.gap.data.evidence import separated
 from oed.result.gap_before import SeparationRecord
 
@@ -38,22 +38,6 @@ LEAST = 1e-9
 SHARP = (2.0, 8.0, 32.0, 128.0, 512.0)
 #: the same at the levels of an exchange search, which ends with the minimum itself
 SHARPNESS = (SHARP[0], np.inf)
-
-
-class ColumnSet(Protocol):
-    """Columns of one explanation among those of all: `at` (k,), with prior precision (k,)."""
-
-    @property
-    def effect(self) -> str:
-        """What it explains the readings by."""
-
-    @property
-    def at(self) -> Index:
-        """Numbers (k,) of its columns."""
-
-    @property
-    def precision(self) -> Array:
-        """Prior precision (k,) of its coefficients as a rival's."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
