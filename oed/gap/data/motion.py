@@ -81,27 +81,16 @@ def motion(
         along = _along_run(q[at], tip[at])
         sense[at], reversal[at] = along.sense, along.reversal
         speed = feed[at, None]
-        rate[at] = along.slope * speed
-        acceleration[at] = along.curvature * speed**2
+        rate[at] = along.rate * speed
+        acceleration[at] = along.acceleration * speed**2
     return Motion(sense, rate, acceleration, reversal)
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class _Along:
-    """Joints over the length of path at k poses, (k, nq) each.
+def _along_run(q: Array, tip: Array) -> Motion:
+    """Motion of a run's k >= 2 poses, in their order, over the length of path.
 
-    slope, curvature    first and second derivative
-    sense, reversal     as in `Motion`
+    Rate and acceleration are the first and second derivative over it.
     """
-
-    slope: Array
-    curvature: Array
-    sense: Array
-    reversal: Array
-
-
-def _along_run(q: Array, tip: Array) -> _Along:
-    """Joints over the length of path of a run's k >= 2 poses, in their order."""
     along = _straight(q, tip)
     if not _is_path(tip):
         return along
@@ -116,7 +105,7 @@ def _along_run(q: Array, tip: Array) -> _Along:
     return along
 
 
-def _straight(q: Array, tip: Array) -> _Along:
+def _straight(q: Array, tip: Array) -> Motion:
     """Joints that move straight from pose to pose."""
     places = _path_length(tip)[0][: len(tip)]
     slope, curvature = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
@@ -124,7 +113,7 @@ def _straight(q: Array, tip: Array) -> _Along:
         slope[:] = np.gradient(q, places, axis=0)
         curvature[:] = np.gradient(slope, places, axis=0)
     sense = _sense(np.diff(q, axis=0, prepend=q[:1]))
-    return _Along(slope, curvature, sense, _since_reversal_by_steps(q, sense))
+    return Motion(sense, slope, curvature, _since_reversal_by_steps(q, sense))
 
 
 def _is_path(tip: Array) -> bool:
@@ -152,7 +141,7 @@ def _breaks(tip: Array) -> tuple[Index, Index]:
     return corners, far
 
 
-def _lay_path(along: _Along, q: Array, tip: Array, at: Index, rolling: bool) -> None:
+def _lay_path(along: Motion, q: Array, tip: Array, at: Index, rolling: bool) -> None:
     """Write what a smooth path through the poses `at` says of them into `along`.
 
     rolling  whether the path is entered rolling; else its first pose is a corner, which
@@ -171,14 +160,14 @@ def _lay_path(along: _Along, q: Array, tip: Array, at: Index, rolling: bool) -> 
     if not rolling:
         reversal = _since_corner(reversal, sense, q[at], along, int(at[0]))
     new = slice(0 if rolling else 1, None)
-    along.slope[at[new]] = path(places, 1)[new]
-    along.curvature[at[new]] = path(places, 2)[new]
+    along.rate[at[new]] = path(places, 1)[new]
+    along.acceleration[at[new]] = path(places, 2)[new]
     along.sense[at[new]] = sense[new]
     along.reversal[at[new]] = reversal[new]
 
 
 def _since_corner(
-    reversal: Array, sense: Array, q: Array, along: _Along, corner: int
+    reversal: Array, sense: Array, q: Array, along: Motion, corner: int
 ) -> Array:
     """Distances (k, nq) since a joint last turned, where that was at or before a corner.
 

@@ -262,8 +262,10 @@ def phase_along_runs(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
             continue
         if extent[1] > LOOP * extent[0]:
             phase[at] = _angle(offset, axes)
-        else:
-            phase[at] = _share_of_line(offset @ _oriented(axes[0]))
+            continue
+        along = offset @ _oriented(axes[0])  # a line: the share of its length
+        length = np.ptp(along) * (1.0 + 1e-9)
+        phase[at] = 2.0 * np.pi * (along - along.min()) / length
     return phase
 
 
@@ -271,12 +273,6 @@ def _oriented(axis: Array) -> Array:
     """An axis (3,) with its largest component positive."""
     largest = np.argmax(np.abs(axis))
     return np.asarray(axis * np.sign(axis[largest]))
-
-
-def _share_of_line(along: Array) -> Array:
-    """Way (k,) along a line as an angle in [0, 2 pi)."""
-    length = np.ptp(along) * (1.0 + 1e-9)
-    return np.asarray(2.0 * np.pi * (along - along.min()) / length)
 
 
 def _angle(offset: Array, axes: Array) -> Array:
