@@ -13,12 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.gap.data.diagnosis import Closure, Diagnosis, Size
+from oed.gap.data.diagnosis import Diagnosis, Size
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import signature
 from oed.model.effect import Column, Effect, State
 from oed.noise.law import stated_law
-from oed.result.gap import AnswerRecord, CoefficientRecord, PlaceRecord
+from oed.result.gap import (
+    AnswerRecord,
+    ClosureRecord,
+    CoefficientRecord,
+    PlaceRecord,
+)
 
 STUDY = """\
 schema = 1
@@ -184,8 +189,8 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         after=(unexplained - _absorbed(slopes, unexplained)) * sigma,
         where=_places(problem),
         closure=(
-            Closure("within", 0.96, 0.91, 0.99, 0.001, 30.0, 2.2, 1.0, 96),
-            Closure("whole", np.nan, np.nan, np.nan, np.nan, 1.0, 1.0, 1.0, 96),
+            ClosureRecord("within", 0.96, 0.91, 0.99, 0.001, 30.0, 2.2, 1.0, 96),
+            ClosureRecord("whole", np.nan, np.nan, np.nan, np.nan, 1.0, 1.0, 1.0, 96),
         ),
         not_testable={"cold": "the readings do not have temp_frame"},
         confusable=(("backlash", "friction"),),

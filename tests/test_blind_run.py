@@ -93,9 +93,9 @@ def test_the_runner_cannot_know_labels():
 
 def diagnosed(blind, problem):
     """A diagnosis without a search: no gap."""
-    from oed.gap.data.diagnosis import Closure, Diagnosis
+    from oed.gap.data.diagnosis import Diagnosis
     from oed.noise.law import stated_law
-    from oed.result.gap import AnswerRecord, PlaceRecord
+    from oed.result.gap import AnswerRecord, ClosureRecord, PlaceRecord
 
     answers = (
         AnswerRecord((), 0.9),
@@ -107,7 +107,7 @@ def diagnosed(blind, problem):
         "law": dataclasses.replace(stated_law(problem), variance=np.linspace(1.0, 2.0, len(problem))),
         "explained": nothing, "unexplained": nothing, "before": nothing, "after": nothing,
         "where": (PlaceRecord("leg 1", 0.5, 0.1),), "not_testable": {},
-        "closure": (Closure("whole", math.nan, -math.inf, math.inf, 0.5, 1.0, 1.1, 1.0, 10),),
+        "closure": (ClosureRecord("whole", math.nan, -math.inf, math.inf, 0.5, 1.0, 1.1, 1.0, 10),),
     }  # fmt: skip
     return Diagnosis(**fields)
 

@@ -40,7 +40,6 @@ from benchmarks.blind.results import Record
 from benchmarks.blind.run import law_of
 from oed.base.arrays import Array, Index
 from oed.gap.cause.closure import Split, closure
-from oed.gap.data.diagnosis import Closure
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Atom, Library
@@ -362,8 +361,8 @@ def _closures(
     closures = []
     for split in SPLITS:
         best = _closure(problem, law, change, split)
-        noiseless = _without_effects(problem.with_residual(change), law, split)
-        gain = noiseless.n * noiseless.s0 if noiseless.n else 0.0
+        s0, count = _score(problem.with_residual(change), law, split)
+        gain = count * s0 if count else 0.0
         same_law = None
         if estimated is not None:
             same_law = _closure(problem, estimated, change, split)
@@ -386,15 +385,16 @@ def _closure(
     split: Split,
 ) -> dict[str, Any]:
     """The closure of whoever takes the true change (N,) out, of training readings too."""
-    given = _without_effects(problem, law, split)
+    s0, count = _score(problem, law, split)
     corrected = problem.with_residual(problem.residual - change)
-    s0, s1 = given.s0, _without_effects(corrected, law, split).s0
+    s1, _ = _score(corrected, law, split)
     value = (s0 - s1) / (s0 - 1.0) if s0 > 1.0 else math.nan
-    figures = {"value": value, "s0": s0, "s1": s1, "n": given.n}
+    figures = {"value": value, "s0": s0, "s1": s1, "n": count}
     return {key: v if math.isfinite(v) else None for key, v in figures.items()}
 
 
-def _without_effects(problem: GapProblem, law: NoiseLaw, split: Split) -> Closure:
-    """Scores without effects; they do not depend on the random stream."""
+def _score(problem: GapProblem, law: NoiseLaw, split: Split) -> tuple[float, int]:
+    """Score without effects, whatever the random stream; number of readings held out."""
     nothing, rng = np.zeros((len(problem), 0)), np.random.default_rng(0)
-    return closure(problem, law, nothing, rng, split=split)
+    scores = closure(problem, law, nothing, rng, split=split)
+    return scores.s0 or math.nan, scores.n

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from benchmarks.blind import loading
@@ -22,12 +23,12 @@ from benchmarks.blind.harmonic import harmonic
 from benchmarks.blind.loading import Case
 from benchmarks.blind.stepwise import stepwise
 from oed.gap import procedure as diagnose
-from oed.gap.data.diagnosis import Closure, Diagnosis
+from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
-from oed.result.gap import AnswerRecord
+from oed.result.gap import AnswerRecord, ClosureRecord
 from pkm_studies.campaign.jobs import Row
 
 if TYPE_CHECKING:
@@ -167,8 +168,8 @@ def _answer(answer: AnswerRecord) -> dict[str, Any]:
     }
 
 
-def _closure(c: Closure) -> dict[str, Any]:
-    numbers = {f.name: getattr(c, f.name) for f in dataclasses.fields(c)}
+def _closure(c: ClosureRecord) -> dict[str, Any]:
+    numbers = msgspec.structs.asdict(c)
     return {k: v if isinstance(v, str | int) else _known(v) for k, v in numbers.items()}
 
 

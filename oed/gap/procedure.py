@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from oed.base.arrays import Array
 from oed.gap.cause import advice, answers, closure
-from oed.gap.cause.compare import compare_expanded, probabilities
+from oed.gap.cause.compare import Comparison, compare_expanded, probabilities
 from oed.gap.cause.explained import explain
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.scatter import (
@@ -20,7 +20,7 @@ from oed.gap.cause.scatter import (
 )
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
-from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Closure, Diagnosis
+from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
@@ -75,17 +75,23 @@ def diagnose(
     >>> diagnose(problem, [effect], rng).verdict
     'none'
     """
-    diagnosis, best, search_results, hypotheses = _conclusion(problem, effects, law)
-    clean = search_results[best.law].problem  # without outliers, where there are any
+    comparison = _compare(problem, effects, law)
+    searched, hypotheses = comparison.searches, comparison.hypotheses
+    diagnosis, best = conclude(problem, searched, hypotheses, effects)
+    clean = searched[best.law].problem  # without outliers, where there are any
     where: tuple[PlaceRecord, ...] = ()
     if diagnosis.verdict in NO_EFFECT:
         # the closure by the likeliest effect is reported all the same, nil or not
         named = (h for h in hypotheses if h.effects and not h.unknown)
         best = next(named, best)
     else:
-        search = search_results[best.law]
-        where = _locate(search, best, effects, diagnosis.law, rng)
-    closures = _closures(clean, search_results[best.law], best, diagnosis.law, rng)
+        where = _locate(searched[best.law], best, effects, diagnosis.law, rng)
+    # without effects the closure is that of a column that changes nothing
+    models = _models(searched[best.law], best) or [np.zeros((len(clean), 1))]
+    closures = tuple(
+        closure.closure(clean, diagnosis.law, models, rng, split=split)
+        for split in SPLITS
+    )
     return dataclasses.replace(diagnosis, where=where, closure=closures)
 
 
@@ -93,36 +99,26 @@ def explain_residuals(
     problem: GapProblem, effects: Sequence[Effect], *, law: NoiseLaw | None = None
 ) -> Diagnosis:
     """As `diagnose`, without places and closure: which effects act."""
-    return _conclusion(problem, effects, law)[0]
+    comparison = _compare(problem, effects, law)
+    return conclude(problem, comparison.searches, comparison.hypotheses, effects)[0]
 
 
-def _conclusion(
+def _compare(
     problem: GapProblem, effects: Sequence[Effect], law: NoiseLaw | None
-) -> tuple[Diagnosis, Hypothesis, Sequence[Search], Sequence[Hypothesis]]:
-    """The diagnosis, its hypothesis, and the searches and hypotheses behind it."""
-    comparison = compare_expanded(
-        problem, effects, lambda about: _searches(about, effects, law)
-    )
-    diagnosis, best = conclude(
-        problem, comparison.searches, comparison.hypotheses, effects
-    )
-    return diagnosis, best, comparison.searches, comparison.hypotheses
+) -> Comparison:
+    """Hypotheses under all noise laws that suit, or under the one that is known."""
 
+    def search(about: GapProblem) -> list[Search]:
+        if law is None:
+            return searches(about, effects)
+        return searches_under(about, effects, law)
 
-def _searches(
-    problem: GapProblem,
-    effects: Sequence[Effect],
-    law: NoiseLaw | None,
-) -> list[Search]:
-    """Searches under all noise laws that suit, or under the one that is known."""
-    if law is None:
-        return searches(problem, effects)
-    return searches_under(problem, effects, law)
+    return compare_expanded(problem, effects, search)
 
 
 def conclude(
     problem: GapProblem,
-    search_results: Sequence[Search],
+    searched: Sequence[Search],
     hypotheses: Sequence[Hypothesis],
     effects: Sequence[Effect],
 ) -> tuple[Diagnosis, Hypothesis]:
@@ -130,100 +126,65 @@ def conclude(
 
     The second result is the hypothesis that the first answer stands for.
     """
-    hypotheses, rough = with_roughness(search_results, hypotheses)
+    hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
-    groups = answers.group(search_results, hypotheses, shares)
+    groups = answers.group(searched, hypotheses, shares)
     ranked, best = answers.rank(groups)
-    first = ranked[0]
-    is_rough = answers.verdict(first) == "unknown" and rough.share > EVEN
+    first, verdict = ranked[0], answers.verdict(ranked[0])
+    is_rough = verdict == "unknown" and rough > EVEN
     if is_rough:
         best = next(h for h in hypotheses if not h.is_gap)
-    search = search_results[best.law]
+    search = searched[best.law]
+    law, untested = search.law_at(search.noise_level(best)), search.library.not_testable
     named = {name for members in first.classes for name in members}
     if not named & set(best.effects):
         named = set(best.effects)
-    parts = explain(search.given, search, best, named)
-    law = search.law_at(parts.level)
-    untested = search.library.not_testable
-    verdict = answers.verdict(first)
     scatter = None
     if is_rough:
-        scatter = rough_scatter(search.problem, law, rough)
+        scatter = rough_scatter(search.problem, law)
     elif verdict == "none":
         scatter = excess_scatter(search.given, law)
+    unstated = unstated_scatter(search.given, law)
+    is_law_known = all(s.law is searched[0].law for s in searched)
+    marginal = {
+        name: sum(p for h, p in zip(hypotheses, shares, strict=True) if name in h.names)
+        for name in (*search.library.effects, UNKNOWN)
+    }
     diagnosis = Diagnosis(
+        **vars(explain(search.given, search, best, named)),
         problem=search.given,
         verdict=verdict if scatter is None else "scatter",
         scatter=scatter,
         answers=ranked,
         set95=answers.credible_set(groups),
-        marginal=_marginal(search.library.effects, hypotheses, shares),
+        marginal={name: float(p) for name, p in marginal.items()},
         law=law,
         noise_words=describe(law, problem.longest),
-        constants=_constants(search, best, [size.effect for size in parts.sizes]),
-        coefficients=parts.coefficients,
-        sizes=parts.sizes,
-        explained=parts.explained * problem.sigma,
-        unexplained=parts.unexplained * problem.sigma,
         likeness=_likeness(search, best),
-        before=parts.before * problem.sigma,
-        after=parts.after * problem.sigma,
         where=(),
         closure=(),
         not_testable=untested,
         confusable=tuple(dict.fromkeys(c for c in first.classes if len(c) > 1)),
         next=advice.advise(
-            ranked,
-            effects,
-            untested,
-            scatter=scatter,
-            unstated=unstated_scatter(search.given, law),
+            ranked, effects, untested, scatter=scatter, unstated=unstated
         ),
-        effective_laws=best.effective_laws if _is_estimated(search_results) else None,
+        effective_laws=None if is_law_known else best.effective_laws,
         clean=search.problem,
         shares=dict(zip([h.key for h in hypotheses], shares.tolist(), strict=True)),
     )
     return diagnosis, best
 
 
-def _is_estimated(search_results: Sequence[Search]) -> bool:
-    """Whether there are several noise laws, rather than a known one."""
-    return any(search.law is not search_results[0].law for search in search_results)
-
-
-def _constants(
-    search: Search,
-    best: Hypothesis,
-    effects: Collection[str],
-) -> dict[str, Mapping[str, float]]:
-    """{effect: constants of its best form} of some of a hypothesis' effects."""
-    forms = zip(best.effects, best.atoms, strict=True)
-    atoms = search.library.atoms
-    return {effect: atoms[k].constants for effect, k in forms if effect in effects}
-
-
 def _likeness(search: Search, best: Hypothesis) -> dict[str, float]:
-    """The likeliest few forms of the unknown remainder, with probabilities."""
-    if best.process is None:
-        return {}
-    likeliest = list(search.likeness(best).items())[:LIKE]
+    """The likeliest few forms of the unknown remainder in words, with probabilities."""
+    by_form: dict[str, float] = {}
+    if best.process is not None:
+        for share, h in search.forms(best, len(best.effects)):
+            of, atom, _ = h.forms(search.library, search.processes)[-1]
+            about = of.atoms[atom].about
+            by_form[about] = by_form.get(about, 0.0) + share
+    likeliest = sorted(by_form.items(), key=lambda item: -item[1])[:LIKE]
     return {form: share for form, share in likeliest if share > LEAST_LIKE}
-
-
-def _marginal(
-    names: Iterable[str],
-    hypotheses: Sequence[Hypothesis],
-    shares: Array,
-) -> dict[str, float]:
-    """{effect: probability that it acts}, and that of an unknown remainder."""
-    pairs = list(zip(hypotheses, shares, strict=True))
-    marginal = {
-        name: float(sum(p for h, p in pairs if name in h.effects)) for name in names
-    }
-    return marginal | {UNKNOWN: float(sum(p for h, p in pairs if h.unknown))}
-
-
-# -- places ----------------------------------------------------------------------------
 
 
 def _locate(
@@ -237,38 +198,24 @@ def _locate(
     library, processes = search.library, search.processes
     other_way = ReversedForms(search.problem, library, processes, effects)
     level = search.noise_level(best)
-    parts = len(best.effects) + best.unknown
-    models = [
-        LikelyForms(
-            share,
-            h.columns(library, processes, level),
-            h.labels(library, processes),
-            np.array(h.timed(library, processes)),
-            other_way.columns(h, level),
+
+    def likely(share: float, h: Hypothesis) -> LikelyForms:
+        forms = [(of, of.atoms[atom]) for of, atom, _ in h.forms(library, processes)]
+        return LikelyForms(
+            share=share,
+            columns=h.columns(library, processes, level),
+            labels=[of.labels[c] for of, atom in forms for c in atom.columns],
+            timed=np.array([atom.timed for _, atom in forms for _ in atom.columns]),
+            other_way=other_way.columns(h, level),
         )
-        for part in range(parts)
+
+    models = [
+        likely(share, h)
+        for part in range(len(best.effects) + best.unknown)
         for share, h in search.forms(best, part)
         if share > LEAST_SHARE
     ]
     return place.locate(search.problem, law, models, rng)
-
-
-# -- closure ---------------------------------------------------------------------------
-
-
-def _closures(
-    problem: GapProblem,
-    search: Search,
-    best: Hypothesis,
-    law: NoiseLaw,
-    rng: np.random.Generator,
-) -> tuple[Closure, ...]:
-    """How far the gap shrinks on held-out readings, by parts of runs and whole runs."""
-    # without effects the closure is that of a column that changes nothing
-    models = _models(search, best) or [np.zeros((len(problem), 1))]
-    return tuple(
-        closure.closure(problem, law, models, rng, split=split) for split in SPLITS
-    )
 
 
 def _models(search: Search, best: Hypothesis) -> list[Array]:
@@ -276,19 +223,13 @@ def _models(search: Search, best: Hypothesis) -> list[Array]:
 
     The selected forms at other sizes, and with the next best forms of each effect.
     """
-    models: dict[tuple[tuple[int, float], ...], Array] = {}
+    forms: dict[tuple[tuple[int, ...], tuple[float, ...]], Hypothesis] = {}
+    if best.process is not None and not best.atoms:
+        forms[(), ()] = best
+    for i, (atom, size) in enumerate(zip(best.atoms, best.sizes, strict=True)):
+        others = [best.with_form(i, atom, factor * size) for factor in FACTORS]
+        others += [h for _, h in search.forms(best, i)[:FORMS]]
+        forms |= {(h.atoms, h.sizes): h for h in others}
     level = search.noise_level(best)
-
-    def add(atoms: Sequence[int], sizes: Sequence[float]) -> None:
-        h = dataclasses.replace(best, atoms=tuple(atoms), sizes=tuple(sizes))
-        columns = h.columns(search.library, search.processes, level)
-        if columns.shape[1]:
-            models[tuple(zip(atoms, sizes, strict=True))] = columns
-
-    for i in range(max(len(best.atoms), 1)):
-        for factor in FACTORS:
-            sizes = [s * factor if j == i else s for j, s in enumerate(best.sizes)]
-            add(best.atoms, sizes)
-        for _, h in search.forms(best, i)[:FORMS] if best.atoms else []:
-            add(h.atoms, h.sizes)
-    return list(models.values())
+    library, processes = search.library, search.processes
+    return [h.columns(library, processes, level) for h in forms.values()]

@@ -11,13 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 from scipy.sparse import csgraph
 
 from oed.base.arrays import Array, Index, Mask
 from oed.base.linear_algebra import by_size, canonical_rows, eigenvectors, first_largest
 from oed.gap.before.forms import Form
 from oed.gap.before.power import needed_lambda
+from oed.gap.data.evidence import separated
 from oed.result.gap_before import RivalRecord, SharedRecord
 
 #: sqrt(lambda_k|j) below which the two cannot be distinguished
@@ -42,7 +43,7 @@ def effect_rival(
     the effect's forms, the angle the smallest of all. Combinations are those of the
     form that is absorbed most.
     """
-    rest = [[np.trace(_separated(gram, f, r)) for r in rivals] for f in forms]
+    rest = [[np.trace(_left(gram, f, r)) for r in rivals] for f in forms]
     remaining = np.array(rest)
     least = remaining.min(axis=1)
     hardest = int(np.argmin(least))
@@ -58,12 +59,8 @@ def effect_rival(
     )
 
 
-def _separated(gram: Array, form: Form, rival: Form) -> Array:
-    """A_kk (k, k) less what the rival absorbs."""
-    inner = gram[np.ix_(rival.at, rival.at)] + np.diag(rival.precision)
-    cross = gram[np.ix_(rival.at, form.at)]
-    absorbed = cross.T @ linalg.solve(inner, cross, assume_a="pos")
-    return np.asarray(gram[np.ix_(form.at, form.at)] - absorbed)
+def _left(gram: Array, form: Form, rival: Form) -> Array:
+    return separated(gram, form.at, rival.at, rival.precision)
 
 
 def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Array]:
@@ -99,7 +96,7 @@ def _shared(gram: Array, form: Form, rival: Form) -> list[SharedRecord]:
     """
     angles, vectors = _principal_angles(gram, form, rival)
     at, block = form.at[form.textbook], np.ix_(form.textbook, form.textbook)
-    inner, separated = gram[np.ix_(at, at)], _separated(gram, form, rival)[block]
+    inner, separated = gram[np.ix_(at, at)], _left(gram, form, rival)[block]
     names = [form.signature.names[k] for k in form.textbook]
     shared = []
     for angle, v in zip(angles, vectors.T, strict=True):

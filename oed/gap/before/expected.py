@@ -46,22 +46,6 @@ class AnswerForm:
     share_right: float = 1.0
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Prediction:
-    """Mean (n,) and Cholesky factor (n, n) of the readings to come."""
-
-    mean: Array
-    factor: Array
-
-    def log_density(self, draws: Array) -> Array:
-        """Log density (d,) of draws (n, d), up to a constant."""
-        white = linalg.solve_triangular(
-            self.factor, draws - self.mean[:, None], lower=True, check_finite=False
-        )
-        log_det = float(np.log(np.diag(self.factor)).sum())
-        return np.asarray(-0.5 * np.einsum("nd,nd->d", white, white) - log_det)
-
-
 def coefficients(white: Array, residual: Array) -> tuple[Array, Array]:
     """Mean (m,) of coefficients of prior N(0, 1), and the Cholesky factor of their precision.
 
@@ -93,28 +77,22 @@ def expected_probability(
     residual        (N,) readings taken, whitened
     """
     probability = np.array([e.probability for e in explanations])
-    predictions = [
-        _predict(x, y, residual) for x, y in zip(taken, to_come, strict=True)
-    ]
+    from scipy import stats  # takes half a second to import
+
+    predictions = []
+    for x, y in zip(taken, to_come, strict=True):
+        mean, factor = coefficients(x, residual)
+        spread = linalg.solve_triangular(factor, y.T, lower=True, check_finite=False)
+        covariance = np.eye(len(y)) + spread.T @ spread
+        predictions.append(stats.multivariate_normal(y @ mean, covariance))
     truth = rng.choice(len(predictions), DRAWS, p=probability / probability.sum())
-    normal = rng.standard_normal((len(to_come[0]), DRAWS))
-    draws = np.empty_like(normal)
-    for k in np.unique(truth):
+    draws = np.empty((DRAWS, len(to_come[0])))
+    for k, prediction in enumerate(predictions):
         of_k = truth == k
-        of_truth = predictions[k]
-        draws[:, of_k] = of_truth.mean[:, None] + of_truth.factor @ normal[:, of_k]
-    log_density = np.array([p.log_density(draws) for p in predictions])
+        drawn = prediction.rvs(DRAWS, random_state=rng).reshape(draws.shape)
+        draws[of_k] = drawn[of_k]
+    log_density = np.array([prediction.logpdf(draws) for prediction in predictions])
     return float(_right(explanations, probability, log_density).mean())
-
-
-def _predict(taken: Array, to_come: Array, residual: Array) -> _Prediction:
-    mean, factor = coefficients(taken, residual)
-    spread = linalg.solve_triangular(factor, to_come.T, lower=True, check_finite=False)
-    covariance = np.eye(len(to_come)) + spread.T @ spread
-    return _Prediction(
-        mean=to_come @ mean,
-        factor=linalg.cholesky(covariance, lower=True, check_finite=False),
-    )
 
 
 def _right(

@@ -17,31 +17,30 @@ ROOM = 100.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Form:
-    """An effect at one set of constants.
+class ColumnSet:
+    """Columns of one explanation among those of all.
 
-    signature    its columns
-    at           (k,) where these are among the columns of all forms
+    effect     what it explains the readings by
+    at         (k,) numbers of its columns
+    precision  (k,) prior precision of its coefficients as a rival's
     """
 
-    signature: Signature
+    effect: str
     at: Index
+    precision: Array
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Form(ColumnSet):
+    """An effect at one set of constants, with the signature that its columns are of."""
+
+    signature: Signature
 
     @property
     def textbook(self) -> Index:
         """Which of its columns are textbook columns; all where it has none."""
         plain = np.flatnonzero(np.logical_not(self.signature.shape))
         return plain if plain.size else np.arange(len(self.at))
-
-    @property
-    def effect(self) -> str:
-        """Name of its effect."""
-        return self.signature.effect
-
-    @property
-    def precision(self) -> Array:
-        """Prior precision (k,) of its coefficients as a rival's."""
-        return np.where(self.signature.shape, 1.0, ROOM**-2)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,7 +77,8 @@ def effect_forms(
         for signature in every:
             if signature.names:
                 at = np.arange(start, start + len(signature.names))
-                form = Form(signature, at)
+                precision = np.where(signature.shape, 1.0, ROOM**-2)
+                form = Form(effect.name, at, precision, signature)
                 by_effect.setdefault(effect.name, []).append(form)
                 blocks.append(problem.in_noise_units(signature.columns))
                 start += len(at)

@@ -47,6 +47,11 @@ class Run:
     condition: Mapping[str, float] = dataclasses.field(default_factory=dict)
     seconds: float = 0.0
 
+    @property
+    def direction(self) -> int:
+        """+1, or -1 where the poses are taken in reverse."""
+        return int(self.condition.get("direction", 1.0))
+
     def __post_init__(self) -> None:
         unknown = sorted(set(self.condition) - set(CONDITIONS))
         if unknown:
@@ -82,18 +87,12 @@ def lay_out(
     for setup in dict.fromkeys(r.setup for r in runs):
         of_setup = [r for r in runs if r.setup == setup]
         labels = [r.name for r in of_setup for _ in range(len(r.command))]
-        command = np.vstack([_in_order(r) for r in of_setup])
+        command = np.vstack([r.command[:: r.direction] for r in of_setup])
         series.append(measurement.series(setup, command, labels))
         instrument = measurement.setups[setup].instrument
         skipped = 1 if instrument.reference == "run" else 0
         rows += [_covariates(r, skipped) for r in of_setup]
     return tuple(series), pd.concat(rows, ignore_index=True)
-
-
-def _in_order(run: Run) -> Array:
-    """Poses of a run in the order in which they are taken."""
-    direction = int(run.condition.get("direction", 1.0))
-    return run.command[::direction]
 
 
 def _covariates(run: Run, skipped: int) -> pd.DataFrame:
@@ -121,8 +120,16 @@ def prepare(
     """The problem of all candidate runs as if taken, and each run's rows in it."""
     series, covariates = lay_out(measurement, runs)
     problem = assemble(measurement, series, covariates, gravity=gravity)
-    at = problem.rows.groupby(["setup", "run"], sort=False).indices
-    return problem, tuple(np.asarray(at[r.setup, r.name], dtype=np.intp) for r in runs)
+    return problem, rows_of_runs(problem, runs)
+
+
+def rows_of_runs(
+    problem: GapProblem, runs: Sequence[Run], first: int = 0
+) -> tuple[Index, ...]:
+    """Readings of each run of a problem, of which they are those from `first` on."""
+    later = problem.rows.iloc[first:].reset_index(drop=True)
+    at = later.groupby(["setup", "run"], sort=False).indices
+    return tuple(np.asarray(at[r.setup, r.name], dtype=np.intp) + first for r in runs)
 
 
 def pool_runs(
@@ -204,22 +211,17 @@ def _convenient_coordinates(whole: Array, n: int) -> tuple[Array, float]:
 
 def _targets(forms: Sequence[Form], rivals: Sequence[Form]) -> list[Target]:
     """Combinations of an effect's coefficients, each from each form of a rival."""
-    middle = forms[len(forms) // 2]
-    targets = []
-    for members in _combinations(middle):
-        shares = np.isin(middle.signature.names, members).astype(float)
-        words = in_words(dict.fromkeys(members, 1.0))
-        targets += [Target(middle, shares, words, rival) for rival in rivals]
-    return targets
-
-
-def _combinations(form: Form) -> list[list[str]]:
-    """All legs alike, for each kind of textbook coefficient, and each one alone."""
-    signature = form.signature
+    middle, targets = forms[len(forms) // 2], []
+    signature = middle.signature
     kinds: dict[str, list[str]] = {}
     for k in np.flatnonzero(~signature.shape):
         name = signature.names[k]
         kind = name.removeprefix(signature.labels[k])
         kinds.setdefault(kind, []).append(name)
+    # all legs alike, for each kind of textbook coefficient, and each one alone
     alike = [kind for kind in kinds.values() if len(kind) > 1]
-    return alike + [[name] for kind in kinds.values() for name in kind]
+    for members in alike + [[name] for kind in kinds.values() for name in kind]:
+        shares = np.isin(signature.names, members).astype(float)
+        words = in_words(dict.fromkeys(members, 1.0))
+        targets += [Target(middle, shares, words, rival) for rival in rivals]
+    return targets

@@ -1,10 +1,11 @@
 """Chooses the runs of a second visit, which separate the answers of a diagnosis best.
 
-What may act has the form and size that suit the readings taken best. Each of two
-forms is a target to be separated from the other, with the readings taken, their
-noise law and the parameters' priors in the model (`oed.gap.before.separation`): the
-least lambda_{k|j} over all targets is maximised. Pairs that all candidates together
-separate no further are no targets. `oed.gap.before.expected` says what it gains.
+What may act has the form and size that suit the readings taken best, and the columns that
+this form has in the readings of both visits. Of the two likeliest answers that all
+candidates together separate further, each is a target to be separated from the other, with
+the readings taken, their noise law and the parameters' priors in the model
+(`oed.gap.before.separation`): the least lambda_{k|j} is maximised.
+`oed.gap.before.expected` says what the visit gains.
 """
 
 from __future__ import annotations
@@ -20,18 +21,24 @@ from oed.base.arrays import Array, Index
 from oed.design.plan_limits import TimeBudget
 from oed.design.rules import Rules
 from oed.gap.before import choose
-from oed.gap.before.both_visits import answer_forms, both_visits, law_of_both
 from oed.gap.before.expected import (
     AnswerForm,
     coefficients,
     expected_probability,
     probability_now,
 )
-from oed.gap.before.runs import Run, lay_out, separation
+from oed.gap.before.forms import ColumnSet
+from oed.gap.before.repeats import with_other_covariates
+from oed.gap.before.runs import Run, lay_out, rows_of_runs, separation
 from oed.gap.before.separation import Separation, Target
-from oed.gap.cause.advice import SURE
-from oed.gap.data.diagnosis import Diagnosis
-from oed.gap.data.problem import GapProblem
+from oed.gap.cause.advice import is_sure
+from oed.gap.cause.hypothesis import PRIOR
+from oed.gap.cause.search import Search
+from oed.gap.data.diagnosis import UNKNOWN, Diagnosis
+from oed.gap.data.metric import Metric
+from oed.gap.data.problem import GapProblem, assemble
+from oed.gap.forms import discrepancy
+from oed.gap.forms import library as libraries
 from oed.measurement.measurement import Series
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
@@ -39,13 +46,15 @@ from oed.result.gap_before import SeparationRecord
 
 #: share of the readings taken that a second visit has at most
 SHARE = 0.25
-#: numbers of the likeliest pairs of answers that a plan separates: of such plans the one
-#: counts after which the right answer is likeliest
-PAIRS = (12, 2)
+#: ordered pairs of the likeliest answers that are tried, and how many of those that the
+#: candidates separate a plan is for: more pairs leave the likeliest less well separated
+PAIRS, SEPARATED = 12, 2
 #: lambda that all candidates together must add to a pair
 ADDED = 1.0
 #: share of D in the choice, rounds of the search
 VOLUME, ROUNDS = 0.02, 4
+#: least probability of a set of effects that counts, sets at most, likely forms of each
+LEAST, MOST, FORMS = 0.01, 8, 3
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -69,37 +78,13 @@ class SecondVisit:
     inseparable: tuple[tuple[str, str], ...]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Part:
-    """Columns of an answer among those of all, of prior N(0, 1).
-
-    effect       the answer in words
-    at           (k,) its columns
-    size         (k,) its coefficients, as the readings taken give them
-    probability  of the answer
-    """
-
-    effect: str
-    at: Index
-    size: Array
-    probability: float
-
-    @property
-    def precision(self) -> Array:
-        """Of each coefficient: 1."""
-        return np.ones(len(self.at))
-
-
 def needs_second_visit(diagnosis: Diagnosis) -> bool:
     """Whether the first answer is a class or unknown, or not sure beside another that shows."""
-    first, *others = diagnosis.answers
-    if diagnosis.verdict in ("class", "scatter", "unknown"):
-        return True
-    if any(len(c) > 1 for c in first.classes):
-        return True
-    unseen = sum(answer.unseen for answer in diagnosis.answers)
-    sure = first.probability + (0.0 if first.effects else unseen)
-    return sure < SURE and any(answer.visible > 0.0 for answer in others)
+    return (
+        diagnosis.verdict in ("class", "scatter", "unknown")
+        or any(len(c) > 1 for c in diagnosis.answers[0].classes)
+        or not is_sure(diagnosis.answers)
+    )
 
 
 def propose(
@@ -113,79 +98,121 @@ def propose(
     They have at most a quarter of the readings that the diagnosis rests on.
     """
     taken = diagnosis.problem if diagnosis.clean is None else diagnosis.clean
-    poses = sum(len(s) for s in taken.series)
-    cost = np.array([len(run.command) for run in candidates], dtype=float)
-    budget = SHARE * poses
-    possible = [run for run, c in zip(candidates, cost, strict=True) if c <= budget]
+    budget = SHARE * sum(len(s) for s in taken.series)
+    possible = [run for run in candidates if len(run.command) <= budget]
     if not possible:
         return None
     both, rows = both_visits(taken, possible)
     law = law_of_both(diagnosis.law, taken, both)
     forms = answer_forms(diagnosis, taken, both, law, effects)
-    pools = [
-        _pool(both, law, rows, forms, np.arange(len(taken)), count) for count in PAIRS
-    ]
-    time = TimeBudget(cost[cost <= budget], budget)
-    outlook = _Outlook(both, law, forms, len(taken), rng.spawn(1)[0])
-    visits = []
-    for pool, inseparable in pools:
-        if pool is None:
-            continue
-        plan = choose.choose(pool, Rules(time=time), rng, share=VOLUME, rounds=ROUNDS)
-        runs = [possible[k] for k in plan.runs]
-        chosen = np.concatenate([rows[k] for k in plan.runs])
-        visits.append(_visit(runs, chosen, outlook, plan.pairs, inseparable))
-    return max(visits, key=lambda v: v.probability_after, default=None)
-
-
-class _Outlook:
-    """What the answers expect of readings to come, by one set of random numbers."""
-
-    def __init__(
-        self,
-        both: GapProblem,
-        law: NoiseLaw,
-        forms: Sequence[AnswerForm],
-        taken: int,
-        rng: np.random.Generator,
-    ) -> None:
-        self.both, self.law, self.forms = both, law, forms
-        self._seed = int(rng.integers(2**32))
-        self._columns = [np.hstack([both.slopes, form.columns]) for form in forms]
-        whiten = law.factor(both, np.arange(taken)).whiten
-        self._taken = [whiten(columns) for columns in self._columns]
-        self._residual = whiten(both.residual[:, None])[:, 0]
-
-    def after(self, chosen: Index) -> float:
-        """Expected probability of the right answer after the readings `chosen`."""
-        whiten = self.law.factor(self.both, chosen).whiten
-        return expected_probability(
-            self.forms,
-            self._taken,
-            self._residual,
-            [whiten(columns) for columns in self._columns],
-            np.random.default_rng(self._seed),
-        )
-
-
-def _visit(
-    runs: Sequence[Run],
-    chosen: Index,
-    outlook: _Outlook,
-    pairs: Sequence[SeparationRecord],
-    inseparable: Sequence[tuple[str, str]],
-) -> SecondVisit:
-    """A visit of chosen runs, with what it gains."""
-    series, covariates = lay_out(outlook.both.measurement, runs)
+    first = np.arange(len(taken))
+    pool, inseparable = _pool(both, law, rows, forms, first)
+    if pool is None:
+        return None
+    cost = np.array([len(run.command) for run in possible], dtype=float)
+    rules = Rules(time=TimeBudget(cost, budget))
+    plan = choose.choose(pool, rules, rng, share=VOLUME, rounds=ROUNDS)
+    runs = tuple(possible[k] for k in plan.runs)
+    series, covariates = lay_out(taken.measurement, runs)
+    columns = [np.hstack([both.slopes, form.columns]) for form in forms]
+    of_taken = law.factor(both, first)
+    to_come = law.factor(both, np.concatenate([rows[k] for k in plan.runs]))
+    after = expected_probability(
+        forms,
+        [of_taken.whiten(values) for values in columns],
+        of_taken.whiten(both.residual[:, None])[:, 0],
+        [to_come.whiten(values) for values in columns],
+        rng,
+    )
     return SecondVisit(
-        runs=tuple(runs),
+        runs=runs,
         series=series,
         covariates=covariates.drop(columns="time", errors="ignore"),
-        probability_now=probability_now(outlook.forms),
-        probability_after=outlook.after(chosen),
-        pairs=tuple(pairs),
+        probability_now=probability_now(forms),
+        probability_after=after,
+        pairs=tuple(plan.pairs),
         inseparable=tuple(inseparable),
     )
+
+
+# -- both visits as one problem --------------------------------------------------------
+
+
+def both_visits(
+    taken: GapProblem, candidates: Sequence[Run]
+) -> tuple[GapProblem, tuple[Index, ...]]:
+    """The readings taken and all candidates as one problem, and each run's rows in it."""
+    series, covariates = lay_out(taken.measurement, candidates)
+    rows = with_other_covariates(covariates, taken.covariates)
+    both = assemble(
+        taken.measurement,
+        [*taken.series, *series],
+        pd.concat([taken.covariates, rows], ignore_index=True),
+        taken.theta,
+        gravity=taken.gravity,
+    )
+    unread = np.zeros(len(both) - len(taken))
+    both = both.with_residual(np.concatenate([taken.residual, unread]))
+    return both, rows_of_runs(both, candidates, len(taken))
+
+
+def law_of_both(law: NoiseLaw, taken: GapProblem, both: GapProblem) -> NoiseLaw:
+    """A noise law of the readings taken, for those to come as well."""
+    later = np.full(len(both) - len(taken), np.median(law.variance))
+    ratio = law.channel_ratio
+    if ratio is not None:
+        of_channel = dict(zip(taken.channel.tolist(), ratio.tolist(), strict=True))
+        ratio = np.array([of_channel[c] for c in both.channel.tolist()])
+    variance = np.append(law.variance, later)
+    return dataclasses.replace(law, variance=variance, channel_ratio=ratio)
+
+
+def answer_forms(
+    diagnosis: Diagnosis,
+    taken: GapProblem,
+    both: GapProblem,
+    law: NoiseLaw,
+    effects: Sequence[Effect],
+) -> list[AnswerForm]:
+    """The likely sets of effects, each in its likely forms, the likeliest first.
+
+    Forms and sizes are those of the readings taken, columns those of both visits.
+    """
+    likely = sorted(diagnosis.shares.items(), key=lambda item: -item[1])[:MOST]
+    likely = [(key, share) for key, share in likely if share >= LEAST]
+    names = {name for (named, _), _ in likely for name in named}
+    involved = [effect for effect in effects if effect.name in names]
+    first, single = np.arange(len(taken)), dataclasses.replace(law, level=1.0)
+    library = libraries.build(both, involved, Metric(both, single, first))
+    processes = discrepancy.build(both)
+    search = Search(
+        taken,
+        dataclasses.replace(library, columns=library.columns[first]),
+        dataclasses.replace(processes, columns=processes.columns[first]),
+        dataclasses.replace(diagnosis.law, level=1.0),
+        0.0,
+    )
+    by_key = {h.key: h for h in search.run()}
+    answers: list[AnswerForm] = []
+    for key, share in likely:
+        best = by_key.get(key)
+        if best is None:
+            continue
+        forms = search.forms(best, 0)[:FORMS] if best.is_gap else [(1.0, best)]
+        total = sum(part for part, _ in forms)
+        # a remainder beside named effects is the same answer
+        named = tuple(sorted(best.effects)) or (UNKNOWN,) * best.unknown
+        right = PRIOR["none"] / (PRIOR["none"] + PRIOR["unseen"])
+        answers += [
+            AnswerForm(
+                effects=named,
+                probability=share * part / total,
+                columns=form.columns(library, processes, law.level),
+                share_right=1.0 if best.is_gap else right,
+            )
+            for part, form in forms
+        ]
+    return answers
 
 
 # -- targets ---------------------------------------------------------------------------
@@ -197,48 +224,50 @@ def _pool(
     rows: Sequence[Index],
     forms: Sequence[AnswerForm],
     first: Index,
-    count: int,
 ) -> tuple[Separation | None, list[tuple[str, str]]]:
     """The separation of the likely answers by the candidates, and pairs that none separates."""
     columns, parts = _parts(both, law, forms, first)
     pairs = [
-        (a.probability * b.probability, Target(a, a.size, "", b))
-        for a, b in itertools.permutations(parts, 2)
-        if len(a.at)
+        (p * q, Target(answer, size, "", rival))
+        for (answer, size, p), (rival, _, q) in itertools.permutations(parts, 2)
+        if len(size)
     ]
     pairs.sort(key=lambda pair: -pair[0])
-    targets = [target for _, target in pairs[:count]]
+    targets = [target for _, target in pairs[:PAIRS]]
     if not targets:
         return None, []
     pool = separation(both, law, rows, columns, targets, first)
     gain = pool.lambdas(pool.of(np.arange(pool.count))) - pool.lambdas(pool.base)
-    open_targets = [k for k, added in enumerate(gain) if added > ADDED]
+    open_targets = np.flatnonzero(gain > ADDED).tolist()
     separable = {frozenset(targets[k].key[:2]) for k in open_targets}
     every = dict.fromkeys(tuple(sorted(target.key[:2])) for target in targets)
     closed = [(a, b) for a, b in every if frozenset((a, b)) not in separable]
-    return (pool.with_targets(open_targets) if open_targets else None), closed
+    if not open_targets:
+        return None, closed
+    return pool.with_targets(open_targets[:SEPARATED]), closed
 
 
 def _parts(
     both: GapProblem, law: NoiseLaw, forms: Sequence[AnswerForm], first: Index
-) -> tuple[Array, list[_Part]]:
-    """Columns (N, K) of the answers, each in its likeliest form, and their places."""
+) -> tuple[Array, list[tuple[ColumnSet, Array, float]]]:
+    """Columns (N, K) of the answers, each in its likeliest form.
+
+    Then of each its columns, of prior N(0, 1), their coefficients as the readings taken
+    give them, and its probability.
+    """
     likeliest: dict[tuple[str, ...], AnswerForm] = {}
     for form in sorted(forms, key=lambda form: -form.probability):
         likeliest.setdefault(form.effects, form)
     whiten = law.factor(both, first).whiten
     residual = whiten(both.residual[:, None])[:, 0]
-    blocks, start = [np.zeros((len(both), 0))], 0
-    parts = []
+    start, parts = 0, []
     for form in likeliest.values():
         at = np.arange(start, start + form.columns.shape[1])
         start += len(at)
         white = whiten(np.hstack([both.slopes, form.columns]))
         size = coefficients(white, residual)[0][both.slopes.shape[1] :]
-        parts.append(_Part(_words(form.effects), at, size, form.probability))
-        blocks.append(form.columns)
-    return np.hstack(blocks), parts
-
-
-def _words(effects: Sequence[str]) -> str:
-    return " + ".join(effects) if effects else "nothing"
+        words = " + ".join(form.effects) or "nothing"
+        columns = ColumnSet(words, at, np.ones(len(at)))
+        parts.append((columns, size, form.probability))
+    blocks = [form.columns for form in likeliest.values()]
+    return np.hstack([np.zeros((len(both), 0)), *blocks]), parts

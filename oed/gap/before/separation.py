@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 from scipy import special
@@ -29,6 +28,8 @@ from scipy import special
 from oed.base.arrays import Array, Index
 from oed.design.evaluator import PlanEvaluator
 from oed.design.objective import Objective, Tangent
+from oed.gap.before.forms import ColumnSet
+from oed.gap.data.evidence import separated
 from oed.result.gap_before import SeparationRecord
 
 #: least lambda that counts: its logarithm must stay finite
@@ -37,22 +38,6 @@ LEAST = 1e-9
 SHARP = (2.0, 8.0, 32.0, 128.0, 512.0)
 #: the same at the levels of an exchange search, which ends with the minimum itself
 SHARPNESS = (SHARP[0], np.inf)
-
-
-class ColumnSet(Protocol):
-    """Columns of one explanation among those of all: `at` (k,), with prior precision (k,)."""
-
-    @property
-    def effect(self) -> str:
-        """What it explains the readings by."""
-
-    @property
-    def at(self) -> Index:
-        """Numbers (k,) of its columns."""
-
-    @property
-    def precision(self) -> Array:
-        """Prior precision (k,) of its coefficients as a rival's."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -122,7 +107,11 @@ class Separation(Objective):
         cross = m[..., :n, n:]
         solved = np.linalg.solve(m[..., :n, :n], cross)
         profiled = m[..., n:, n:] - np.swapaxes(cross, -1, -2) @ solved
-        return np.array([_lambda(profiled, target) for target in self.targets])
+        lambdas = []
+        for t in self.targets:
+            left = separated(profiled, t.form.at, t.rival.at, t.rival.precision)
+            lambdas.append(np.einsum("k,...kl,l->...", t.shares, left, t.shares))
+        return np.maximum(lambdas, LEAST)
 
     def log_det(self, m: Array) -> Array:
         """log det (...) of the parameters' information, prior included."""
@@ -191,9 +180,9 @@ class Separation(Objective):
         """
         m = self.at(active, weights)
         logs, table, _ = self._log_lambdas(m, self.grams)
-        shares = self._shares(logs)
-        slopes = self.share * self._volume_slopes(m, self.grams)
-        slopes = slopes + (1.0 - self.share) * shares @ table
+        shares = special.softmax(-self.sharp * logs)
+        of_volume, _ = self._volume(m, self.grams)
+        slopes = self.share * of_volume + (1.0 - self.share) * shares @ table
         volume = float(self.log_det(m) / self.size)
         height = self.share * volume + (1.0 - self.share) * float(shares @ logs)
         offset = height - float(weights @ slopes[active])
@@ -205,33 +194,22 @@ class Separation(Objective):
         """Slopes and curvature of the smoothed compound."""
         m, grams = self.at(active, weights), self.grams[active]
         logs, table, curvatures = self._log_lambdas(m, grams)
-        shares = self._shares(logs)
+        shares = special.softmax(-self.sharp * logs)
         mean = shares @ table
         covariance = (table.T * shares) @ table - np.outer(mean, mean)
         bend = np.tensordot(shares, curvatures, axes=1) + self.sharp * covariance
-        volume_slopes = self._volume_slopes(m, grams)
-        volume_curvature = self._volume_curvature(m, grams)
-        slopes = self.share * volume_slopes + (1.0 - self.share) * mean
-        curvature = self.share * volume_curvature + (1.0 - self.share) * bend
+        of_volume, volume_bend = self._volume(m, grams)
+        slopes = self.share * of_volume + (1.0 - self.share) * mean
+        curvature = self.share * volume_bend + (1.0 - self.share) * bend
         return np.asarray(slopes), np.asarray(curvature)
 
-    def _shares(self, logs: Array) -> Array:
-        """Weights (T,) of the targets in the smoothed minimum."""
-        return np.asarray(special.softmax(-self.sharp * logs))
-
-    def _volume_slopes(self, m: Array, grams: Array) -> Array:
-        """Slopes (C,) of log det over n."""
-        n = self.size
-        inverse = np.linalg.inv(m[:n, :n])
-        return np.asarray(np.einsum("cij,ji->c", grams[:, :n, :n], inverse) / n)
-
-    def _volume_curvature(self, m: Array, grams: Array) -> Array:
-        """Curvature (C, C) of log det over n."""
+    def _volume(self, m: Array, grams: Array) -> tuple[Array, Array]:
+        """Slopes (C,) and curvature (C, C) of log det over n."""
         n = self.size
         relative = np.linalg.inv(m[:n, :n]) @ grams[:, :n, :n]
         flat = relative.reshape(len(grams), -1)
         transposed = np.swapaxes(relative, 1, 2).reshape(len(grams), -1)
-        return flat @ transposed.T / n
+        return np.trace(relative, axis1=1, axis2=2) / n, flat @ transposed.T / n
 
     def _log_lambdas(self, m: Array, grams: Array) -> tuple[Array, Array, Array]:
         """log lambda (T,), its slopes (T, C) and curvatures (T, C, C)."""
@@ -262,19 +240,6 @@ class Separation(Objective):
         """Of some of the targets only."""
         targets = tuple(self.targets[k] for k in numbers)
         return dataclasses.replace(self, targets=targets)
-
-
-def _lambda(profiled: Array, target: Target) -> Array:
-    """lambda (...) of a target, the parameters profiled out of (..., K, K)."""
-    at, rival, shares = target.form.at, target.rival.at, target.shares
-    block = profiled[..., at[:, None], at[None, :]]
-    whole = np.einsum("k,...kl,l->...", shares, block, shares)
-    inner = profiled[..., rival[:, None], rival[None, :]]
-    inner = inner + np.diag(target.rival.precision)
-    cross = profiled[..., rival[:, None], at[None, :]] @ shares
-    solved = np.linalg.solve(inner, cross[..., None])[..., 0]
-    absorbed = np.einsum("...k,...k->...", cross, solved)
-    return np.asarray(np.maximum(whole - absorbed, LEAST))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -32,8 +32,7 @@ def advise(
 ) -> tuple[str, ...]:
     """Sentences, the most useful first, for the leading answer.
 
-    Where it is not sure, they also consider its likeliest rival. Neither no gap nor a
-    rival is less sure for what is too small to be seen.
+    Where it is not sure, they also consider its likeliest rival.
 
     scatter   of readings beyond their instrument, which nothing explains
     unstated  scatter of a reading over the stated one, where it is beyond a data sheet
@@ -47,10 +46,8 @@ def advise(
         if first.effects
         else _without_effect(answers, unstated)
     )
-    rivals = [answer for answer in answers[1:] if answer.visible > 0.0]
-    unseen = sum(answer.unseen for answer in answers)
-    sure = first.probability + (0.0 if first.effects else unseen)
-    if sure < SURE and rivals:
+    if not is_sure(answers):
+        rivals = [answer for answer in answers[1:] if answer.visible > 0.0]
         sentences = _with_rivals(sentences, first, rivals, known)
     missing = _missing_covariates(not_testable)
     if missing and not first.effects:
@@ -85,6 +82,17 @@ def _with_rivals(
             "Something of unknown form may act beside it: read again after a remedy."
         ]
     return [*repeats, *tests, *sentences, *beside]
+
+
+def is_sure(answers: Sequence[AnswerRecord]) -> bool:
+    """Whether the leading answer is sure, or no other has a size that shows.
+
+    No gap is no less sure for what is too small to be seen.
+    """
+    first, *others = answers
+    unseen = 0.0 if first.effects else sum(answer.unseen for answer in answers)
+    is_alone = not any(answer.visible > 0.0 for answer in others)
+    return is_alone or first.probability + unseen >= SURE
 
 
 def _missing_covariates(not_testable: Mapping[str, str]) -> list[str]:

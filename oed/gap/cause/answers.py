@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
 from msgspec.structs import replace
 
 from oed.base.arrays import Array
@@ -129,26 +130,6 @@ def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[AnswerRecord, ...], Hypot
     return tuple(answers[k] for k in [decision, *order]), leading[decision]
 
 
-def _decision(answers: Sequence[AnswerRecord]) -> int:
-    """Number of the answer that costs least by the loss table."""
-    gaps = [k for k, answer in enumerate(answers) if answer.effects]
-    nothing = [k for k, answer in enumerate(answers) if not answer.effects]
-    if not gaps or not nothing:
-        return max(range(len(answers)), key=lambda k: answers[k].visible)
-    likeliest = max(gaps, key=lambda k: answers[k].visible)
-    gap = sum(answers[k].visible for k in gaps)
-    total = sum(answer.probability for answer in answers)
-    cost = VAGUELY_IN_VAIN if _is_vague(answers[likeliest]) else IN_VAIN
-    return likeliest if MISSED * gap > cost * (total - gap) else nothing[0]
-
-
-def _is_vague(answer: AnswerRecord) -> bool:
-    """Whether an answer's effect could be any of many."""
-    if answer.effects == (UNKNOWN,):
-        return True
-    return any(len(members) >= VAGUE for members in answer.classes)
-
-
 def _add(answers: list[AnswerRecord], entry: AnswerGroup) -> None:
     """Add an answer, or its probability to the one that says the same.
 
@@ -161,17 +142,30 @@ def _add(answers: list[AnswerRecord], entry: AnswerGroup) -> None:
         named = clear or [min(named, key=len)]
     unknown = entry.unknown or len(named) < len(entry.members)
     names = frozenset(members[0] for members in named)
-    for k, answer in enumerate(answers):
-        if (UNKNOWN in answer.effects) != unknown or entry.is_any_effect:
-            continue
-        if _stands_for(names, answer.classes):
-            answers[k] = replace(
-                answer,
-                probability=answer.probability + entry.probability,
-                unseen=answer.unseen + entry.unseen,
-            )
+    for k, other in enumerate(answers):
+        alike = (UNKNOWN in other.effects) == unknown and not entry.is_any_effect
+        if alike and _stands_for(names, other.classes):
+            probability = other.probability + entry.probability
+            unseen = other.unseen + entry.unseen
+            answers[k] = replace(other, probability=probability, unseen=unseen)
             return
     answers.append(_answer(named, unknown, entry.probability, entry.unseen))
+
+
+def _decision(answers: Sequence[AnswerRecord]) -> int:
+    """Number of the answer that costs least by the loss table."""
+    gaps = [k for k, answer in enumerate(answers) if answer.effects]
+    nothing = [k for k, answer in enumerate(answers) if not answer.effects]
+    if not gaps or not nothing:
+        return max(range(len(answers)), key=lambda k: answers[k].visible)
+    likeliest = max(gaps, key=lambda k: answers[k].visible)
+    gap = sum(answers[k].visible for k in gaps)
+    total = sum(answer.probability for answer in answers)
+    first = answers[likeliest]
+    is_vague = any(len(members) >= VAGUE for members in first.classes)
+    is_vague = is_vague or first.effects == (UNKNOWN,)
+    cost = VAGUELY_IN_VAIN if is_vague else IN_VAIN
+    return likeliest if MISSED * gap > cost * (total - gap) else nothing[0]
 
 
 def _answer(
@@ -200,43 +194,27 @@ def credible_set(groups: Sequence[AnswerGroup]) -> tuple[AnswerRecord, ...]:
 
     An unknown remainder joins them where it has most of their probability.
     """
+    sets: list[list[AnswerGroup]] = []
+    for entry in sorted(groups, key=lambda g: (g.unseen > 0.0, -g.probability)):
+        names = frozenset(members[0] for members in entry.members)
+        for alike in sets:
+            # no gap and an unknown alone differ
+            is_same = bool(names) or entry.unknown == alike[0].unknown
+            is_same = is_same and not entry.is_any_effect
+            if is_same and _stands_for(names, alike[0].members):
+                alike.append(entry)
+                break
+        else:
+            sets.append([entry])
     answers = []
-    for alike in _by_named_effects(groups):
+    for alike in sets:
         total = sum(g.probability for g in alike)
-        with_unknown = sum(g.probability for g in alike if g.unknown)
-        unknown = with_unknown > 0.5 * total
+        unknown = sum(g.probability for g in alike if g.unknown) > 0.5 * total
         unseen = sum(g.unseen for g in alike)
         answers.append(_answer(alike[0].members, unknown, total, unseen))
     answers.sort(key=lambda a: -a.probability)
-    total, selected = 0.0, []
-    for answer in answers:
-        selected.append(answer)
-        total += answer.probability
-        if total >= COVERAGE:
-            break
-    return tuple(selected)
-
-
-def _by_named_effects(groups: Sequence[AnswerGroup]) -> list[list[AnswerGroup]]:
-    """Groups of one set of named effects, with or without a remainder, together."""
-    sets: list[list[AnswerGroup]] = []
-    for entry in sorted(groups, key=lambda g: (g.unseen > 0.0, -g.probability)):
-        same = (s for s in sets if _has_same_names(entry, s[0]))
-        alike = next(same, None)
-        if alike is None:
-            sets.append([entry])
-        else:
-            alike.append(entry)
-    return sets
-
-
-def _has_same_names(entry: AnswerGroup, other: AnswerGroup) -> bool:
-    """Whether a group names what another does; no gap and an unknown alone differ."""
-    if entry.is_any_effect:
-        return False
-    names = frozenset(members[0] for members in entry.members)
-    alike = bool(names) or entry.unknown == other.unknown
-    return alike and _stands_for(names, other.members)
+    reached = np.cumsum([a.probability for a in answers]) >= COVERAGE
+    return tuple(answers[: int(np.argmax(reached)) + 1 if reached.any() else None])
 
 
 def verdict(answer: AnswerRecord) -> Verdict:

@@ -34,12 +34,12 @@ from scipy import linalg
 
 from oed.base.arrays import Array, Index
 from oed.gap.cause.folds import Paths
-from oed.gap.data.diagnosis import Closure
 from oed.gap.data.problem import GapProblem
-from oed.noise.factor import DenseFactor, LinearFactor
+from oed.noise.factor import LinearFactor
 from oed.noise.hold_out import Chains, DenseInnovations, Innovations, LinearInnovations
 from oed.noise.law import NoiseLaw
 from oed.noise.shared import SharedFactor
+from oed.result.gap import ClosureRecord
 
 #: draws of the bootstrap
 DRAWS = 2000
@@ -56,7 +56,7 @@ def closure(
     rng: np.random.Generator,
     *,
     split: Split,
-) -> Closure:
+) -> ClosureRecord:
     """Closure by effects with given columns.
 
     columns    (N, k) in units of the stated noise per prior standard deviation; or
@@ -75,7 +75,7 @@ def closure(
     its level too, and the folds do not depend on `rng`.
     """
     several = [columns] if isinstance(columns, np.ndarray) else list(columns)
-    models = _models(problem, several)
+    models = [np.hstack([problem.slopes, model]) for model in several]
     noise, n = RunNoise(problem, law), problem.slopes.shape[1]
     residual = problem.residual
     scored = [noise.score(np.column_stack([model, residual])) for model in models]
@@ -99,36 +99,12 @@ def closure(
     return _score(problem, split, predict, rng)
 
 
-def _models(problem: GapProblem, several: Sequence[Array]) -> list[Array]:
-    """Slopes of the parameters and columns, per prior standard deviation, of each."""
-    if not several:
-        raise ValueError(
-            "closure: no columns are given; give (N, k), with k = 0 for no effect"
-        )
-    models = []
-    for columns in several:
-        _check(problem, columns)
-        models.append(np.hstack([problem.slopes, columns]))
-    return models
-
-
-def _check(problem: GapProblem, columns: Array) -> None:
-    if columns.ndim != 2 or len(columns) != len(problem):
-        raise ValueError(
-            f"columns have the shape {columns.shape}; {len(problem)} readings need"
-            f" ({len(problem)}, k)"
-        )
-    finite = np.isfinite(columns).all(axis=0)
-    if not finite.all():
-        raise ValueError(f"column {int(np.flatnonzero(~finite)[0])} is not finite")
-
-
 def _score(
     problem: GapProblem,
     split: Split,
     predict: Callable[[Index], tuple[Array, Array]],
     rng: np.random.Generator,
-) -> Closure:
+) -> ClosureRecord:
     """Closure over all folds.
 
     `predict` gives held-out readings' standardised residuals without and with the
@@ -140,36 +116,32 @@ def _score(
     held_out = [np.flatnonzero(fold == k) for k in range(int(fold.max()) + 1)]
     if len(held_out) < 2:
         nan = float("nan")
-        return Closure(split, nan, -np.inf, np.inf, nan, nan, nan, 1.0, 0)
+        return ClosureRecord(split, nan, -np.inf, np.inf, nan, nan, nan, 1.0, 0)
     for held in held_out:
         before[held], after[held] = predict(held)
     gain = np.bincount(unit, before**2 - after**2)
     gap = np.bincount(unit, before**2 - 1.0)
     equal = np.full(len(gain), 1.0 / len(gain))
     drawn = rng.multinomial(len(gain), equal, size=DRAWS).astype(float)
-    ratios = _ratio(drawn @ gain, drawn @ gap)
+    gains, gaps = drawn @ gain, drawn @ gap
+    infinite = np.where(gains == 0.0, 0.0, np.copysign(np.inf, gains))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.where(gaps > 0.0, gains / gaps, infinite)
     low, high = np.quantile(ratios, [0.025, 0.975], method="closest_observation")
     value = float("nan")
     if gap.sum() > 0.0:
         value = float(gain.sum() / gap.sum())
-    return Closure(
+    return ClosureRecord(
         split=split,
         value=value,
         low=float(low),
         high=float(high),
-        p_worse=float(np.mean(drawn @ gain < 0.0)),
+        p_worse=float(np.mean(gains < 0.0)),
         s0=float(np.mean(before**2)),
         s1=float(np.mean(after**2)),
         s_noise=1.0,
         n=len(problem),
     )
-
-
-def _ratio(gain: Array, gap: Array) -> Array:
-    """gain / gap; +-inf by the sign of the gain where there is no gap."""
-    infinite = np.where(gain == 0.0, 0.0, np.copysign(np.inf, gain))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(gap > 0.0, gain / gap, infinite)
 
 
 # -- prediction of held-out readings ---------------------------------------------------
@@ -183,7 +155,12 @@ class RunNoise:
         if isinstance(factor, LinearFactor) and not Chains.suit(factor.errors):
             factor = law.dense_factor(problem)
         self._factor = factor
-        self._hold_out = _innovations_of(factor)
+        self._hold_out: Callable[[Index], Innovations]
+        if isinstance(factor, LinearFactor):
+            chains = Chains(factor.errors)
+            self._hold_out = functools.partial(LinearInnovations, factor, chains)
+        else:
+            self._hold_out = functools.partial(DenseInnovations, factor)
 
     def score(self, values: Array) -> Array:
         """The noise's precision times values (N, k), as `Innovations` wants it."""
@@ -202,28 +179,6 @@ class RunNoise:
         return self._hold_out(held)
 
 
-def _innovations_of(
-    factor: LinearFactor | DenseFactor,
-) -> Callable[[Index], Innovations]:
-    """Innovations by the readings held out; a linear factor's chains are shared."""
-    if isinstance(factor, LinearFactor):
-        return functools.partial(LinearInnovations, factor, Chains(factor.errors))
-    return functools.partial(DenseInnovations, factor)
-
-
-def _cholesky(matrix: Array) -> Array:
-    return np.asarray(linalg.cholesky(matrix, lower=True, check_finite=False))
-
-
-def _solve(factor: Array, values: Array, trans: str = "N") -> Array:
-    """Solution of a lower triangular system, or of its transpose (`T`)."""
-    return np.asarray(
-        linalg.solve_triangular(
-            factor, values, lower=True, trans=trans, check_finite=False
-        )
-    )
-
-
 def learn(information: Information, white: Array) -> tuple[Array, float]:
     """Mean (n,) of the coefficients from the training readings, and log evidence.
 
@@ -235,11 +190,11 @@ def learn(information: Information, white: Array) -> tuple[Array, float]:
     """
     precision, product = information
     slopes, residual = white[:, :-1], white[:, -1]
-    factor = _cholesky(precision - slopes.T @ slopes)
-    half = _solve(factor, product - slopes.T @ residual)
-    mean = _solve(factor, half, "T")
-    log_det = float(np.log(np.diag(factor)).sum())
-    return mean, 0.5 * float(half @ half) - log_det
+    root = linalg.cholesky(precision - slopes.T @ slopes, lower=True)
+    product = product - slopes.T @ residual
+    mean = linalg.cho_solve((root, True), product)
+    log_det = float(np.log(np.diag(root)).sum())
+    return np.asarray(mean), 0.5 * float(product @ mean) - log_det
 
 
 def standardise(
@@ -261,8 +216,9 @@ def standardise(
     precision, product = information[0][:n, :n], information[1][:n]
     mean, _ = learn((precision, product), alone)
     slopes = alone[:, :-1]
-    root = _cholesky(precision - slopes.T @ slopes)
-    spread = SharedFactor(_solve(root, slopes.T).T, np.zeros(1, dtype=np.intp))
+    root = linalg.cholesky(precision - slopes.T @ slopes, lower=True)
+    half = linalg.solve_triangular(root, slopes.T, lower=True)
+    spread = SharedFactor(half.T, np.zeros(1, dtype=np.intp))
     before = alone[:, -1] - slopes @ mean
     white_residuals = spread.whiten(np.column_stack([before, after]))
     return white_residuals[:, 0], white_residuals[:, 1]

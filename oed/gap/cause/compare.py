@@ -24,14 +24,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis, Key
-from oed.gap.cause.search import Search
+from oed.gap.cause.search import Further, Search
 from oed.gap.data.evidence import Grams
 from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.problem import GapProblem
@@ -65,29 +65,26 @@ SearchOf = Callable[[GapProblem], list[Search]]
 
 
 def compare(searches: Sequence[Search]) -> list[Hypothesis]:
-    """Hypotheses with their evidence over all laws, by log posterior, best first."""
+    """Hypotheses with their evidence over all laws, by log posterior, best first.
+
+    Each is in the form and law that suit it best. The effective number of laws is that of
+    importance sampling, (sum of shares)^2 / sum of squared shares (Kong 1992).
+    """
     by_key: dict[Key, list[Hypothesis]] = {}
     for number, search in enumerate(searches):
         for h in search.run():
             by_key.setdefault(h.key, []).append(dataclasses.replace(h, law=number))
-    hypotheses = [_over_laws(alike) for alike in by_key.values()]
+    hypotheses = []
+    for alike in by_key.values():
+        values = np.array([h.log_evidence for h in alike])
+        shares = special.softmax(values)
+        over_laws = dataclasses.replace(
+            max(alike, key=lambda h: h.log_evidence),
+            log_evidence=float(special.logsumexp(values)),
+            effective_laws=float(1.0 / np.sum(shares**2)),
+        )
+        hypotheses.append(over_laws)
     return sorted(hypotheses, key=lambda h: -h.score)
-
-
-def _over_laws(alike: Sequence[Hypothesis]) -> Hypothesis:
-    """One hypothesis under several laws, in the form and law that suit it best.
-
-    Its evidence is over all of them. The effective number of laws is that of importance
-    sampling, (sum of shares)^2 / sum of squared shares (Kong 1992).
-    """
-    best = max(alike, key=lambda h: h.log_evidence)
-    values = np.array([h.log_evidence for h in alike])
-    shares = special.softmax(values)
-    return dataclasses.replace(
-        best,
-        log_evidence=float(special.logsumexp(values)),
-        effective_laws=float(1.0 / np.sum(shares**2)),
-    )
 
 
 def probabilities(hypotheses: Sequence[Hypothesis]) -> Array:
@@ -106,57 +103,48 @@ def equivalent_effects(
     scores    log posterior of hypotheses by their key
     alive     how far behind in log posterior a rival may be that absorbs not nearly all
     """
-    classes = []
-    for i, effect in enumerate(h.effects):
-        others = h.others(i)
-        parts = [search.columns_of(h.atoms[j]) for j in others]
-        selected = np.concatenate([np.empty(0, dtype=np.intp), *parts])
-        grams = search.grams.project_out(selected)
-        members = [effect]
-        odds = _LogOdds(search, h, i)
-        for rival in search.library.effects:
-            if rival in h.effects:
-                continue
-            distinct, whole, size = _distinct_energy(search, grams, h, i, rival)
-            exact = distinct < EXACT * whole and odds.of(rival) > -PLAINER
-            replaced = frozenset({rival, *(h.effects[j] for j in others)})
-            score, of_form = scores.get((replaced, h.unknown), -np.inf), 0.0
-            is_usual = size < USUAL * RIVAL
-            if is_usual and search.library.differ_by_form(effect, rival):
-                # what a form can make that departs from its textbook
-                of_form = DEPARTURE**2 * whole
-                if not h.unknown:
-                    score = max(score, h.score + odds.of(rival))
-            near = score > h.score - max(alive, 0.5 * of_form)
-            if exact or (distinct < max(DISTINCT**2, of_form) and near):
-                members.append(rival)
-        classes.append(tuple(members))
-    return classes
+    return [_class_of(search, h, i, scores, alive) for i in range(len(h.effects))]
 
 
-class _LogOdds:
-    """Log evidence of rivals in place of the i-th effect of h, over that effect's.
+def _class_of(
+    search: Search, h: Hypothesis, i: int, scores: Mapping[Key, float], alive: float
+) -> tuple[str, ...]:
+    """The names indistinguishable from the i-th effect of a hypothesis, itself first."""
+    effect, (others, sizes) = h.effects[i], h.without(i)
+    beside = [name for name in h.effects if name != effect]
+    selected = [np.empty(0, dtype=np.intp), *map(search.columns_of, others)]
+    grams = search.grams.project_out(np.concatenate(selected))
 
-    Both have all their forms and sizes, under the law of a search.
-    """
+    @functools.cache
+    def in_its_place() -> dict[str, Further]:
+        """Effects with all their forms and sizes, under the law of the search."""
+        return search.screen(search.grams_with(others, sizes), beside)
 
-    def __init__(self, search: Search, h: Hypothesis, i: int) -> None:
-        self._search, self._h, self._i = search, h, i
-
-    def of(self, rival: str) -> float:
-        """The odds of one rival; 0 beside an unknown remainder, which hides them."""
-        if self._h.unknown:
+    def log_odds(rival: str) -> float:
+        """Log evidence over the effect's; 0 beside an unknown remainder, which hides it."""
+        if h.unknown:
             return 0.0
-        return self._further[rival] - self._further[self._h.effects[self._i]]
+        rivals = in_its_place()
+        return rivals[rival].log_evidence - rivals[effect].log_evidence
 
-    @functools.cached_property
-    def _further(self) -> dict[str, float]:
-        others = self._h.others(self._i)
-        grams = self._search.grams_with(
-            [self._h.atoms[j] for j in others], [self._h.sizes[j] for j in others]
-        )
-        screened = self._search.screen(grams, [self._h.effects[j] for j in others])
-        return {name: further.log_evidence for name, further in screened.items()}
+    members = [effect]
+    for rival in search.library.effects:
+        if rival in h.effects:
+            continue
+        distinct, whole, size = _distinct_energy(search, grams, h, i, rival)
+        exact = distinct < EXACT * whole and log_odds(rival) > -PLAINER
+        score = scores.get((frozenset({rival, *beside}), h.unknown), -np.inf)
+        of_form = 0.0
+        is_usual = size < USUAL * RIVAL
+        if is_usual and search.library.differ_by_form(effect, rival):
+            # what a form can make that departs from its textbook
+            of_form = DEPARTURE**2 * whole
+            if not h.unknown:
+                score = max(score, h.score + log_odds(rival))
+        near = score > h.score - max(alive, 0.5 * of_form)
+        if exact or (distinct < max(DISTINCT**2, of_form) and near):
+            members.append(rival)
+    return tuple(members)
 
 
 def _distinct_energy(
@@ -223,35 +211,39 @@ def compare_expanded(
 def _next_point(
     comparison: Comparison, effects: Sequence[Effect], tried: set[Key]
 ) -> tuple[frozenset[str], GapProblem] | None:
-    """The next hypothesis of large effects, with the readings linearised about it."""
-    for h in _in_question(comparison.hypotheses):
+    """The next hypothesis of large effects, with the readings linearised about it.
+
+    In question are the best single effect, and the best that names effects.
+    """
+    named = [h for h in comparison.hypotheses if h.effects]
+    single = [h for h in named if len(h.effects) == 1 and not h.unknown]
+    for h in [*single[:1], *named[:1]]:
         if h.key in tried:
             continue
         tried.add(h.key)
         search = comparison.searches[h.law]
         outlying = search.problem.residual - search.given.residual
-        forms = list(_acting_forms(search, h, effects))
+        forms = acting_forms(search, h, effects)
         settled = settle(search.given, forms, search.law, outlying)
         if DEPARTS < settled.departure < np.inf:
             return frozenset(h.effects), settled.problem
     return None
 
 
-def _in_question(hypotheses: Sequence[Hypothesis]) -> Iterator[Hypothesis]:
-    """The best single effect, and the best of all hypotheses that name effects."""
-    named = [h for h in hypotheses if h.effects]
-    yield from [h for h in named if len(h.effects) == 1 and not h.unknown][:1]
-    yield from named[:1]
-
-
-def _acting_forms(
+def acting_forms(
     search: Search, h: Hypothesis, effects: Sequence[Effect]
-) -> Iterator[ActingEffectForm]:
-    by_name = {effect.name: effect for effect in effects}
-    for name, atom, size in zip(h.effects, h.atoms, h.sizes, strict=True):
-        form = search.library.atoms[atom]
-        names = search.library.coefficients_of(atom)
-        yield ActingEffectForm(by_name[name], form.constants, names, size)
+) -> list[ActingEffectForm]:
+    """The forms of a hypothesis' effects."""
+    by_name, library = {effect.name: effect for effect in effects}, search.library
+    return [
+        ActingEffectForm(
+            by_name[name],
+            library.atoms[atom].constants,
+            library.coefficients_of(atom),
+            size,
+        )
+        for name, atom, size in zip(h.effects, h.atoms, h.sizes, strict=True)
+    ]
 
 
 def _joined(
@@ -267,8 +259,6 @@ def _joined(
     }
     for h in compare(further):
         there = dataclasses.replace(h, law=offset + h.law)
-        here = by_key.get(h.key)
-        if here is None or there.score > here.score:
-            by_key[h.key] = there
+        by_key[h.key] = max(by_key.get(h.key, there), there, key=lambda h: h.score)
     hypotheses = sorted(by_key.values(), key=lambda h: -h.score)
     return Comparison((*comparison.searches, *further), tuple(hypotheses))

@@ -13,6 +13,7 @@ from scipy.sparse import csgraph
 
 from oed.base.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
+from oed.gap.forms import carriers
 
 #: number of folds
 FOLDS = 5
@@ -32,13 +33,8 @@ class Paths:
     """Which runs repeat one another, and how far along its path each reading is."""
 
     def __init__(self, problem: GapProblem) -> None:
-        joints = []
-        sources = zip(problem.series, problem.states, problem.responses, strict=True)
-        for series, state, response in sources:
-            read = state.joints[series.index[:, 0]]
-            channels = response.nuisances.shape[1]
-            joints.append(np.repeat(read, channels, axis=0))
-        self._joints = np.concatenate(joints)
+        joints = [state.joints for state in problem.states]
+        self._joints = carriers.at_poses(problem, joints)[:, 0]
         self._runs = problem.members
         readings = problem.rows.groupby(["setup", "run", "order"], sort=False)
         self._reading = readings.ngroup().to_numpy()
@@ -55,10 +51,10 @@ class Paths:
             rows = self._rows(runs)
             longest = max((self._runs[k] for k in runs), key=len)
             place, count = self._along(rows, longest)
-            if count >= FOLDS:
-                fold[rows] = place * FOLDS // count
-            else:
-                fold[rows] = (place + number) % FOLDS
+            is_short = count < FOLDS
+            fold[rows] = (
+                (place + number) % FOLDS if is_short else place * FOLDS // count
+            )
         fold = np.unique(fold, return_inverse=True)[1]
         return fold, self._units(fold)
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array
+from oed.gap.data.diagnosis import UNKNOWN
 from oed.gap.forms.library import Library
 
 #: prior probabilities: nothing acts, or nothing that the readings show (two of seven
@@ -69,13 +70,20 @@ class Hypothesis:
         return frozenset(self.effects), self.unknown
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Its effects, and an unknown."""
+        return (*self.effects, UNKNOWN) if self.unknown else self.effects
+
+    @property
     def is_gap(self) -> bool:
         """Whether it says that there is a gap."""
         return bool(self.effects) or self.unknown
 
-    def others(self, i: int) -> list[int]:
-        """Positions of all its effects but the i-th."""
-        return [j for j in range(len(self.effects)) if j != i]
+    def without(self, i: int) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        """Forms and sizes of all its effects but the i-th."""
+        return self.atoms[:i] + self.atoms[i + 1 :], self.sizes[:i] + self.sizes[
+            i + 1 :
+        ]
 
     def with_form(self, part: int, form: int, size: float) -> Hypothesis:
         """The same with another form of one part, an effect or the remainder."""
@@ -85,34 +93,23 @@ class Hypothesis:
         atoms[part], sizes[part] = form, size
         return dataclasses.replace(self, atoms=tuple(atoms), sizes=tuple(sizes))
 
+    def forms(
+        self, library: Library, processes: Library
+    ) -> list[tuple[Library, int, float]]:
+        """Library, number and size of each of its forms, the remainder's last."""
+        pairs = zip(self.atoms, self.sizes, strict=True)
+        forms = [(library, atom, size) for atom, size in pairs]
+        if self.process is not None:
+            forms.append((processes, self.process, self.process_size))
+        return forms
+
     def columns(
-        self,
-        library: Library,
-        processes: Library,
-        factor: float = 1.0,
+        self, library: Library, processes: Library, factor: float = 1.0
     ) -> Array:
         """Columns (N, k) of its forms at their sizes, times a factor."""
-        parts = [np.zeros((len(library.columns), 0))]
-        for atom, size in zip(self.atoms, self.sizes, strict=True):
-            parts.append(library.scaled_columns(atom, factor * size))
-        if self.process is not None:
-            size = factor * self.process_size
-            parts.append(processes.scaled_columns(self.process, size))
-        return np.hstack(parts)
-
-    def timed(self, library: Library, processes: Library) -> list[bool]:
-        """Which of its columns vary with the time or a temperature."""
-        atoms = [library.atoms[k] for k in self.atoms]
-        if self.process is not None:
-            atoms.append(processes.atoms[self.process])
-        return [atom.timed for atom in atoms for _ in atom.columns]
-
-    def labels(self, library: Library, processes: Library) -> list[str]:
-        """What each of its columns belongs to."""
-        sources = [(library, atom) for atom in self.atoms]
-        if self.process is not None:
-            sources.append((processes, self.process))
-        return [of.labels[c] for of, atom in sources for c in of.atoms[atom].columns]
+        forms = self.forms(library, processes)
+        parts = [of.scaled_columns(atom, factor * size) for of, atom, size in forms]
+        return np.hstack([np.zeros((len(library.columns), 0)), *parts])
 
 
 def log_prior(count: int, unknown: bool, effects: int) -> float:

@@ -1,10 +1,12 @@
 """Whether readings scatter beyond their instrument, and in which shape.
 
 A data sheet states the scatter of single readings, and is right to a factor. Readings
-taken again the same way measure it (`oed.gap.data.replicates`). What exceeds both is noise
-that the data sheet excludes, or an effect of a form that no answer has. With P the energy
-of what differs between such readings and R that of the rest, f and n degrees of freedom,
-errors of variance t^2 that recur at each pose, in units of the noise, have over none
+taken again the same way do not share their noise, whatever acts on the machine: they
+measure it and nothing else, those of a later run with all that runs do not share. What
+exceeds both is noise that the data sheet excludes, or an effect of a form that no answer
+has. With P the energy of what differs between such readings and R that of the rest, f and
+n degrees of freedom, errors of variance t^2 that recur at each pose, in units of the
+noise, have over none
 
     log BF(t) = -n/2 log(1 + t^2)
                 - ((f + n)/2 + a) log[ (b + (P + R / (1 + t^2))/2) / (b + (P + R)/2) ],
@@ -19,15 +21,15 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+import pandas as pd
+from scipy import linalg, special
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
 from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.replicates import Replicates, energy_beyond, replicates
 from oed.model.size_prior import UNKNOWN_SIZES
 from oed.noise.law import NoiseLaw, stated_law
 from oed.noise.prior import KNOWN_TO
@@ -39,6 +41,14 @@ ROUGH_SHARE = 0.5
 SHARES = np.linspace(0.1, 0.9, 9)
 #: odds over even scatter from which a run or leg is named, one of all that are tried
 CLEAR = 20.0
+
+
+#: share of the largest value of a column below which two values are the same
+ROUNDING = 1e-9
+#: poses that count, evenly over all of them: time and memory stay linear in the readings
+MOST = 200
+#: columns of the readings' rows that say how a pose was reached
+CONDITIONS = ("direction", "feed", "payload")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -85,22 +95,14 @@ def energies(problem: GapProblem, law: NoiseLaw, again: Replicates) -> Energies:
     )
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Roughness:
-    """Errors that recur at each pose in no smooth form, with no effect beside them.
-
-    share  part of an unknown alone that they are
-    again  the readings taken again
-    """
-
-    share: float
-    again: Replicates
-
-
 def with_roughness(
     searches: Sequence[Search], hypotheses: Sequence[Hypothesis]
-) -> tuple[list[Hypothesis], Roughness]:
-    """Hypotheses of which an unknown alone may be rough as well, best first."""
+) -> tuple[list[Hypothesis], float]:
+    """Hypotheses of which an unknown alone may be rough as well, best first.
+
+    Rough are errors that recur at each pose in no smooth form. The second result is the
+    part of an unknown alone that they are.
+    """
     nothing = next(h for h in hypotheses if not h.is_gap)
     given = searches[nothing.law].given
     again = replicates(given)
@@ -124,7 +126,7 @@ def with_roughness(
             h = dataclasses.replace(h, log_evidence=total)
         results.append(h)
     results.sort(key=lambda h: -h.score)
-    return results, Roughness(share, again)
+    return results, share
 
 
 def excess_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter | None:
@@ -161,16 +163,90 @@ def _within_runs(law: NoiseLaw) -> float:
     return law.level * float(np.sqrt(np.mean(variance)))
 
 
-def rough_scatter(
-    problem: GapProblem, law: NoiseLaw, rough: Roughness
-) -> ExcessScatter:
+def rough_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter:
     """Scatter of readings over that between readings taken again, or over the stated."""
-    parts = energies(problem, stated_law(problem), rough.again)
+    again = replicates(problem)
+    parts = energies(problem, stated_law(problem), again)
     if not parts.pure_freedom:
         factor = float(np.sqrt(parts.rest / max(parts.rest_freedom, 1)))
         return ExcessScatter(factor, DATA_SHEET, shape(problem, law))
-    against = ON_THE_SPOT if rough.again.on_the_spot else AGAIN
+    against = ON_THE_SPOT if again.on_the_spot else AGAIN
     return ExcessScatter(parts.factor, against, shape(problem, law))
+
+
+# -- readings taken again --------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Replicates:
+    """Readings that were taken more than once.
+
+    rows        (k,) numbers of these readings
+    cell        (k,) number of the pose, conditions and channel that each belongs to
+    on_the_spot whether all were taken again within their run
+    """
+
+    rows: Index
+    cell: Index
+    on_the_spot: bool
+
+    def energy(self, problem: GapProblem, law: NoiseLaw) -> tuple[float, int]:
+        """Whitened energy of what differs between them, and its degrees of freedom."""
+        if not len(self.rows):
+            return 0.0, 0
+        factor = law.factor(problem, self.rows)
+        same = np.zeros((len(problem), int(self.cell.max()) + 1))
+        same[self.rows, self.cell] = 1.0
+        held = factor.whiten(np.hstack([same, problem.slopes]))
+        white = factor.whiten(problem.residual[:, None])[:, 0]
+        return energy_beyond(white, held)
+
+
+def energy_beyond(white: Array, held: Array) -> tuple[float, int]:
+    """Energy of white values (k,) outside columns (k, c), and its degrees of freedom."""
+    directions, sizes, _ = linalg.svd(held, full_matrices=False, check_finite=False)
+    axes = directions[:, sizes > ROUNDING * sizes.max(initial=0.0)]
+    outside = white - axes @ (axes.T @ white)
+    return float(outside @ outside), len(white) - axes.shape[1]
+
+
+def replicates(problem: GapProblem) -> Replicates:
+    """Readings of one channel that share poses, senses of motion and conditions."""
+    cell = pd.factorize(pd.Series(list(map(tuple, _keys(problem)))))[0]
+    often = np.bincount(cell)[cell] > 1
+    poses = np.unique(cell[often])
+    chosen = np.linspace(0, len(poses) - 1, min(len(poses), MOST)).astype(np.intp)
+    rows = np.flatnonzero(np.isin(cell, poses[chosen]))
+    numbers = np.unique(cell[rows], return_inverse=True)[1].astype(np.intp)
+    run = np.empty(len(problem), dtype=np.intp)
+    for k, members in enumerate(problem.members):
+        run[members] = k
+    runs_of = pd.Series(run[rows]).groupby(numbers).nunique()
+    return Replicates(rows, numbers, bool((runs_of == 1).all()))
+
+
+def _keys(problem: GapProblem) -> Array:
+    """(N, c) whole numbers that are equal where two readings are taken the same way."""
+    parts = []
+    for number, (series, state) in enumerate(
+        zip(problem.series, problem.states, strict=True)
+    ):
+        channels = len(problem.measurement.setups[series.setup].instrument.channels)
+        poses = np.hstack([state.joints, state.motion_sign])
+        read = poses[series.index].reshape(len(series.index), -1)
+        rows = np.repeat(_numbers(read), channels)
+        parts.append(np.column_stack([np.full(len(rows), number), rows]))
+    keys = [np.vstack(parts), problem.channel]
+    given = [name for name in CONDITIONS if name in problem.rows]
+    conditions = problem.rows[given].fillna(0.0).to_numpy(dtype=float)
+    return np.column_stack([*keys, _numbers(conditions)])
+
+
+def _numbers(values: Array) -> Index:
+    """Number (n,) of each distinct row of values (n, c), rounding apart."""
+    unit = ROUNDING * np.maximum(np.abs(values).max(axis=0, initial=0.0), ROUNDING)
+    whole = np.round(np.nan_to_num(values) / (10.0 * unit)).astype(np.int64)
+    return np.unique(whole, axis=0, return_inverse=True)[1].ravel()
 
 
 # -- shape -----------------------------------------------------------------------------

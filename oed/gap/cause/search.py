@@ -17,11 +17,11 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index
+from oed.gap.cause.form_products import SIZES as UNKNOWN_SIZES
 from oed.gap.cause.form_products import FormProducts
 from oed.gap.cause.hypothesis import Hypothesis, log_prior
-from oed.gap.cause.remainder import SIZES as UNKNOWN_SIZES
 from oed.gap.data import evidence
-from oed.gap.data.evidence import Grams
+from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
 from oed.model.size_prior import EFFECT_SIZES
@@ -41,11 +41,15 @@ _NONE = np.empty(0, dtype=np.intp)
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Further:
-    """A further effect over a base: its log evidence, its best form and size."""
+    """A further effect over a base: its log evidence, its best form and size.
+
+    of_best  log evidence of that form at that size alone
+    """
 
     log_evidence: float
     atom: int
     size: float
+    of_best: float
 
 
 class Search:
@@ -79,8 +83,6 @@ class Search:
         self.outliers = outliers
         log_outliers = 0.0 if outliers is None else outliers.log_odds
         self._log_law = log_prior + log_outliers
-        self._atoms = [atom.columns for atom in library.atoms]
-        self._effect = np.array([atom.effect for atom in library.atoms])
         self._atoms_of = {
             effect: np.array(library.atoms_of(effect), dtype=np.intp)
             for effect in library.effects
@@ -89,7 +91,7 @@ class Search:
         names = {name for h in candidates for name in h.effects}
         in_question = names if candidates else set(library.effects)
         self._forms = FormProducts(problem, library, processes, law, in_question)
-        self._tables: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
+        self._posteriors: dict[tuple[str, tuple[tuple[int, float], ...]], Array] = {}
         self._hypotheses: list[Hypothesis] = []
 
     @property
@@ -100,7 +102,7 @@ class Search:
     def release(self) -> None:
         """Give the memory of all products back; who needs one again computes it."""
         self._forms.release()
-        self._tables.clear()
+        self._posteriors.clear()
 
     def with_weight(self, log_prior: float) -> Search:
         """The same search with another log prior of its noise law."""
@@ -115,24 +117,22 @@ class Search:
 
     def columns_of(self, atom: int) -> Index:
         """Columns of a form."""
-        return self._atoms[atom]
+        return self.library.atoms[atom].columns
 
     # -- one hypothesis ----------------------------------------------------------------
 
     def grams_with(self, atoms: Sequence[int], sizes: Sequence[float]) -> Grams:
         """Grams with these forms in the model."""
-        return self._select(self.grams, atoms, sizes)
+        grams = self.grams
+        for atom, size in zip(atoms, sizes, strict=True):
+            grams = grams.select(self.columns_of(atom), size)
+        return grams
 
     def noise_level(self, h: Hypothesis) -> float:
         """Noise level of what a hypothesis does not explain."""
-        columns, sizes = [self._atoms[k] for k in h.atoms], list(h.sizes)
-        selected = self._columns_of_set(h)
-        grams = self._forms.products.grams(selected)
-        if h.process is not None:
-            grams = self._forms.remainders.grams_with(grams, selected, h.process)
-            columns.append(np.arange(len(selected), len(grams.b)))
-            sizes.append(h.process_size)
-        return evidence.noise_level(grams.select_in_order(columns, sizes)[0])
+        columns = h.columns(self.library, self.processes)
+        grams = WhitenedColumns(self.problem, self._forms.metric, columns).grams()
+        return evidence.noise_level(grams.select(np.arange(columns.shape[1]), 1.0))
 
     def law_at(self, level: float) -> NoiseLaw:
         """The law at a noise level, with the outliers' distribution."""
@@ -145,61 +145,46 @@ class Search:
         Parts are its effects in order, then its unknown remainder. Each form has its
         best size.
         """
-        shares = self._shares_of_forms(h, part)
-        return [(share, h.with_form(part, form, size)) for share, form, size in shares]
-
-    def _shares_of_forms(
-        self, h: Hypothesis, part: int
-    ) -> list[tuple[float, int, float]]:
-        """Probability, number and best size of each form of a part, likeliest first."""
         if part == len(h.effects):
-            table = self._forms.remainders.log_evidences(
-                self._grams_alone(h), self._selected(h)
-            )
+            table = self._forms.remainders.log_evidences(*self._selected(h))
             numbers, sizes = np.arange(len(table)), UNKNOWN_SIZES
         else:
-            others = h.others(part)
-            atoms = [h.atoms[j] for j in others]
+            table = self._log_posterior(h.effects[part], *h.without(part))
             numbers, sizes = self._atoms_of[h.effects[part]], SIZES
-            table = self._log_posterior(
-                h.effects[part], atoms, [h.sizes[j] for j in others]
-            )
         shares = special.softmax(special.logsumexp(table, axis=1))
         best = sizes[np.argmax(table, axis=1)]
-        order = np.argsort(-shares, kind="stable")
-        return [(float(shares[k]), int(numbers[k]), float(best[k])) for k in order]
-
-    def likeness(self, h: Hypothesis) -> dict[str, float]:
-        """Probability of each form of a hypothesis' unknown remainder, in words.
-
-        The likeliest form comes first.
-        """
-        by_form: dict[str, float] = {}
-        for share, form, _ in self._shares_of_forms(h, len(h.effects)):
-            about = self.processes.atoms[form].about
-            by_form[about] = by_form.get(about, 0.0) + share
-        return dict(sorted(by_form.items(), key=lambda item: -item[1]))
+        return [
+            (float(shares[k]), h.with_form(part, int(numbers[k]), float(best[k])))
+            for k in np.argsort(-shares, kind="stable")
+        ]
 
     # -- sets of effects ---------------------------------------------------------------
 
     def screen(self, grams: Grams, without: Iterable[str]) -> dict[str, Further]:
         """Each further effect's log evidence over `grams`, its best form and size."""
-        others = np.flatnonzero(~np.isin(self._effect, list(without)))
-        if not others.size:
+        further = [e for e in self.library.effects if e not in set(without)]
+        if not further:
             return {}
-        table = grams.log_evidences([self._atoms[k] for k in others], SIZES)
-        posterior = table + self._forms.log_prior_of_all[others]
+        atoms = np.sort(np.concatenate([self._atoms_of[e] for e in further]))
+        table = grams.log_evidences([self.columns_of(k) for k in atoms], SIZES)
+        posterior = table + self._forms.log_prior_of_all[atoms]
         best = {}
-        for effect in dict.fromkeys(self._effect[others]):
-            rows = np.flatnonzero(self._effect[others] == effect)
-            of_effect = posterior[rows]
-            row, column = _argmax(of_effect)
-            best[str(effect)] = Further(
-                log_evidence=float(np.logaddexp.reduce(of_effect, axis=None)),
-                atom=int(others[rows[row]]),
-                size=float(SIZES[column]),
-            )
+        for effect in further:
+            rows = np.searchsorted(atoms, self._atoms_of[effect])
+            best[effect] = self._best(atoms[rows], posterior[rows])
         return best
+
+    def _best(self, atoms: Index, posterior: Array) -> Further:
+        """The best of some forms by their log posterior (atoms, sizes)."""
+        row, column = np.unravel_index(int(np.argmax(posterior)), posterior.shape)
+        return Further(
+            log_evidence=float(np.logaddexp.reduce(posterior, axis=None)),
+            atom=int(atoms[row]),
+            size=float(SIZES[column]),
+            of_best=float(
+                posterior[row, column] - self._forms.log_prior[atoms[row], column]
+            ),
+        )
 
     def fit(
         self,
@@ -211,40 +196,34 @@ class Search:
 
         `atoms` and `sizes` are the forms to start from.
         """
-        best, best_sizes = list(atoms), list(sizes)
-        further_forms = 0.0
-        for _ in range(ROUNDS):
-            before = (tuple(best), tuple(best_sizes))
-            further_forms = 0.0
-            for i, effect in enumerate(effects):
-                others = [j for j in range(len(effects)) if j != i]
-                other_atoms = [best[j] for j in others]
-                other_sizes = [best_sizes[j] for j in others]
-                table = self._table(effect, other_atoms, other_sizes)
-                numbers = self._atoms_of[effect]
-                posterior = self._log_posterior(effect, other_atoms, other_sizes)
-                row, column = _argmax(posterior)
-                best[i], best_sizes[i] = int(numbers[row]), float(SIZES[column])
-                over_all = float(np.logaddexp.reduce(posterior, axis=None))
-                further_forms += over_all - float(table[row, column])
-            if (tuple(best), tuple(best_sizes)) == before:
-                break
+        count = len(self.library.effects)
         h = Hypothesis(
             effects=tuple(effects),
             unknown=False,
-            atoms=tuple(best),
-            sizes=tuple(best_sizes),
+            atoms=tuple(atoms),
+            sizes=tuple(sizes),
             process=None,
             process_size=0.0,
-            log_evidence=further_forms + self._log_law,
-            log_prior=log_prior(len(effects), False, len(self.library.effects)),
+            log_evidence=0.0,
+            log_prior=log_prior(len(effects), False, count),
         )
-        base = self._grams_alone(h).base
-        return dataclasses.replace(h, log_evidence=base + h.log_evidence)
+        further_forms = 0.0
+        for _ in range(ROUNDS):
+            before, further_forms = h, 0.0
+            for i, effect in enumerate(effects):
+                table = self._log_posterior(effect, *h.without(i))
+                best = self._best(self._atoms_of[effect], table)
+                h = h.with_form(i, best.atom, best.size)
+                further_forms += best.log_evidence - best.of_best
+            if h == before:
+                break
+        base = self._selected(h)[0].base
+        total = base + (further_forms + self._log_law)
+        return dataclasses.replace(h, log_evidence=total)
 
     def add_unknown(self, h: Hypothesis) -> Hypothesis:
         """The same set of effects with an unknown remainder, orthogonal to them."""
-        remainder = self._forms.remainders.best(self._grams_alone(h), self._selected(h))
+        remainder = self._forms.remainders.best(*self._selected(h))
         return dataclasses.replace(
             h,
             unknown=True,
@@ -254,61 +233,31 @@ class Search:
             log_prior=log_prior(len(h.effects), True, len(self.library.effects)),
         )
 
-    def _table(
-        self,
-        effect: str,
-        others: Sequence[int],
-        sizes: Sequence[float],
+    def _log_posterior(
+        self, effect: str, others: Sequence[int], sizes: Sequence[float]
     ) -> Array:
-        """Log evidence (atoms, sizes) of an effect's forms over none.
+        """Log evidence (atoms, sizes) of an effect's forms over none, with their prior.
 
         Other forms are in the model at their sizes.
         """
         key = (effect, tuple(zip(others, sizes, strict=True)))
-        if key not in self._tables:
-            selected = [self._atoms[k] for k in others]
-            forms = [self._atoms[k] for k in self._atoms_of[effect]]
+        if key not in self._posteriors:
+            selected = [self.columns_of(k) for k in others]
+            forms = [self.columns_of(k) for k in self._atoms_of[effect]]
             columns = np.unique(np.concatenate(forms))
-            grams = self._forms.products.grams(np.concatenate([*selected, columns]))
+            grams = self._forms.effects.grams(np.concatenate([*selected, columns]))
             grams, start = grams.select_in_order(selected, sizes)
             places = [start + np.searchsorted(columns, form) for form in forms]
-            self._tables[key] = grams.log_evidences(places, SIZES)
-        return self._tables[key]
+            prior = self._forms.log_prior[self._atoms_of[effect]]
+            self._posteriors[key] = grams.log_evidences(places, SIZES) + prior
+        return self._posteriors[key]
 
-    def _log_posterior(
-        self,
-        effect: str,
-        others: Sequence[int],
-        sizes: Sequence[float],
-    ) -> Array:
-        """As `_table`, with the prior of forms and sizes."""
-        table = self._table(effect, others, sizes)
-        return table + self._forms.log_prior[self._atoms_of[effect]]
-
-    def _select(
-        self,
-        grams: Grams,
-        atoms: Sequence[int],
-        sizes: Sequence[float],
-    ) -> Grams:
-        for atom, size in zip(atoms, sizes, strict=True):
-            grams = grams.select(self._atoms[atom], size)
-        return grams
-
-    def _columns_of_set(self, h: Hypothesis) -> Index:
-        """Columns of all forms of a set of effects, one after the other."""
-        return np.concatenate([_NONE, *[self._atoms[k] for k in h.atoms]])
-
-    def _selected(self, h: Hypothesis) -> list[tuple[Index, float]]:
-        """Columns of each effect of a set in its form, with its size."""
-        forms = zip(h.atoms, h.sizes, strict=True)
-        return [(self._atoms[atom], size) for atom, size in forms]
-
-    def _grams_alone(self, h: Hypothesis) -> Grams:
-        """Grams of the columns of a set of effects alone, these in the model."""
-        columns = [self._atoms[k] for k in h.atoms]
-        grams = self._forms.products.grams(self._columns_of_set(h))
-        return grams.select_in_order(columns, h.sizes)[0]
+    def _selected(self, h: Hypothesis) -> tuple[Grams, list[tuple[Index, float]]]:
+        """Grams of a set's columns alone, these in the model; the columns and sizes."""
+        columns = [self.columns_of(k) for k in h.atoms]
+        grams = self._forms.effects.grams(np.concatenate([_NONE, *columns]))
+        selected = list(zip(columns, h.sizes, strict=True))
+        return grams.select_in_order(columns, h.sizes)[0], selected
 
     # -- the search --------------------------------------------------------------------
 
@@ -346,7 +295,7 @@ class Search:
         """Each base with one effect more: the best few fitted, best first."""
         tried: dict[frozenset[str], tuple[float, Hypothesis, str, Further]] = {}
         for base in bases:
-            grams = self._select(self.grams, base.atoms, base.sizes)
+            grams = self.grams_with(base.atoms, base.sizes)
             for effect, further in self.screen(grams, base.effects).items():
                 key = frozenset((*base.effects, effect))
                 total = base.log_evidence + further.log_evidence
@@ -362,9 +311,3 @@ class Search:
             sizes = (*base.sizes, further.size)
             fitted.append(self.fit((*base.effects, effect), atoms, sizes))
         return sorted(fitted, key=lambda h: -h.score)
-
-
-def _argmax(table: Array) -> tuple[int, int]:
-    """Row and column of the largest entry."""
-    row, column = np.unravel_index(int(np.argmax(table)), table.shape)
-    return int(row), int(column)

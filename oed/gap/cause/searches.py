@@ -9,7 +9,8 @@ rests on few of the laws, more are drawn with that gap in the model.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import functools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -57,21 +58,17 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
     if outliers is not None:
         plain, wide = laws.posterior(clean, nothing), laws.posterior(clean, columns)
     unknown = waves.add(processes, clean, wide.mode)
-
-    def search_under(posteriors: Iterable[LawPosterior]) -> list[Search]:
-        return [
-            Search(clean, library, unknown, p.mode, 0.0, outliers=outliers)
-            for p in posteriors
-        ]
-
-    first = search_under((plain, wide))
+    search_under = functools.partial(
+        Search, clean, library, unknown, outliers=outliers, given=problem
+    )
+    first = [search_under(p.mode, 0.0) for p in (plain, wide)]
     gaps: dict[Forms, LawPosterior] = {}
     level = _add_best_gaps(gaps, clean, first)
-    further: list[Search] = []
     if level > LOUD:
-        further = search_under(list(gaps.values()))
+        further = [search_under(p.mode, 0.0) for p in gaps.values()]
         _add_best_gaps(gaps, clean, further)
-    candidates = _candidates([*first, *further])
+        first += further
+    candidates = _candidates(first)
 
     def search_all(known: Sequence[Search]) -> list[Search]:
         """Searches under all laws of the posteriors; the first laws may be searched."""
@@ -79,16 +76,7 @@ def searches(problem: GapProblem, effects: Sequence[Effect]) -> list[Search]:
         pairs = zip(known, mixture, strict=False)
         weighed = [search.with_weight(weight) for search, (_, weight) in pairs]
         further = [
-            Search(
-                clean,
-                library,
-                unknown,
-                law,
-                weight,
-                outliers=outliers,
-                candidates=candidates,
-                given=problem,
-            )
+            search_under(law, weight, candidates=candidates)
             for law, weight in mixture[len(known) :]
         ]
         return [*weighed, *further]
@@ -130,22 +118,15 @@ def _outliers(
     outliers = detect_outliers(problem, law, columns)
     if outliers is None:
         return None
-    gap = _best_gap(Search(problem, library, processes, law, 0.0))
+
+    def run(removed: Outliers | None) -> list[Hypothesis]:
+        clean = without_outliers(problem, removed)
+        return Search(clean, library, processes, law, 0.0, outliers=removed).run()
+
+    gap = next(h for h in run(None) if h.is_gap)
     forms = gap.columns(library, processes)
     fewer = detect_outliers(problem, law, np.hstack([columns, forms]))
-
-    def score(removed: Outliers | None) -> float:
-        clean = without_outliers(problem, removed)
-        return (
-            Search(clean, library, processes, law, 0.0, outliers=removed).run()[0].score
-        )
-
-    return max((outliers, fewer), key=score)
-
-
-def _best_gap(search: Search) -> Hypothesis:
-    """The best hypothesis of a search that says there is a gap."""
-    return next(h for h in search.run() if h.is_gap)
+    return max((outliers, fewer), key=lambda removed: run(removed)[0].score)
 
 
 def _candidates(first: Sequence[Search]) -> list[Hypothesis]:
@@ -175,7 +156,7 @@ def _add_best_gaps(
     """
     levels = []
     for search in searches:
-        gap = _best_gap(search)
+        gap = next(h for h in search.run() if h.is_gap)
         levels.append(search.noise_level(gap))
         search.release()
         _add_gap(posteriors, problem, search, gap)

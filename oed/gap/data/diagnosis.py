@@ -9,7 +9,12 @@ from typing import Literal
 from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
-from oed.result.gap import AnswerRecord, CoefficientRecord, PlaceRecord
+from oed.result.gap import (
+    AnswerRecord,
+    ClosureRecord,
+    CoefficientRecord,
+    PlaceRecord,
+)
 
 Verdict = Literal["none", "effect", "class", "mixture", "unknown", "scatter"]
 #: verdicts without an effect: noise as stated, and more scatter than the instrument has
@@ -49,33 +54,31 @@ class Size:
     detectability: float
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class Closure:
-    """How far the gap shrinks on held-out readings: C = (S0 - S1) / (S0 - Snoise).
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Explained:
+    """What the effects of an answer explain of the residual.
 
-    split        what is held out: parts of every run, or whole runs
-    value        C
-    low, high    95 % interval of C
-    p_worse      probability that the correction does harm
-    s0, s1       mean squared residuals without and with the effects, standardised by
-                 the predictive covariance
-    s_noise      expectation of s0 without a gap
-    n            number of readings held out
+    constants       {effect: its constants in the form that suits the readings best}
+    coefficients    of the selected effects
+    sizes           of the selected effects
+    explained       (N,) part of the residual that the selected effects explain, SI
+    unexplained     (N,) part that what else the answer has explains, SI
+    before, after   (N,) residuals of the calibration without and with the selected
+                    effects, SI, both fitted by the stated noise, as an identification
+                    leaves them
     """
 
-    split: Literal["within", "whole"]
-    value: float
-    low: float
-    high: float
-    p_worse: float
-    s0: float
-    s1: float
-    s_noise: float
-    n: int
+    constants: Mapping[str, Mapping[str, float]]
+    coefficients: tuple[CoefficientRecord, ...]
+    sizes: tuple[Size, ...]
+    explained: Array
+    unexplained: Array
+    before: Array
+    after: Array
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Diagnosis:
+class Diagnosis(Explained):
     """A diagnosis of one set of readings.
 
     problem         the residuals that it is of
@@ -86,15 +89,8 @@ class Diagnosis:
     marginal        {effect: probability that it acts}
     law             noise law as estimated
     noise_words     the same in words
-    constants       {effect: its constants in the form that suits the readings best}
-    coefficients    of the selected effects
-    sizes           of the selected effects
-    explained       (N,) part of the residual that the selected effects explain, SI
-    unexplained     (N,) part that an unknown remainder explains, SI
     likeness        {form of the unknown remainder in words: probability}, the likeliest
                     first; empty without a remainder
-    before, after   (N,) residuals of the calibration without and with the selected
-                    effects, SI
     where           blocks in which the gap lies
     closure         how far it shrinks on held-out readings
     not_testable    {effect: why these readings cannot test it}
@@ -115,16 +111,9 @@ class Diagnosis:
     marginal: Mapping[str, float]
     law: NoiseLaw
     noise_words: tuple[str, ...]
-    constants: Mapping[str, Mapping[str, float]]
-    coefficients: tuple[CoefficientRecord, ...]
-    sizes: tuple[Size, ...]
-    explained: Array
-    unexplained: Array
     likeness: Mapping[str, float]
-    before: Array
-    after: Array
     where: tuple[PlaceRecord, ...]
-    closure: tuple[Closure, ...]
+    closure: tuple[ClosureRecord, ...]
     not_testable: Mapping[str, str]
     confusable: tuple[tuple[str, ...], ...]
     next: tuple[str, ...]

@@ -14,7 +14,6 @@ each step of a search is of this form again.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -159,6 +158,18 @@ def group_by_count(choices: Sequence[Index]) -> list[tuple[Index, Index]]:
     return groups
 
 
+def separated(gram: Array, at: Index, rival: Index, precision: Array) -> Array:
+    """What a rival leaves of some columns: A_kk - A_kj (A_jj + P)^-1 A_jk.
+
+    Grams (..., K, K); columns `at` (k,), those of the rival (j,) with their prior
+    precision (j,). The result is (..., k, k).
+    """
+    cross = gram[..., rival[:, None], at]
+    inner = gram[..., rival[:, None], rival] + np.diag(precision)
+    absorbed = np.swapaxes(cross, -1, -2) @ np.linalg.solve(inner, cross)
+    return np.asarray(gram[..., at[:, None], at] - absorbed)
+
+
 def explained_energy(
     gram: Array, b: Array, sizes: Array, least: Array
 ) -> tuple[Array, Array]:
@@ -178,16 +189,30 @@ def explained_energy(
 
 
 class WhitenedColumns:
-    """Columns (N, K) in a metric, of which some at a time are wanted as Grams."""
+    """Columns (N, K) in a metric, of which some at a time are wanted as Grams.
 
-    def __init__(self, problem: GapProblem, metric: Metric, columns: Array) -> None:
+    Columns of many readings take much memory once they are whitened: those that are not
+    needed are left out.
+    """
+
+    def __init__(
+        self,
+        problem: GapProblem,
+        metric: Metric,
+        columns: Array,
+        needed: Index | None = None,
+    ) -> None:
+        """Whiten the columns `needed`, all by default."""
+        needed = np.arange(columns.shape[1]) if needed is None else needed
+        self._place = np.full(columns.shape[1], -1, dtype=np.intp)
+        self._place[needed] = np.arange(len(needed))
         #: (K,) energy of each column before the parameters absorb
         self.whole = np.zeros(columns.shape[1])
-        self._columns = np.empty((metric.size, columns.shape[1]))
-        for start in range(0, columns.shape[1], TOGETHER):
+        self._columns = np.empty((metric.size, len(needed)))
+        for start in range(0, len(needed), TOGETHER):
             some = slice(start, start + TOGETHER)
-            white = metric.whiten(columns[:, some])
-            self.whole[some] = np.einsum("nk,nk->k", white, white)
+            white = metric.whiten(columns[:, needed[some]])
+            self.whole[needed[some]] = np.einsum("nk,nk->k", white, white)
             self._columns[:, some] = metric.remaining(white)
         residual = metric.scores(problem.residual[:, None])[:, 0]
         energy = float(residual @ residual)
@@ -202,24 +227,20 @@ class WhitenedColumns:
             base=_log_student(metric.log_det, energy, metric.size),
         )
         #: (K,) projections of the residual
-        self.b = self._columns.T @ residual
+        self.b = np.zeros(columns.shape[1])
+        self.b[needed] = self._columns.T @ residual
 
     @functools.cached_property
     def diagonal(self) -> Array:
-        """Energy (K,) of each column."""
-        return np.asarray(np.einsum("nk,nk->k", self._columns, self._columns))
-
-    def of(self, columns: slice | Index) -> WhitenedColumns:
-        """Some of the columns alone."""
-        some = copy.copy(self)
-        some._columns = self._columns[:, columns]
-        some.b, some.whole = self.b[columns], self.whole[columns]
-        some.__dict__.pop("diagonal", None)
-        return some
+        """Energy (K,) of each column; 0 of those that are not needed."""
+        diagonal = np.zeros(len(self._place))
+        energy = np.einsum("nk,nk->k", self._columns, self._columns)
+        diagonal[self._place >= 0] = energy
+        return diagonal
 
     def grams(self, columns: slice | Index = slice(None)) -> Grams:
         """Grams of some columns; `base` is the log evidence of no gap."""
-        some = self._columns[:, columns]
+        some = self._columns[:, self._place[columns]]
         return dataclasses.replace(
             self._no_columns,
             gram=some.T @ some,
@@ -227,19 +248,14 @@ class WhitenedColumns:
             whole=self.whole[columns],
         )
 
-    def with_others(self, others: WhitenedColumns) -> Array:
-        """Inner products (K, L) with other columns."""
-        return self._columns.T @ others._columns
+    def with_others(self, columns: Index, others: WhitenedColumns) -> Array:
+        """Inner products (k, L) of some columns with all others."""
+        return self._columns[:, self._place[columns]].T @ others._columns
 
     def blocks(self, choices: Index) -> Array:
         """Gram matrices (a, d, d) of choices (a, d) of columns."""
-        every = [self._columns[:, choice] for choice in choices]
+        every = [self._columns[:, self._place[choice]] for choice in choices]
         return np.array([some.T @ some for some in every])
-
-
-def grams(problem: GapProblem, metric: Metric, columns: Array) -> Grams:
-    """Grams of columns (N, K) in a metric; `base` is the log evidence of no gap."""
-    return WhitenedColumns(problem, metric, columns).grams()
 
 
 def _log_student(log_det: float, energy: float, size: int) -> float:

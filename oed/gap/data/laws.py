@@ -22,7 +22,7 @@ alone: laws that differ in no more have the whitening in common.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import special
@@ -74,37 +74,24 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
         log_prior = -0.5 * (u**2).sum(axis=1) - 0.5 * u.shape[1] * np.log(2.0 * np.pi)
         return np.asarray(-values - log_prior)
 
-    if prior.dimensions == 1:
-        return _only_law(problem, compressed, cost, np.zeros(0))
-    mode = find_mode(cost, prior.starts()[:, 1:], FARTHEST)
-    mode = polish(cost, mode, FARTHEST)
-    proposal = split_student(cost, mode, signed(root_about(cost, mode)))
-    points = proposal.points(POINTS)
-    points = points[np.abs(points).max(axis=1) < FARTHEST]
-    if not len(points):  # the mode is in a corner, as where rows are copies of others
-        return _only_law(problem, compressed, cost, mode)
-    log_weights = -cost(points) - proposal.log_density(points)
-    total = float(special.logsumexp(log_weights))
-    rows = _systematic(points, np.exp(log_weights - total))
-    return LawPosterior(
-        columns=compressed,
-        mode=_laws(problem, mode[None])[0],
-        draws=points[rows],
-        log_evidence=total - float(np.log(POINTS)),
-    )
-
-
-def _only_law(
-    problem: GapProblem, columns: Array, cost: Callable[[Array], Array], mode: Array
-) -> LawPosterior:
-    """The posterior where one law is possible: all but its common factor is stated."""
-    points = np.tile(mode, (EACH, 1))
-    return LawPosterior(
-        columns=columns,
-        mode=_laws(problem, points[:1])[0],
-        draws=points,
-        log_evidence=-float(cost(points[:1])[0]),
-    )
+    mode = np.zeros(prior.dimensions - 1)
+    if len(mode):
+        mode = find_mode(cost, prior.starts()[:, 1:], FARTHEST)
+        mode = polish(cost, mode, FARTHEST)
+    # where all but the common factor is stated, or the mode is in a corner, as where
+    # rows are copies of others, one law is possible
+    draws, log_evidence = np.tile(mode, (EACH, 1)), -float(cost(mode[None])[0])
+    if len(mode):
+        proposal = split_student(cost, mode, signed(root_about(cost, mode)))
+        points = proposal.points(POINTS)
+        points = points[np.abs(points).max(axis=1) < FARTHEST]
+        if len(points):
+            log_weights = -cost(points) - proposal.log_density(points)
+            total = float(special.logsumexp(log_weights))
+            draws = points[_systematic(points, np.exp(log_weights - total))]
+            log_evidence = total - float(np.log(POINTS))
+    law = _laws(problem, mode[None])[0]
+    return LawPosterior(compressed, law, draws, log_evidence)
 
 
 def mixture(
@@ -176,7 +163,7 @@ class LawEvidence:
 
     def __init__(self, problem: GapProblem, columns: Array) -> None:
         """Prepare columns (N, k), the parameters' slopes among them."""
-        self._problem, layout = problem, problem.layout
+        self._problem, self._columns, layout = problem, columns, problem.layout
         values = np.column_stack([problem.residual, columns])
         self._values = values[layout.order]
         self._channel = problem.channel[layout.order]
@@ -190,10 +177,10 @@ class LawEvidence:
         Single readings of a law all have the same variance, 1 less what is carried.
         """
         if not self._apart:
-            columns = self._problem_columns()
-            return np.array(
-                [evidence.log_evidence(self._problem, law, columns) for law in laws]
-            )
+            every = [
+                evidence.log_evidence(self._problem, law, self._columns) for law in laws
+            ]
+            return np.array(every)
         products: dict[tuple[float, float], _Products] = {}
         values = []
         for law in laws:
@@ -202,12 +189,6 @@ class LawEvidence:
                 products[key] = self._whitened(law)
             values.append(self._log_evidence(law, products[key]))
         return np.array(values)
-
-    def _problem_columns(self) -> Array:
-        """The columns (N, k) in the order of the readings."""
-        columns = np.empty_like(self._values[:, 1:])
-        columns[self._problem.layout.order] = self._values[:, 1:]
-        return columns
 
     def _whitened(self, law: NoiseLaw) -> _Products:
         unit = dataclasses.replace(law, channel_ratio=None)

@@ -11,7 +11,7 @@ the exact change. Effects of micrometres are linear; a leg that goes 6 % too far
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -74,20 +74,19 @@ def settle(
     Where the steps lead nowhere, the problem as it was, with a departure of infinity.
     """
     fit = _PointFit(problem, forms, law, outlying)
-    place = fit.start()
-    departure = None
+    point, departure = fit.start(), None
     try:
         for _ in range(STEPS):
-            reached = fit.at(fit.most_probable(place))
-            off = fit.departure(place, reached)
+            reached = fit.at(fit.most_probable(point))
+            off = fit.departure(point, reached)
             departure = off if departure is None else departure
-            place = fit.downhill(place, reached)
+            point = fit.downhill(point, reached)
             if off < STILL:
-                return Settled(place.problem, fit.coefficients(place), departure)
+                coefficients = fit.sizes * point.values[fit.parameters :]
+                return Settled(point.problem, coefficients, departure)
     except AssemblyError:
         pass
-    nothing = np.zeros(sum(len(form.names) for form in forms))
-    return Settled(problem, nothing, np.inf)
+    return Settled(problem, np.zeros(len(fit.sizes)), np.inf)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,10 +104,9 @@ class _LinearPoint:
     columns: Array
     exact: Array
 
-    def linear(self, values: Array) -> Array:
-        """Readings (N,) of another point by the linear model about this one."""
-        slopes = np.hstack([self.problem.slopes, self.columns])
-        return self.exact + slopes @ (values - self.values)
+    def change(self, values: Array) -> Array:
+        """Change of the readings (N,) by values (n + k,), linear about this point."""
+        return np.hstack([self.problem.slopes, self.columns]) @ values
 
 
 class _PointFit:
@@ -126,95 +124,78 @@ class _PointFit:
         self._metric = Metric(problem, law)
         measurement = problem.measurement
         self._root = measurement.prior_root()[:, measurement.free]
+        #: number of parameters
+        self.parameters = self._root.shape[1]
+        #: (k,) prior standard deviations of all coefficients, in expected sizes
+        self.sizes = np.repeat([f.size for f in forms], [len(f.names) for f in forms])
 
     def start(self) -> _LinearPoint:
         """The parameters of the problem without effects, by its own linear model."""
         problem = self._problem
         off_nominal = problem.theta - problem.measurement.nominal
         parameters = np.linalg.lstsq(self._root, off_nominal, rcond=None)[0]
-        columns = self._columns(problem)
-        y = problem.in_noise_units(problem.y)
-        exact = y - problem.residual + problem.slopes @ parameters
-        values = np.concatenate([parameters, np.zeros(columns.shape[1])])
-        return _LinearPoint(values, problem, columns, exact)
+        values = np.concatenate([parameters, np.zeros(len(self.sizes))])
+        about = _LinearPoint(values, problem, self._columns(problem), problem.residual)
+        exact = problem.in_noise_units(problem.y) - problem.residual
+        return dataclasses.replace(about, exact=exact + about.change(values))
 
     def _columns(self, problem: GapProblem) -> Array:
         """Columns (N, k) of all forms, per prior sd, in units of the noise."""
-        parts = []
-        for form in self._forms:
-            signature = problem.signature(form.effect, form.constants)
-            parts.append(form.size * signature.columns_of(form.names))
-        return problem.in_noise_units(np.hstack(parts))
+        parts = [
+            problem.signature(form.effect, form.constants).columns_of(form.names)
+            for form in self._forms
+        ]
+        return problem.in_noise_units(self.sizes * np.hstack(parts))
 
     def at(self, values: Array) -> _LinearPoint:
         """The readings linearised about values (n + k,). Raises AssemblyError."""
-        nominal = self._problem.measurement.nominal
-        split = self._root.shape[1]
-        theta = nominal + self._root @ values[:split]
+        given, split = self._problem, self.parameters
+        theta = given.measurement.nominal + self._root @ values[:split]
         moved = problems.assemble(
-            self._problem.measurement,
-            self._problem.series,
-            self._problem.covariates,
+            given.measurement,
+            given.series,
+            given.covariates,
             theta,
-            self._problem.y,
-            gravity=self._problem.gravity,
+            given.y,
+            gravity=given.gravity,
         )
-        columns = self._columns(moved)
-        acting = self._acting(values[split:])
+        factors, acting = iter((self.sizes * values[split:]).tolist()), []
+        for form in self._forms:
+            of_form = dict(zip(form.names, factors, strict=False))
+            acting.append((form.effect, form.constants, of_form))
         exact = moved.in_noise_units(
             exact_readings(moved.measurement, moved.series, theta, moved.states, acting)
         )
-        explained = moved.slopes @ values[:split] + columns @ values[split:]
-        residual = moved.in_noise_units(moved.y) - exact + explained
-        return _LinearPoint(values, moved.with_residual(residual), columns, exact)
+        about = _LinearPoint(values, moved, self._columns(moved), exact)
+        residual = moved.in_noise_units(moved.y) - exact + about.change(values)
+        return dataclasses.replace(about, problem=moved.with_residual(residual))
 
-    def _acting(
-        self, coefficients: Array
-    ) -> Iterator[tuple[Effect, Mapping[str, float], Mapping[str, float]]]:
-        start = 0
-        for form in self._forms:
-            stop = start + len(form.names)
-            factors = form.size * coefficients[start:stop]
-            yield (
-                form.effect,
-                form.constants,
-                dict(zip(form.names, factors.tolist(), strict=True)),
-            )
-            start = stop
-
-    def coefficients(self, place: _LinearPoint) -> Array:
-        """Coefficients (k,) of all forms at a place, in expected sizes."""
-        sizes = [np.full(len(form.names), form.size) for form in self._forms]
-        return np.concatenate(sizes) * place.values[self._root.shape[1] :]
-
-    def most_probable(self, place: _LinearPoint) -> Array:
-        """Values (n + k,) by the linear model about a place."""
-        metric = Metric(place.problem, self._law)
-        residual = place.problem.residual + self._outlying
-        columns = place.columns
-        precision = metric.gram(columns, columns) + np.eye(columns.shape[1])
-        b = metric.gram(columns, residual[:, None])[:, 0]
-        coefficients = np.linalg.solve(precision, b)
-        fitted = metric.fit(residual - columns @ coefficients)
+    def most_probable(self, point: _LinearPoint) -> Array:
+        """Values (n + k,) by the linear model about a point."""
+        metric = Metric(point.problem, self._law)
+        residual = point.problem.residual + self._outlying
+        coefficients, _ = metric.posterior(point.columns, residual)
+        fitted = metric.fit(residual - point.columns @ coefficients)
         return np.concatenate([fitted, coefficients])
 
-    def departure(self, place: _LinearPoint, reached: _LinearPoint) -> float:
-        """How far the linear model about a place is off at a point."""
-        wrong = (reached.exact - place.linear(reached.values))[:, None]
+    def departure(self, point: _LinearPoint, reached: _LinearPoint) -> float:
+        """How far the linear model about a point is off at another."""
+        change = point.change(reached.values - point.values)
+        wrong = (reached.exact - point.exact - change)[:, None]
         energy = self._metric.gram(wrong, wrong).item()
         return float(np.sqrt(max(energy, 0.0)))
 
-    def downhill(self, place: _LinearPoint, reached: _LinearPoint) -> _LinearPoint:
+    def downhill(self, point: _LinearPoint, reached: _LinearPoint) -> _LinearPoint:
         """The point reached, or one on the way to it that is no less probable."""
-        before = self._cost(place)
+        before = self._cost(point)
         for _ in range(HALVINGS):
             if self._cost(reached) <= before:
                 break
-            reached = self.at(0.5 * (place.values + reached.values))
+            reached = self.at(0.5 * (point.values + reached.values))
         return reached
 
-    def _cost(self, place: _LinearPoint) -> float:
+    def _cost(self, point: _LinearPoint) -> float:
         """Squared residuals and values, in units of the noise and of the prior."""
         y = self._problem.in_noise_units(self._problem.y)
-        white = self._metric.whiten(y + self._outlying - place.exact)
-        return float(white @ white + place.values @ place.values)
+        white = self._metric.whiten(y + self._outlying - point.exact)
+        return float(white @ white + point.values @ point.values)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy import linalg
 
@@ -27,28 +25,28 @@ class Metric:
         """
         self._factor = law.factor(problem, rows)
         self.size = len(self._factor.order)
-        white = self.whiten(problem.slopes)
-        inner = np.eye(white.shape[1]) + white.T @ white
-        self._root = linalg.cholesky(inner, lower=True, check_finite=False)
-        self._absorb = linalg.solve_triangular(
-            self._root, white.T, lower=True, check_finite=False
+        axes, triangle = linalg.qr(
+            self.whiten(problem.slopes), mode="economic", check_finite=False
         )
+        rotation, size, self._turn = linalg.svd(
+            triangle, full_matrices=False, check_finite=False
+        )
+        #: what the parameters absorb lies along these axes (N, k), of these sizes (k,)
+        self._axes, self._size = axes @ rotation, size[:, None]
         #: log determinant of Sigma + H Lambda H^T
-        axes, triangle = linalg.qr(white, mode="economic", check_finite=False)
-        rotation, size, _ = linalg.svd(triangle, check_finite=False)
-        self._axes = axes @ rotation[:, : len(size)]
-        self._shrink = 1.0 - 1.0 / np.hypot(1.0, size)
-        log_root = float(np.log(np.diag(self._root)).sum())
-        self.log_det = self._factor.log_det + 2.0 * log_root
+        self.log_det = self._factor.log_det + float(np.log1p(size**2).sum())
 
     def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
-        return _by_column(self._factor.whiten, values)
+        if values.ndim == 1:
+            return self._factor.whiten(values[:, None])[:, 0]
+        return self._factor.whiten(values)
 
     def parts(self, values: Array) -> tuple[Array, Array]:
         """Parts (u0, u1) of values u (N, k): <u, v> = u0^T v0 - u1^T v1."""
         white = self.whiten(values)
-        return white, self._absorb @ white
+        share = self._size / np.hypot(1.0, self._size)
+        return white, share * (self._axes.T @ white)
 
     def scores(self, values: Array) -> Array:
         """Vectors s (N, k) of values u (N, k) with <u, v> = s_u^T s_v."""
@@ -60,23 +58,26 @@ class Metric:
         What they absorb almost whole keeps its digits, which the difference of `parts`
         loses.
         """
-        along = self._axes.T @ white
-        return np.asarray(white - (self._axes * self._shrink) @ along)
+        shrink = 1.0 - 1.0 / np.hypot(1.0, self._size)
+        return np.asarray(white - self._axes @ (shrink * (self._axes.T @ white)))
 
     def fit(self, values: Array) -> Array:
         """Parameters (n,) or (n, k), in prior sd, that explain values (N,) or (N, k)."""
-        _, absorbed = self.parts(values)
-        return np.asarray(
-            linalg.solve_triangular(
-                self._root, absorbed, lower=True, trans="T", check_finite=False
-            )
-        )
+        columns = values[:, None] if values.ndim == 1 else values
+        along = self._axes.T @ self.whiten(columns)
+        fitted = self._turn.T @ (self._size / (1.0 + self._size**2) * along)
+        return np.asarray(fitted[:, 0] if values.ndim == 1 else fitted)
 
     def gram(self, u: Array, v: Array) -> Array:
         """Inner products (k, l) of (N, k) and (N, l)."""
         return self.scores(u).T @ self.scores(v)
 
+    def posterior(self, columns: Array, values: Array) -> tuple[Array, Array]:
+        """Mean (k,) and precision (k, k) of coefficients of prior N(0, 1).
 
-def _by_column(whiten: Callable[[Array], Array], values: Array) -> Array:
-    """Values (N,) or (N, k) by what whitens columns (N, k)."""
-    return whiten(values[:, None])[:, 0] if values.ndim == 1 else whiten(values)
+        They are of columns (N, k) that explain values (N,) with the parameters.
+        """
+        scores = self.scores(columns)
+        precision = scores.T @ scores + np.eye(columns.shape[1])
+        b = scores.T @ self.scores(values[:, None])[:, 0]
+        return np.asarray(np.linalg.solve(precision, b)), precision

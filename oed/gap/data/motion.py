@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import scipy  # its parts load when first used: plans need no path
 from numpy.typing import NDArray
 
@@ -80,27 +81,16 @@ def motion(
         along = _along_run(q[at], tip[at])
         sense[at], reversal[at] = along.sense, along.reversal
         speed = feed[at, None]
-        rate[at] = along.slope * speed
-        acceleration[at] = along.curvature * speed**2
+        rate[at] = along.rate * speed
+        acceleration[at] = along.acceleration * speed**2
     return Motion(sense, rate, acceleration, reversal)
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class _Along:
-    """Joints over the length of path at k poses, (k, nq) each.
+def _along_run(q: Array, tip: Array) -> Motion:
+    """Motion of a run's k >= 2 poses, in their order, over the length of path.
 
-    slope, curvature    first and second derivative
-    sense, reversal     as in `Motion`
+    Rate and acceleration are the first and second derivative over it.
     """
-
-    slope: Array
-    curvature: Array
-    sense: Array
-    reversal: Array
-
-
-def _along_run(q: Array, tip: Array) -> _Along:
-    """Joints over the length of path of a run's k >= 2 poses, in their order."""
     along = _straight(q, tip)
     if not _is_path(tip):
         return along
@@ -115,7 +105,7 @@ def _along_run(q: Array, tip: Array) -> _Along:
     return along
 
 
-def _straight(q: Array, tip: Array) -> _Along:
+def _straight(q: Array, tip: Array) -> Motion:
     """Joints that move straight from pose to pose."""
     places = _path_length(tip)[0][: len(tip)]
     slope, curvature = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
@@ -123,7 +113,7 @@ def _straight(q: Array, tip: Array) -> _Along:
         slope[:] = np.gradient(q, places, axis=0)
         curvature[:] = np.gradient(slope, places, axis=0)
     sense = _sense(np.diff(q, axis=0, prepend=q[:1]))
-    return _Along(slope, curvature, sense, _since_reversal_by_steps(q, sense))
+    return Motion(sense, slope, curvature, _since_reversal_by_steps(q, sense))
 
 
 def _is_path(tip: Array) -> bool:
@@ -151,7 +141,7 @@ def _breaks(tip: Array) -> tuple[Index, Index]:
     return corners, far
 
 
-def _lay_path(along: _Along, q: Array, tip: Array, at: Index, rolling: bool) -> None:
+def _lay_path(along: Motion, q: Array, tip: Array, at: Index, rolling: bool) -> None:
     """Write what a smooth path through the poses `at` says of them into `along`.
 
     rolling  whether the path is entered rolling; else its first pose is a corner, which
@@ -171,14 +161,14 @@ def _lay_path(along: _Along, q: Array, tip: Array, at: Index, rolling: bool) -> 
     if not rolling:
         reversal = _since_corner(reversal, sense, q[at], along, int(at[0]))
     new = slice(0 if rolling else 1, None)
-    along.slope[at[new]] = path(places, 1)[new]
-    along.curvature[at[new]] = path(places, 2)[new]
+    along.rate[at[new]] = path(places, 1)[new]
+    along.acceleration[at[new]] = path(places, 2)[new]
     along.sense[at[new]] = sense[new]
     along.reversal[at[new]] = reversal[new]
 
 
 def _since_corner(
-    reversal: Array, sense: Array, q: Array, along: _Along, corner: int
+    reversal: Array, sense: Array, q: Array, along: Motion, corner: int
 ) -> Array:
     """Distances (k, nq) since a joint last turned, where that was at or before a corner.
 
@@ -221,18 +211,8 @@ def _sense(moved: Array) -> Array:
     """Signs of the joints' motion (k, nq); where one stands still, of its last motion."""
     size = np.abs(moved)
     least = 1e-6 * max(float(size.max()), 1e-12)
-    sign = np.where(size > least, np.sign(moved), 0.0)
-    count = len(sign)
-    for k in range(1, count):
-        _fill(sign, k, k - 1)
-    for k in range(count - 2, -1, -1):
-        _fill(sign, k, k + 1)
-    return sign
-
-
-def _fill(sign: Array, k: int, neighbour: int) -> None:
-    """Replace zeros in row k by the neighbouring row's signs."""
-    sign[k] = np.where(sign[k] == 0.0, sign[neighbour], sign[k])
+    sign = pd.DataFrame(np.where(size > least, np.sign(moved), np.nan))
+    return np.array(sign.ffill().bfill().fillna(0.0), dtype=float)
 
 
 def _since_reversal(

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array
 from oed.estimation import identification
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
@@ -167,6 +167,12 @@ def assemble(
     runs = rows.groupby(["setup", "run"], sort=False).indices.values()
     blocks = tuple(np.asarray(members, dtype=np.intp) for members in runs)
     kinds = rows["instrument"] + "." + rows["channel"]
+    levels = []
+    for s in series:  # 1 where a set-up does not state what a run's level moves by
+        setup = measurement.setups[s.setup]
+        names = [c.name for c in setup.instrument.channels]
+        unknown = [float(name not in setup.statement.levels) for name in names]
+        levels.append(np.tile(unknown, len(s)))
     return GapProblem(
         measurement=measurement,
         series=series,
@@ -182,33 +188,13 @@ def assemble(
         names=tuple(measurement.names[k] for k in free),
         stated=stated_errors(measurement, series, sigma),
         members=blocks,
-        position=_numbers_in_runs(rows, blocks),
+        position=rows["order"].to_numpy(dtype=float),
         channel=pd.factorize(kinds)[0].astype(np.intp),
         seat=renewed_slopes(measurement, series, theta),
-        level=_unknown_levels(measurement, series),
+        level=np.concatenate(levels),
         rows=rows,
         statement=common_statement(measurement, series),
     )
-
-
-def _unknown_levels(measurement: Measurement, series: Sequence[Series]) -> Array:
-    """1 for readings (N,) whose set-up does not state what a run's level moves by."""
-    parts = []
-    for s in series:
-        setup = measurement.setups[s.setup]
-        names = [c.name for c in setup.instrument.channels]
-        unknown = [float(n not in setup.statement.levels) for n in names]
-        parts.append(np.tile(unknown, len(s)))
-    return np.concatenate(parts)
-
-
-def _numbers_in_runs(rows: pd.DataFrame, blocks: Sequence[Index]) -> Array:
-    """Number (N,) of each reading in its run."""
-    along = np.zeros(len(rows))
-    order = rows["order"].to_numpy(dtype=float)
-    for members in blocks:
-        along[members] = order[members]
-    return along
 
 
 def _rows(

@@ -88,7 +88,8 @@ def signature(
     sigma       (N,) noise of the readings, SI; the measurement's by default
     textbook    leave out the columns that only let the form adapt
     """
-    ends = np.cumsum([0, *(_count(response) for response in responses)])
+    counts = [int(np.prod(response.nuisances.shape[:2])) for response in responses]
+    ends = np.cumsum([0, *counts])
     columns: dict[str, Column] = {}
     values: dict[str, Array] = {}
     parts = zip(states, responses, series, strict=True)
@@ -106,10 +107,8 @@ def signature(
             change = _read(column, response, measurement, s)
             values[name][rows] += column.scale * change
     sigma = measurement.sigma(series) if sigma is None else sigma
-    names = [n for n, v in values.items() if _norm(v, sigma) > NOTHING]
-    table = np.zeros((ends[-1], 0))
-    if names:
-        table = np.column_stack([values[n] for n in names])
+    names = [n for n, v in values.items() if np.linalg.norm(v / sigma) > NOTHING]
+    table = np.array([values[n] for n in names]).reshape(len(names), ends[-1]).T
     return Signature(
         effect=effect.name,
         constants=dict(constants),
@@ -120,16 +119,6 @@ def signature(
         shape=np.array([columns[n].shape for n in names], dtype=bool),
         textbook=effect.textbook_share,
     )
-
-
-def _count(response: Response) -> int:
-    """Number of a series' readings, all channels counted."""
-    readings, channels = response.nuisances.shape[:2]
-    return int(readings * channels)
-
-
-def _norm(values: Array, sigma: Array) -> float:
-    return float(np.linalg.norm(values / sigma))
 
 
 def _read(
@@ -251,39 +240,29 @@ def untestable(effect: Effect, states: Sequence[State]) -> str | None:
         return reason
     if not effect.is_offered([s.instrument for s in states]):
         return f"it is an error of {', '.join(effect.instruments)} alone"
-    missing = [need for need in effect.needs if not _any_recorded(need, states)]
+    missing = [
+        need
+        for need in effect.needs
+        if not any(_recorded(part.strip(), states) for part in need.split(" or "))
+    ]
     return LACKS + ", ".join(missing) if missing else None
 
 
-def _any_recorded(need: str, states: Sequence[State]) -> bool:
-    """Whether one of the alternatives of a need is recorded."""
-    alternatives = need.split(" or ")
-    return any(_recorded(part.strip(), states) for part in alternatives)
-
-
 def _recorded(need: str, states: Sequence[State]) -> bool:
-    """Whether a covariate is recorded with as many values as needed."""
+    """Whether a covariate is recorded with as many values as needed.
+
+    A need states a number of distinct values, "both" for two, or none for one.
+    """
     name, _, wanted = need.partition(":")
     if name.startswith("temp_"):
-        return _temperature_recorded(name.removeprefix("temp_"), states)
-    values = np.concatenate([getattr(s, name) for s in states])
+        body, unknown = name.removeprefix("temp_"), np.array([np.nan])
+        values = np.concatenate([s.temperature.get(body, unknown) for s in states])
+    else:
+        values = np.concatenate([getattr(s, name) for s in states])
     values = values[np.isfinite(values)]
     if name == "time":
         return len(np.unique(values)) > 1
     largest = float(np.abs(values).max(initial=0.0))
     distinct = np.unique(np.round(values / (largest or 1.0), 9))
-    return len(distinct) >= _values_needed(wanted)
-
-
-def _temperature_recorded(body: str, states: Sequence[State]) -> bool:
-    unknown = np.array([np.nan])
-    readings = [s.temperature.get(body, unknown) for s in states]
-    return any(bool(np.isfinite(r).any()) for r in readings)
-
-
-def _values_needed(wanted: str) -> int:
-    """Number of distinct values that a need states: "both", a number, or one."""
-    if wanted.strip() == "both":
-        return 2
-    number = re.search(r"\d+", wanted)
-    return int(number.group()) if number else 1
+    number = re.search(r"\d+", wanted.replace("both", "2"))
+    return len(distinct) >= (int(number.group()) if number else 1)

@@ -92,14 +92,13 @@ def _first_temperatures(
     times: Array,
 ) -> dict[str, float]:
     """Temperature of each body at the session's first reading that has one."""
-    order = np.argsort(times, kind="stable")
-    first = {}
-    for name in _temperature_columns(covariates):
-        values = _column(covariates, name)[order]
-        known = values[np.isfinite(values)]
-        body = name.removeprefix(TEMPERATURE)
-        first[body] = float(known[0]) if known.size else np.nan
-    return first
+    in_time = covariates.iloc[np.argsort(times, kind="stable")]
+    return {
+        name.removeprefix(TEMPERATURE): float(
+            next(iter(in_time[name].dropna()), np.nan)
+        )
+        for name in _temperature_columns(covariates)
+    }
 
 
 def _temperature_columns(covariates: pd.DataFrame) -> list[str]:
@@ -238,9 +237,8 @@ def _column(rows: pd.DataFrame, name: str) -> Array:
 def _owner(series: Series) -> Index:
     """For each pose (m,) the first reading that sees it."""
     owner = np.zeros(len(series.q), dtype=np.intp)
-    backward = np.arange(len(series))[::-1]
-    for column in series.index.T[::-1]:
-        owner[column[::-1]] = backward
+    poses, first = np.unique(series.index.T, return_index=True)
+    owner[poses] = first % len(series)
     return owner
 
 
@@ -264,8 +262,10 @@ def phase_along_runs(tip: Array, run: NDArray[np.str_], taught: Index) -> Array:
             continue
         if extent[1] > LOOP * extent[0]:
             phase[at] = _angle(offset, axes)
-        else:
-            phase[at] = _share_of_line(offset @ _oriented(axes[0]))
+            continue
+        along = offset @ _oriented(axes[0])  # a line: the share of its length
+        length = np.ptp(along) * (1.0 + 1e-9)
+        phase[at] = 2.0 * np.pi * (along - along.min()) / length
     return phase
 
 
@@ -273,12 +273,6 @@ def _oriented(axis: Array) -> Array:
     """An axis (3,) with its largest component positive."""
     largest = np.argmax(np.abs(axis))
     return np.asarray(axis * np.sign(axis[largest]))
-
-
-def _share_of_line(along: Array) -> Array:
-    """Way (k,) along a line as an angle in [0, 2 pi)."""
-    length = np.ptp(along) * (1.0 + 1e-9)
-    return np.asarray(2.0 * np.pi * (along - along.min()) / length)
 
 
 def _angle(offset: Array, axes: Array) -> Array:

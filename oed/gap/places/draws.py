@@ -70,57 +70,41 @@ def draw_energies(
     rng: np.random.Generator,
     draws: int,
 ) -> Draws:
+    """Draws of which each model has its share."""
     metric = Metric(problem, law)
     shares = np.array([model.share for model in models])
     counts = rng.multinomial(draws, shares / shares.sum())
-    drawn = [
-        _of_model(problem, metric, model, rng.standard_normal((len(model.labels), n)))
-        for model, n in zip(models, counts, strict=True)
-        if n
-    ]
-    labels = dict.fromkeys(label for part in drawn for label in part.parts)
-    other_ways = [part.other_way for part in drawn if part.other_way is not None]
-    return Draws(
-        timed=np.hstack([part.timed for part in drawn]),
-        acting=np.hstack([part.acting for part in drawn]),
-        other_way=np.hstack(other_ways) if len(other_ways) == len(drawn) else None,
-        remaining=np.hstack([part.remaining for part in drawn]),
-        parts={
-            label: np.concatenate(
-                [
-                    part.parts.get(label, np.zeros(part.remaining.shape[1]))
-                    for part in drawn
-                ]
+    drawn = [(model, n) for model, n in zip(models, counts, strict=True) if n]
+    names = list(dict.fromkeys(label for model, _ in drawn for label in model.labels))
+    energies = []
+    for model, n in drawn:
+        mean, precision = metric.posterior(model.columns, problem.residual)
+        root = linalg.cholesky(precision, lower=True)
+        normal = rng.standard_normal((len(mean), n))
+        spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
+        beta = mean[:, None] + spread
+        remaining = model.columns - problem.slopes @ metric.fit(model.columns)
+        timed = slice(None) if model.timed is None else model.timed
+        other_way = model.columns if model.other_way is None else model.other_way
+        labels = np.array(model.labels)
+        parts = [remaining[:, labels == name] @ beta[labels == name] for name in names]
+        energies.append(
+            (
+                (model.columns[:, timed] @ beta[timed]) ** 2,
+                (model.columns @ beta) ** 2,
+                (other_way @ beta) ** 2,
+                (remaining @ beta) ** 2,
+                np.array([np.sum(part**2, axis=0) for part in parts]),
             )
-            for label in labels
-        },
-    )
-
-
-def _of_model(
-    problem: GapProblem, metric: Metric, model: LikelyForms, normal: Array
-) -> Draws:
-    """Draws of one model from standard normal values (k, D)."""
-    columns = model.columns
-    precision = metric.gram(columns, columns) + np.eye(columns.shape[1])
-    b = metric.gram(columns, problem.residual[:, None])
-    root = linalg.cholesky(precision, lower=True)
-    spread = linalg.solve_triangular(root, normal, lower=True, trans="T")
-    beta = linalg.cho_solve((root, True), b) + spread
-    remaining = columns - problem.slopes @ metric.fit(columns)
-    labels = np.array(model.labels)
-    timed = np.ones(len(labels), dtype=bool) if model.timed is None else model.timed
-    other_way = None if model.other_way is None else (model.other_way @ beta) ** 2
-    parts = {}
-    for label in dict.fromkeys(model.labels):
-        at = labels == label
-        parts[label] = np.sum((remaining[:, at] @ beta[at]) ** 2, axis=0)
+        )
+    is_known = all(model.other_way is not None for model, _ in drawn)
+    every = [np.hstack(alike) for alike in zip(*energies, strict=True)]
     return Draws(
-        timed=(columns[:, timed] @ beta[timed]) ** 2,
-        acting=(columns @ beta) ** 2,
-        other_way=other_way,
-        remaining=(remaining @ beta) ** 2,
-        parts=parts,
+        timed=every[0],
+        acting=every[1],
+        other_way=every[2] if is_known else None,
+        remaining=every[3],
+        parts=dict(zip(names, every[4], strict=True)),
     )
 
 

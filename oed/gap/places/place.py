@@ -66,14 +66,14 @@ def locate(
     share.
     """
     drawn = draw_energies(problem, law, models, rng, draws)
+    readings = _readings_of_places(problem)
     places = [
         *_labelled(problem, drawn),
-        *_runs(problem, drawn),
+        *_runs(readings, drawn),
         *_stretch_of_time(problem, drawn),
         *_stretch_of_phase(problem, drawn),
         *_directions(problem, drawn),
     ]
-    readings = _readings_of_places(problem)
     ranked = sorted(places, key=_rank)
     return tuple(_with_same_readings(problem, place, readings) for place in ranked)
 
@@ -141,30 +141,28 @@ def _labelled(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
                 yield _place(name, energy, total, even)
 
 
-def _of_readings(name: str, rows: Index, energy: Array) -> _Place:
-    """A place that holds some readings, by the energy (N, D) of all."""
-    total, even = energy.sum(axis=0), len(rows) / len(energy)
-    place = _place(name, energy[rows].sum(axis=0), total, even)
-    inside = np.isin(np.arange(len(energy)), rows)
+def _of_readings(name: str, inside: Mask, energy: Array) -> _Place:
+    """A place that holds some readings (N,), by the energy (N, D) of all."""
+    even = float(inside.mean())
+    place = _place(name, energy[inside].sum(axis=0), energy.sum(axis=0), even)
     return dataclasses.replace(place, readings=inside)
 
 
-def _runs(problem: GapProblem, drawn: Draws) -> list[_Place]:
-    if len(problem.members) < 2:
+def _runs(readings: Mapping[str, Mask], drawn: Draws) -> list[_Place]:
+    """The run that has most, and others that stand out."""
+    runs = [name for name in readings if name.startswith("run ")]
+    if len(runs) < 2:
         return []
-    names = zip(_run_names(problem), problem.members, strict=True)
-    places = [_of_readings(name, rows, drawn.remaining) for name, rows in names]
+    places = [_of_readings(name, readings[name], drawn.remaining) for name in runs]
     places.sort(key=_rank)
     clear = [p for p in places[1:RUNS] if p.block.p_value < STANDS_OUT]
     return [places[0], *clear]
 
 
-def _run_names(problem: GapProblem) -> list[str]:
-    first = [members[0] for members in problem.members]
-    labels = problem.rows[["setup", "run"]].iloc[first].astype(str)
-    ambiguous = labels["run"].duplicated(keep=False)
-    setup = (labels["setup"] + " ").where(ambiguous, "")
-    return list("run " + setup + labels["run"])
+def _times(problem: GapProblem) -> Array:
+    """Time (N,) of each reading; NaN where it is not known."""
+    known = problem.rows.get("time", default=np.full(len(problem), np.nan))
+    return np.asarray(known, dtype=float)
 
 
 def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
@@ -172,21 +170,18 @@ def _stretch_of_time(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
 
     It ends halfway between its readings and those beside it.
     """
-    if "time" not in problem.rows.columns:
-        return
-    times = problem.rows["time"].to_numpy(dtype=float)
+    times = _times(problem)
     known = np.flatnonzero(np.isfinite(times))
     cells = np.array_split(np.unique(times[known]), CELLS)
     starts = np.array([cell[0] for cell in cells if len(cell)])
-    if len(starts) < 2:
+    if len(starts) < 2 or not drawn.timed.any():
         return
     number = np.searchsorted(starts, times[known], side="right") - 1
-    if not drawn.timed.any():
-        return
-    inside = np.isin(number, _densest(number, drawn.timed[known], len(starts)))
-    rows = known[inside]
-    name = f"time {_extent(times, times[rows])}"
-    stretch = _of_readings(name, rows, drawn.timed)
+    cells_inside = _densest(number, drawn.timed[known], len(starts))
+    inside = np.zeros(len(times), dtype=bool)
+    inside[known] = np.isin(number, cells_inside)
+    name = f"time {_extent(times, times[inside])}"
+    stretch = _of_readings(name, inside, drawn.timed)
     if stretch.confines > WORTH:
         yield stretch
 
@@ -207,15 +202,16 @@ def _with_same_readings(
         return block
     kind = block.block.partition(" ")[0]
     for name, others in readings.items():
-        if name.partition(" ")[0] != kind and _are_same(inside, others):
+        is_same = (inside & others).sum() >= SAME * (inside | others).sum()
+        if name.partition(" ")[0] != kind and is_same:
             return replace(block, same_as=name)
-    stretch = "" if kind == "time" else _as_stretch(problem, inside)
-    return replace(block, same_as=stretch)
-
-
-def _are_same(inside: Mask, others: Mask) -> bool:
-    """Whether nearly all readings of two places are those of both."""
-    return bool((inside & others).sum() >= SAME * (inside | others).sum())
+    times = _times(problem)
+    if kind == "time" or not np.isfinite(times).all():
+        return block
+    within, outside = times[inside], times[~inside]
+    if ((outside >= within.min()) & (outside <= within.max())).any():
+        return block
+    return replace(block, same_as=f"time {_extent(times, within)}")
 
 
 def _readings_of_places(problem: GapProblem) -> dict[str, Mask]:
@@ -224,26 +220,19 @@ def _readings_of_places(problem: GapProblem) -> dict[str, Mask]:
     Those of a leg are those off its middle position: a constant error of the leg is one
     of the geometry.
     """
-    setup = problem.rows["setup"].to_numpy()
+    setup, run = problem.rows["setup"].to_numpy(), problem.rows["run"].astype(str)
     masks = {f"set-up {name}": np.asarray(setup == name) for name in np.unique(setup)}
-    for name, members in zip(_run_names(problem), problem.members, strict=True):
+    first = [members[0] for members in problem.members]
+    names = run.iloc[first]
+    ambiguous = names.duplicated(keep=False)
+    prefix = problem.rows["setup"].iloc[first].astype(str) + " "
+    names = "run " + prefix.where(ambiguous, "") + names
+    for name, members in zip(names, problem.members, strict=True):
         masks[name] = np.isin(np.arange(len(problem)), members)
     joints = carriers.at_poses(problem, [s.joints for s in problem.states])[:, 0]
     off = np.abs(joints - np.median(joints, axis=0))
     moved = off > STILL * np.ptp(joints, axis=0)
     return masks | {f"leg {i + 1}": moved[:, i] for i in problem.states[0].limbs}
-
-
-def _as_stretch(problem: GapProblem, inside: Mask) -> str:
-    """The stretch of time that has some readings alone; "" where none has."""
-    if "time" not in problem.rows.columns:
-        return ""
-    times = problem.rows["time"].to_numpy(dtype=float)
-    own, others = times[inside], times[~inside]
-    between = (others >= own.min()) & (others <= own.max())
-    if not np.isfinite(times).all() or between.any():
-        return ""
-    return f"time {_extent(times, own)}"
 
 
 def _extent(times: Array, inside: Array) -> str:
@@ -252,11 +241,7 @@ def _extent(times: Array, inside: Array) -> str:
     before, after = times[times < first], times[times > last]
     begin = 0.5 * (first + before.max()) if before.size else first
     end = 0.5 * (last + after.min()) if after.size else last
-    return f"{_number(begin)}-{_number(end)}"
-
-
-def _number(value: float) -> str:
-    return f"{value:.1f}".removesuffix(".0")
+    return "-".join(f"{value:.1f}".removesuffix(".0") for value in (begin, end))
 
 
 def _stretch_of_phase(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
@@ -269,7 +254,7 @@ def _stretch_of_phase(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     number = (phase[rows] / (2.0 * np.pi) * SECTORS).astype(int) % SECTORS
     cells = _densest(number, drawn.remaining[rows], SECTORS, around=True)
     begin, end = 360 * cells[0] // SECTORS, 360 * (cells[-1] + 1) // SECTORS
-    inside = rows[np.isin(number, cells)]
+    inside = np.isin(np.arange(len(phase)), rows[np.isin(number, cells)])
     stretch = _of_readings(f"phase {begin}-{end}", inside, drawn.remaining)
     if stretch.confines > WORTH:
         yield stretch
@@ -277,16 +262,13 @@ def _stretch_of_phase(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
 
 def _directions(problem: GapProblem, drawn: Draws) -> Iterator[_Place]:
     """Both directions, by what acts in all readings as if driven one way alone."""
-    if "direction" not in problem.rows.columns or drawn.other_way is None:
+    if drawn.other_way is None:  # as where runs were driven one way alone
         return
-    direction = np.sign(problem.rows["direction"].to_numpy(dtype=float))
-    if not ((direction > 0.0).any() and (direction < 0.0).any()):
-        return
+    forward = np.sign(problem.rows["direction"].to_numpy(dtype=float))
     energy = {}
     for sign in (1, -1):
-        along, against = direction == sign, direction == -sign
-        energy[sign] = drawn.acting[along].sum(axis=0)
-        energy[sign] += drawn.other_way[against].sum(axis=0)
+        energy[sign] = drawn.acting[forward == sign].sum(axis=0)
+        energy[sign] += drawn.other_way[forward == -sign].sum(axis=0)
     total = energy[1] + energy[-1]
     for sign, amount in energy.items():
         even = np.abs(amount - 0.5 * total) <= NEARLY_EVEN * total

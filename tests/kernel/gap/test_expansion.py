@@ -73,25 +73,27 @@ def test_small_effects_ask_for_no_other_point() -> None:
 def test_parts_of_the_residual_are_the_dense_estimates() -> None:
     problem, search = bowed(), searched()
     best = next(h for h in compare([search]) if h.key == (frozenset({"bow"}), False))
-    parts = explain(problem, search, best, {"bow"})
+    parts, sigma = explain(problem, search, best, {"bow"}), problem.sigma
     columns = search.library.scaled_columns(best.atoms[0], best.sizes[0])
     weighed = np.linalg.solve(dense(problem), columns)
     precision = columns.T @ weighed + np.eye(columns.shape[1])
     mean = np.linalg.solve(precision, weighed.T @ problem.residual)
-    assert parts.explained == pytest.approx(columns @ mean, abs=1e-6)
+    explained = parts.explained / sigma
+    assert explained == pytest.approx(columns @ mean, abs=1e-6)
     assert parts.unexplained == pytest.approx(0.0, abs=1e-9)
     noise = dense(problem, slopes=False)
     # what parameters leave of r is R (R + H H^T)^-1 r
     left = noise @ np.linalg.inv(dense(problem))
-    assert parts.before == pytest.approx(left @ problem.residual, abs=1e-6)
+    assert parts.before / sigma == pytest.approx(left @ problem.residual, abs=1e-6)
     corrected = problem.residual - columns @ mean
-    assert parts.after == pytest.approx(left @ corrected, abs=1e-6)
+    assert parts.after / sigma == pytest.approx(left @ corrected, abs=1e-6)
     (size,) = parts.sizes
-    energy = parts.explained @ np.linalg.solve(dense(problem), parts.explained)
-    assert size.detectability == pytest.approx(np.sqrt(energy) / parts.level)
+    energy = explained @ np.linalg.solve(dense(problem), explained)
+    level = search.noise_level(best)
+    assert size.detectability == pytest.approx(np.sqrt(energy) / level)
     channel = problem.rows["channel"].to_numpy()
     for name, rms in size.rms.items():
-        values = (parts.explained * problem.sigma)[channel == name]
+        values = parts.explained[channel == name]
         assert rms == pytest.approx(np.sqrt(np.mean(values**2)))
 
 

@@ -337,20 +337,6 @@ def test_same_seed_same_closure_and_folds_do_not_depend_on_it(
     assert (a.low, a.high) != (c.low, c.high)
 
 
-def test_columns_that_do_not_fit_are_refused(
-    readings: GapProblem, rng: np.random.Generator
-) -> None:
-    law = stated_law(readings)
-    with pytest.raises(ValueError, match=r"143, 1.*144 readings need \(144, k\)"):
-        closure(readings, law, np.ones((143, 1)), rng, split="whole")
-    bad = np.ones((144, 2))
-    bad[5, 1] = np.nan
-    with pytest.raises(ValueError, match="column 1 is not finite"):
-        closure(readings, law, bad, rng, split="whole")
-    with pytest.raises(ValueError, match="no columns"):
-        closure(readings, law, [], rng, split="whole")
-
-
 def test_a_law_too_quiet_shows_in_the_scores(
     readings: GapProblem, rng: np.random.Generator
 ) -> None:

@@ -27,6 +27,10 @@ def _law(problem: GapProblem) -> NoiseLaw:
     return NoiseLaw(0.8, 1.5, 4.0, variance, channel_ratio=ratio)
 
 
+def _grams(problem: GapProblem, law: NoiseLaw, columns: np.ndarray) -> evidence.Grams:
+    return evidence.WhitenedColumns(problem, Metric(problem, law), columns).grams()
+
+
 def _dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     covariance = problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.members):
@@ -111,7 +115,7 @@ def test_columns_one_after_the_other(problem: GapProblem) -> None:
         _law(problem),
         np.random.default_rng(4).standard_normal((len(problem), 6)),
     )
-    grams = evidence.grams(problem, Metric(problem, law), columns)
+    grams = _grams(problem, law, columns)
     first, second, third = np.array([0, 3]), np.array([1]), np.array([2, 4, 5])
     selected = grams.select(first, 0.3).select(second, 1.0)
     log_evidence = (
@@ -127,9 +131,7 @@ def test_what_is_taken_out_stays_out(problem: GapProblem) -> None:
     law = _law(problem)
     columns = np.random.default_rng(5).standard_normal((len(problem), 4))
     columns[:, 3] = columns[:, 0] - 2.0 * columns[:, 1]
-    projected = evidence.grams(problem, Metric(problem, law), columns).project_out(
-        np.array([0, 1])
-    )
+    projected = _grams(problem, law, columns).project_out(np.array([0, 1]))
     assert np.abs(projected.gram[3]).max() < 1e-8
     assert projected.gram[2, 2] > 1.0
 

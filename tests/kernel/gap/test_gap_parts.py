@@ -12,12 +12,11 @@ from kernel import gap_problem as case
 from oed.gap.before.confusion import inverse_root
 from oed.gap.cause import closure
 from oed.gap.cause.folds import FOLDS, Paths
-from oed.gap.cause.remainder import energies
+from oed.gap.cause.form_products import energies
 from oed.gap.cause.searches import WIDE, wide_model
 from oed.gap.data import evidence
 from oed.gap.data.laws import LawEvidence
 from oed.gap.data.metric import Metric
-from oed.gap.data.products import ColumnProducts
 from oed.gap.forms import discrepancy, library
 from oed.noise.law import NoiseLaw
 
@@ -42,9 +41,8 @@ def test_products_are_those_in_the_dense_metric(rng: np.random.Generator) -> Non
     effects = rng.standard_normal((len(problem), 4))
     processes = rng.standard_normal((len(problem), 3))
     needed = np.array([0, 2])
-    products = ColumnProducts(
-        problem, Metric(problem, law), effects, processes, [np.array([[0, 2]])], needed
-    )
+    products = evidence.WhitenedColumns(problem, Metric(problem, law), effects, needed)
+    others = evidence.WhitenedColumns(problem, Metric(problem, law), processes)
     np.testing.assert_allclose(
         products.diagonal[needed],
         np.diag(effects.T @ metric @ effects)[needed],
@@ -53,13 +51,14 @@ def test_products_are_those_in_the_dense_metric(rng: np.random.Generator) -> Non
     gram = effects[:, needed].T @ metric @ effects[:, needed]
     np.testing.assert_allclose(products.grams(needed).gram, gram, rtol=1e-8)
     cross = effects[:, [2]].T @ metric @ processes
-    told = products.with_processes(np.array([2]))
+    told = products.with_others(np.array([2]), others)
     np.testing.assert_allclose(told, cross, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(
-        products.process_b, processes.T @ metric @ problem.residual, atol=1e-9
+        others.b, processes.T @ metric @ problem.residual, atol=1e-9
     )
     block = processes[:, [0, 2]].T @ metric @ processes[:, [0, 2]]
-    np.testing.assert_allclose(products.blocks[0][0], block, rtol=1e-8)
+    (product,) = others.blocks(np.array([[0, 2]]))
+    np.testing.assert_allclose(product, block, rtol=1e-8)
     diagonal = np.diag(block)
     assert energies(diagonal, [np.array([0, 1])])[0] == pytest.approx(diagonal.sum())
 

@@ -171,7 +171,7 @@ def test_a_search_of_few_candidates_answers_as_one_of_all_does() -> None:
         assert further.log_evidence == pytest.approx(rivals[name].log_evidence)
     some._hypotheses = []
     some.run()
-    assert not {"products", "remainders", "grams"} & vars(some._forms).keys()
+    assert not {"effects", "remainders", "grams"} & vars(some._forms).keys()
 
 
 def test_pairs_extend_the_most_probable_single_effects_alone(

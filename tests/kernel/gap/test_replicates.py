@@ -9,10 +9,9 @@ from scipy import integrate, stats
 
 from oed import Measurement, mount
 from oed.gap import diagnose, prepare
-from oed.gap.cause.scatter import Energies, shape
+from oed.gap.cause.scatter import Energies, replicates, shape
 from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT
 from oed.gap.data.problem import GapProblem
-from oed.gap.data.replicates import replicates
 from oed.model.size_prior import UNKNOWN_SIZES
 from oed.noise.law import stated_law
 from pkm_models.effects.encoder_scale import effect
@@ -66,7 +65,7 @@ def test_long_sessions_count_some_of_their_poses(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     of = problem(3.0, on_the_spot=False)
-    monkeypatch.setattr("oed.gap.data.replicates.MOST", 20)
+    monkeypatch.setattr("oed.gap.cause.scatter.MOST", 20)
     again = replicates(of)
     _, freedom = again.energy(of, stated_law(of))
     assert len(again.rows) == TIMES * 20

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from oed.base import units
 from oed.base.arrays import Array
 from oed.gap.data import problem
-from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Closure, Diagnosis, Size
+from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Diagnosis, Size
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Column, Effect
 from oed.result.gap import (
@@ -90,7 +90,7 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
 
 def finite_or_none(value: float) -> float | None:
     """A number, or None where it is not finite."""
-    return float(value) if math.isfinite(value) else None
+    return float(value) if isfinite(value) else None
 
 
 def _selected(diagnosis: Diagnosis) -> list[str]:
@@ -100,18 +100,13 @@ def _selected(diagnosis: Diagnosis) -> list[str]:
     return [name for name in diagnosis.answers[0].effects if name != UNKNOWN]
 
 
-def _closure(closure: Closure) -> ClosureRecord:
-    return ClosureRecord(
-        split=closure.split,
-        value=finite_or_none(closure.value),
-        low=finite_or_none(closure.low),
-        high=finite_or_none(closure.high),
-        p_worse=finite_or_none(closure.p_worse),
-        s0=finite_or_none(closure.s0),
-        s1=finite_or_none(closure.s1),
-        s_noise=finite_or_none(closure.s_noise),
-        n=int(closure.n),
-    )
+def _closure(closure: ClosureRecord) -> ClosureRecord:
+    """The closure, with None for what is not finite."""
+    numbers = msgspec.structs.asdict(closure)
+    unknown = [
+        n for n, v in numbers.items() if isinstance(v, float) and not isfinite(v)
+    ]
+    return replace(closure, **dict.fromkeys(unknown))
 
 
 def _note(effect: Effect, diagnosis: Diagnosis) -> EffectNote:
