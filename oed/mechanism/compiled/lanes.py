@@ -24,6 +24,8 @@ MOST_LANES = 8
 NEWTON_STEPS, CHORD_STEPS = 8, 4
 #: error (m, rad) after which a point takes no further step
 LEAST_ERROR = 1e-17
+#: instructions of the longest function that is compiled, in some ten seconds
+MOST_INSTRUCTIONS = 20_000
 #: states of points in newton.h
 SOLVED, NEAR = 1, 2
 #: words of memory in a number
@@ -204,6 +206,8 @@ def compiled(
     kind: Callable[[ctypes.CDLL, Any, Array], Any], function: Any, job: LaneJob
 ) -> Any:
     """A job on a dense SX function, compiled; None where that cannot be."""
+    if function.n_instructions() > MOST_INSTRUCTIONS:
+        return None
     written = lane_text(function, job)
     library = load(written.text)
     return None if library is None else kind(library, function, written.constants)
@@ -255,9 +259,11 @@ def share_points(run: Callable[[int, int], None], count: int) -> None:
     ]
     for thread in threads:
         thread.start()
-    run(0, min(size, count))
-    for thread in threads:
-        thread.join()
+    try:
+        run(0, min(size, count))
+    finally:  # an interrupt waits: the threads write into the caller's arrays
+        for thread in threads:
+            thread.join()
 
 
 def _cores() -> int:

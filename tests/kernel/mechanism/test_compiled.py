@@ -140,6 +140,13 @@ def test_inputs_of_another_size_are_refused() -> None:
             function(np.ones(a), np.ones(z))
 
 
+def test_a_very_long_function_is_not_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lanes, "MOST_INSTRUCTIONS", 3)
+    function = batched([A, Z], [A + Z])
+    assert function(np.ones(2), np.ones(2))[0].tolist() == [[2.0, 2.0]]
+    assert function._compiled[lanes.Evaluation] is None
+
+
 # -- Newton's method -------------------------------------------------------------------
 
 #: z0^2 = a0 and z0 z1 = a1, which has a closed form
