@@ -39,7 +39,7 @@ def test_draws_give_the_readings_that_were_taken(fitted: oed.EstimateView) -> No
     straight = estimate.theta + rng.standard_normal((1000, root.shape[1])) @ root.T
     off = {}
     for name, draws in (("followed", theta), ("straight", straight)):
-        read = np.array([exact_readings(state, t) for t in draws])
+        read = np.array([exact_readings(state, t) for t in draws[:200]])
         off[name] = np.sqrt(
             np.mean((read - exact_readings(state, estimate.theta)) ** 2)
         )
