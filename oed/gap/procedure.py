@@ -20,7 +20,13 @@ from oed.gap.cause.scatter import (
 )
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
-from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Closure, Diagnosis
+from oed.gap.data.diagnosis import (
+    NO_EFFECT,
+    UNKNOWN,
+    AnswerForm,
+    Closure,
+    Diagnosis,
+)
 from oed.gap.data.problem import GapProblem
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
@@ -133,8 +139,8 @@ def conclude(
     hypotheses, rough = with_roughness(search_results, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(search_results, hypotheses, shares)
-    ranked, best = answers.rank(groups)
-    first = ranked[0]
+    ranked, leading = answers.rank(groups)
+    first, best = ranked[0], leading[0]
     is_rough = answers.verdict(first) == "unknown" and rough.share > EVEN
     if is_rough:
         best = next(h for h in hypotheses if not h.is_gap)
@@ -182,8 +188,14 @@ def conclude(
         effective_laws=best.effective_laws if _is_estimated(search_results) else None,
         clean=search.problem,
         shares=dict(zip([h.key for h in hypotheses], shares.tolist(), strict=True)),
+        forms=tuple(_form_of(search_results[h.law], h) for h in leading),
     )
     return diagnosis, best
+
+
+def _form_of(search: Search, h: Hypothesis) -> AnswerForm:
+    """What a hypothesis says, in the forms that suit it best."""
+    return AnswerForm(_constants(search, h, h.effects), h.unknown)
 
 
 def _is_estimated(search_results: Sequence[Search]) -> bool:

@@ -74,6 +74,18 @@ class Closure:
     n: int
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class AnswerForm:
+    """What acts by an answer, in the form that suits the readings best.
+
+    constants  {effect: its constants}
+    unknown    whether something of no known form acts as well
+    """
+
+    constants: Mapping[str, Mapping[str, float]]
+    unknown: bool
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """A diagnosis of one set of readings.
@@ -106,6 +118,7 @@ class Diagnosis:
                     rests on; None under a known law
     clean           the problem without outliers; None where it was not searched
     shares          {(effects, whether an unknown acts): probability}
+    forms           what acts by each of the answers
     """
 
     problem: GapProblem
@@ -134,3 +147,4 @@ class Diagnosis:
     shares: Mapping[tuple[frozenset[str], bool], float] = dataclasses.field(
         default_factory=dict
     )
+    forms: tuple[AnswerForm, ...] = ()
