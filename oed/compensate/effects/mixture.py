@@ -25,6 +25,7 @@ from oed.base.arrays import Array, Index
 from oed.compensate.effects.effect_maps import ActingForm
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.compensate.effects.fit import (
+    CorrectedEstimate,
     EffectReadings,
     estimate_with_effects,
 )
@@ -35,8 +36,10 @@ from oed.estimation.estimate import Estimate
 from oed.estimation.identification import IdentificationError
 from oed.gap.data.diagnosis import AnswerForm
 from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
 from oed.model.effect import Effect
 from oed.posterior import laplace
+from oed.posterior.log_density import OutOfBoundsError
 from oed.result.gap import AnswerRecord
 
 #: probability from which an answer is fitted
@@ -186,6 +189,7 @@ class AnswerFits:
                     None where no effect changes a reading
     estimate_noise  whether the noise law is estimated
     rng             for the draws
+    corrected       the fit with the effects of the decision, where there is one
     """
 
     readings: EffectReadings
@@ -194,6 +198,7 @@ class AnswerFits:
     estimate_noise: bool
     rng: np.random.Generator
     max_iterations: int = 100
+    corrected: CorrectedEstimate | None = None
 
     def fit(
         self,
@@ -206,7 +211,7 @@ class AnswerFits:
         forms            of the answers, as in a Diagnosis
         without_effects  the fit of the geometry alone, with no gap
 
-        An answer that no fit follows is left out. Raises AssemblyError.
+        An answer that no fit follows is left out; without any, the geometry alone stays.
         """
         fitted = [
             posterior
@@ -231,7 +236,7 @@ class AnswerFits:
                 posterior = self._unnamed(candidate)
             else:
                 posterior = self._geometry(candidate, without_effects)
-        except IdentificationError:
+        except (AssemblyError, IdentificationError, OutOfBoundsError):
             return
         if posterior is not None:
             yield posterior
@@ -266,18 +271,7 @@ class AnswerFits:
         self, candidate: _Candidate, without_effects: Estimate
     ) -> AnswerPosterior | None:
         """Named effects, and what acts beside them."""
-        by_name = {effect.name: effect for effect in self.effects}
-        acting = [
-            with_constants(by_name[name], constants)
-            for name, constants in candidate.constants.items()
-        ]
-        fitted = estimate_with_effects(
-            self.readings,
-            acting,
-            without_effects.theta,
-            estimate_noise=self.estimate_noise,
-            max_iterations=self.max_iterations,
-        )
+        fitted = self._with_effects(candidate, without_effects)
         if fitted is None:
             return None
         columns = self._columns_beside(candidate)
@@ -302,6 +296,28 @@ class AnswerFits:
             estimate,
             side_by_side(beside),
             fitted.parameters,
+        )
+
+    def _with_effects(
+        self, candidate: _Candidate, without_effects: Estimate
+    ) -> CorrectedEstimate | None:
+        """The fit with an answer's effects; that of the decision is known."""
+        known = self.corrected
+        if known is not None:
+            forms = {form.effect.name: dict(form.constants) for form in known.forms}
+            if forms == candidate.constants:
+                return known
+        by_name = {effect.name: effect for effect in self.effects}
+        acting = [
+            with_constants(by_name[name], constants)
+            for name, constants in candidate.constants.items()
+        ]
+        return estimate_with_effects(
+            self.readings,
+            acting,
+            without_effects.theta,
+            estimate_noise=self.estimate_noise,
+            max_iterations=self.max_iterations,
         )
 
     def _columns_beside(self, candidate: _Candidate) -> ExpectedColumns | None:
