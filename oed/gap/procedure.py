@@ -23,7 +23,7 @@ from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import (
     NO_EFFECT,
     UNKNOWN,
-    AnswerForm,
+    AnswerContent,
     Closure,
     Diagnosis,
 )
@@ -151,8 +151,7 @@ def conclude(
     parts = explain(search.given, search, best, named)
     law = search.law_at(parts.level)
     untested = search.library.not_testable
-    verdict = answers.verdict(first)
-    scatter = None
+    verdict, scatter = answers.verdict(first), None
     if is_rough:
         scatter = rough_scatter(search.problem, law, rough)
     elif verdict == "none":
@@ -188,14 +187,19 @@ def conclude(
         effective_laws=best.effective_laws if _is_estimated(search_results) else None,
         clean=search.problem,
         shares=dict(zip([h.key for h in hypotheses], shares.tolist(), strict=True)),
-        forms=tuple(_form_of(search_results[h.law], h) for h in leading),
+        contents=_contents(search_results, leading),
     )
     return diagnosis, best
 
 
-def _form_of(search: Search, h: Hypothesis) -> AnswerForm:
-    """What a hypothesis says, in the forms that suit it best."""
-    return AnswerForm(_constants(search, h, h.effects), h.unknown)
+def _contents(
+    search_results: Sequence[Search], leading: Sequence[Hypothesis]
+) -> tuple[AnswerContent, ...]:
+    """What hypotheses say, each in the form that suits it best."""
+    return tuple(
+        AnswerContent(_constants(search_results[h.law], h, h.effects), h.unknown)
+        for h in leading
+    )
 
 
 def _is_estimated(search_results: Sequence[Search]) -> bool:

@@ -75,7 +75,7 @@ class Closure:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class AnswerForm:
+class AnswerContent:
     """What acts by an answer, in the form that suits the readings best.
 
     constants  {effect: its constants}
@@ -118,7 +118,7 @@ class Diagnosis:
                     rests on; None under a known law
     clean           the problem without outliers; None where it was not searched
     shares          {(effects, whether an unknown acts): probability}
-    forms           what acts by each of the answers
+    contents        what acts by each of the answers
     """
 
     problem: GapProblem
@@ -147,4 +147,4 @@ class Diagnosis:
     shares: Mapping[tuple[frozenset[str], bool], float] = dataclasses.field(
         default_factory=dict
     )
-    forms: tuple[AnswerForm, ...] = ()
+    contents: tuple[AnswerContent, ...] = ()

@@ -13,10 +13,11 @@ import pytest
 from scipy import optimize, special, stats
 
 from oed import Measurement, mount
+from oed.compensate.effects.answer_fits import AnswerFits, with_constants
 from oed.compensate.effects.fit import EffectReadings, estimate_with_effects
-from oed.compensate.effects.mixture import AnswerFits, AnswerMixture, with_constants
+from oed.compensate.effects.mixture import AnswerMixture
 from oed.estimation import identify
-from oed.gap.data.diagnosis import AnswerForm
+from oed.gap.data.diagnosis import AnswerContent
 from oed.measurement import draw_parameters
 from oed.model.effect import Effect
 from oed.result.gap import AnswerRecord
@@ -109,7 +110,7 @@ def case() -> Case:
     given = readings()
     plain = identify(given.measurement, given.series, given.y)
     answers = [dense(given, plain.theta, None, np.ones(0))]
-    forms = [AnswerForm({}, unknown=False)]
+    forms = [AnswerContent({}, unknown=False)]
     for effect in EFFECTS:
         constants = effect.constant_grid()[0]
         chosen = with_constants(effect, constants)
@@ -118,7 +119,7 @@ def case() -> Case:
         sizes = fit.measurement.tolerance[fit.parameters :]
         theta = fit.estimate.theta[: fit.parameters]
         answers.append(dense(given, theta, chosen, sizes))
-        forms.append(AnswerForm({effect.name: constants}, unknown=False))
+        forms.append(AnswerContent({effect.name: constants}, unknown=False))
     shares = special.softmax([a.log_evidence for a in answers])
     assert shares.min() > 0.05  # all three compete
     records = [
@@ -160,7 +161,7 @@ def test_intervals_are_quantiles_of_the_dense_mixture(case: Case) -> None:
 
             def excess(x: float, level: float = level) -> float:
                 inside = special.ndtr((x - means) / sds)  # noqa: B023
-                return float(case.shares @ inside) - level  # noqa: B023
+                return float(case.shares @ inside) - level
 
             low, high = means.min() - 9.0 * sds.max(), means.max() + 9.0 * sds.max()
             exact = optimize.brentq(excess, low, high, xtol=1e-15)
@@ -190,8 +191,8 @@ def test_an_answer_below_the_least_share_is_left_out_and_said(case: Case) -> Non
     plain = identify(given.measurement, given.series, given.y)
     records = [AnswerRecord((), 0.99), AnswerRecord(("backlash",), 0.01)]
     forms = [
-        AnswerForm({}, unknown=False),
-        AnswerForm({"backlash": backlash.effect.constant_grid()[0]}, unknown=False),
+        AnswerContent({}, unknown=False),
+        AnswerContent({"backlash": backlash.effect.constant_grid()[0]}, unknown=False),
     ]
     fits = AnswerFits(
         given, EFFECTS, None, estimate_noise=False, rng=np.random.default_rng(1)

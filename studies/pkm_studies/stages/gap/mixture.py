@@ -28,6 +28,7 @@ from oed.result import (
     MixedParameter,
     MixtureSection,
 )
+from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
 from pkm_studies.stages.headline import format_number
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, with_wanted
@@ -46,6 +47,8 @@ PHRASES = {
     BEST: "those of the best answer",
     BEST_WITH_EFFECTS: "those of the best answer with its effects corrected",
 }
+#: probability that is rounding
+NOTHING = 1e-6
 #: share of a parameter's variance between the answers from which they disagree
 DISAGREE = 0.05
 
@@ -233,20 +236,21 @@ def words(section: MixtureSection) -> list[str]:
 
 
 def _of_answers(section: MixtureSection) -> str:
-    named = [f"{_name(a)} {a.probability:.2f}" for a in section.answers]
-    sentence = (
-        "Parameters and accuracy are those over the answers of the diagnosis, each with"
-        f" its probability: {', '.join(named)}"
-    )
-    if section.rest > 0.0:
-        sentence += f"; others, {section.rest:.2g} together, are left out"
+    named = [
+        f"{_name(answer)} ({format_probability(answer.probability)})"
+        for answer in section.answers
+    ]
+    sentence = f"Over all answers of the diagnosis: {', '.join(named)}"
+    if section.rest > NOTHING:
+        rest = format_probability(section.rest)
+        sentence += f"; other answers, {rest} together, are left out"
     return f"{sentence}."
 
 
 def _name(answer: MixedAnswer) -> str:
     if answer.unseen:
         return "effects too small to be seen"
-    return " and ".join(answer.effects) or "no gap"
+    return join_words([plain_name(name) for name in answer.effects]) or "no gap"
 
 
 def _of_parameters(section: MixtureSection) -> list[str]:

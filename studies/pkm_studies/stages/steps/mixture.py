@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import msgspec
 
+from oed.compensate.effects.answer_fits import AnswerFits
 from oed.compensate.effects.expected_columns import expected_columns
-from oed.compensate.effects.mixture import AnswerFits
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.estimation.identification import IdentificationError
+from oed.gap.data.signature import untestable
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.stages.fit.effects import readings_with_covariates, states_in_use
 from pkm_studies.stages.gap import mixture as sections
@@ -33,17 +34,18 @@ def mix_answers(state: Fitted) -> Fitted:
     except IdentificationError:
         return state
     problem = given.problem(without_effects.theta)
+    testable = [e for e in request.effects if untestable(e, problem.states) is None]
     rng = state.rng(Stream.MIXTURE)
     fits = AnswerFits(
         readings=given,
         effects=request.effects,
-        allowed=state.effect_columns or expected_columns(problem, request.effects),
+        allowed=state.effect_columns or expected_columns(problem, testable),
         estimate_noise=state.estimates_noise,
         rng=rng,
         max_iterations=state.study.identify.max_iterations,
         corrected=state.corrected,
     )
-    mixture = fits.fit(diagnosis.answers, diagnosis.forms, without_effects)
+    mixture = fits.fit(diagnosis.answers, diagnosis.contents, without_effects)
     corrected, table = state.corrected, state.study.prediction
     theta = state.estimate.theta
     if corrected is not None:
