@@ -227,10 +227,11 @@ class GapSection(Record, frozen=True):
 
     @property
     def findings(self) -> list[str]:
-        """Findings in sentences, and the second visit that is advised."""
-        return (
-            self.words if self.second_visit is None else [*self.words, *self.next[:1]]
-        )
+        """Findings in sentences, what all answers expect, and the visit that is advised."""
+        sentences = list(self.words)
+        if self.mixture is not None and self.mixture.prediction is not None:
+            sentences += self.mixture.words[-1:]
+        return sentences if self.second_visit is None else [*sentences, *self.next[:1]]
 
     @property
     def effect_reported(self) -> bool:

@@ -240,6 +240,6 @@ def _candidates(
 
 
 def with_constants(effect: Effect, constants: Mapping[str, float]) -> Effect:
-    """The effect with its constants at one value each."""
+    """The effect with these constants at one value each."""
     values = {name: (value,) for name, value in constants.items()}
-    return dataclasses.replace(effect, constants=values)
+    return dataclasses.replace(effect, constants={**effect.constants, **values})

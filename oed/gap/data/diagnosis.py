@@ -141,10 +141,10 @@ class Diagnosis:
     not_testable: Mapping[str, str]
     confusable: tuple[tuple[str, ...], ...]
     next: tuple[str, ...]
+    contents: tuple[AnswerContent, ...]
     scatter: ExcessScatter | None = None
     effective_laws: float | None = None
     clean: GapProblem | None = None
     shares: Mapping[tuple[frozenset[str], bool], float] = dataclasses.field(
         default_factory=dict
     )
-    contents: tuple[AnswerContent, ...] = ()

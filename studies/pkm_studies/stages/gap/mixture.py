@@ -43,9 +43,9 @@ MIXTURE, BEST, BEST_WITH_EFFECTS = (
     "best answer with effects",
 )
 PHRASES = {
-    MIXTURE: "the parameters over all answers",
-    BEST: "those of the best answer",
-    BEST_WITH_EFFECTS: "those of the best answer with its effects corrected",
+    MIXTURE: "by the parameters over all answers",
+    BEST: "by those of the best answer alone",
+    BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
 }
 #: probability that is rounding
 NOTHING = 1e-6
@@ -278,8 +278,11 @@ def _of_choices(section: MixtureSection) -> list[str]:
         if not component.compensatable:
             continue
         figures = [
-            f"{format_number(choice.rms[name])} {unit[name]} by {PHRASES[choice.name]}"
+            f"{format_number(choice.rms[name])} {unit[name]} {PHRASES[choice.name]}"
             for choice in section.choices
         ]
         parts.append(f"{name} {', '.join(figures)}")
-    return [f"Expected rms error after compensation: {'; '.join(parts)}."]
+    return [
+        "Over all answers of the diagnosis, the expected rms error after compensation is"
+        f" {'; '.join(parts)}."
+    ]
