@@ -32,8 +32,8 @@ from oed.result.gap import AnswerRecord
 
 #: probability from which an answer is fitted
 LEAST_SHARE = 0.02
-#: draws of each answer's posterior
-DRAWS = 2000
+#: draws of all answers together, in their shares, and of each at least
+DRAWS, LEAST_DRAWS = 2000, 300
 
 
 @dataclasses.dataclass(frozen=True)
@@ -211,8 +211,9 @@ class AnswerFits:
         count: int | None = None,
     ) -> AnswerPosterior:
         """The posterior of a fit; the first `count` entries of theta are parameters."""
+        draws = max(round(DRAWS * candidate.probability), LEAST_DRAWS)
         drawn = laplace.draw_approximation(
-            measurement, series, self.readings.y, estimate, self.rng, DRAWS
+            measurement, series, self.readings.y, estimate, self.rng, draws
         )
         count = len(estimate.theta) if count is None else count
         coefficients = np.hstack([drawn.theta[:, count:], drawn.effects])

@@ -15,7 +15,7 @@ from scipy import optimize, special, stats
 from oed import Measurement, mount
 from oed.compensate.effects.answer_fits import AnswerFits, with_constants
 from oed.compensate.effects.fit import EffectReadings, estimate_with_effects
-from oed.compensate.effects.mixture import AnswerMixture
+from oed.compensate.effects.mixture import AnswerMixture, AnswerPosterior
 from oed.estimation import identify
 from oed.gap.data.diagnosis import AnswerContent
 from oed.measurement import draw_parameters
@@ -150,6 +150,19 @@ def test_mean_and_covariance_are_those_of_the_dense_mixture(case: Case) -> None:
     assert (within[free] < 0.97 * sd[free] ** 2).any()
 
 
+def mixture_quantile(
+    level: float, shares: np.ndarray, means: np.ndarray, sds: np.ndarray
+) -> float:
+    """Quantile of a mixture of normals, by bisection."""
+
+    def excess(x: float) -> float:
+        return float(shares @ special.ndtr((x - means) / sds)) - level
+
+    reach = 9.0 * sds.max()
+    low, high = means.min() - reach, means.max() + reach
+    return float(optimize.brentq(excess, low, high, xtol=1e-15))
+
+
 def test_intervals_are_quantiles_of_the_dense_mixture(case: Case) -> None:
     levels = (0.025, 0.5, 0.975)
     quantiles = case.mixture.quantiles(levels)
@@ -158,13 +171,7 @@ def test_intervals_are_quantiles_of_the_dense_mixture(case: Case) -> None:
         means = np.array([a.mean[k] for a in case.answers])
         sds = np.sqrt([a.covariance[k, k] for a in case.answers])
         for row, level in enumerate(levels):
-
-            def excess(x: float, level: float = level) -> float:
-                inside = special.ndtr((x - means) / sds)  # noqa: B023
-                return float(case.shares @ inside) - level
-
-            low, high = means.min() - 9.0 * sds.max(), means.max() + 9.0 * sds.max()
-            exact = optimize.brentq(excess, low, high, xtol=1e-15)
+            exact = mixture_quantile(level, case.shares, means, sds)
             assert abs(quantiles[row, k] - exact) < 0.12 * sd[k]
 
 
@@ -201,3 +208,59 @@ def test_an_answer_below_the_least_share_is_left_out_and_said(case: Case) -> Non
     assert len(mixture.answers) == 1
     assert mixture.rest == pytest.approx(0.01)
     assert mixture.mean == pytest.approx(plain.theta)
+
+
+def drawn_answers(rng: np.random.Generator) -> tuple[np.ndarray, AnswerMixture]:
+    """Parameters of a linear machine of one of three kinds, and the mixture over them.
+
+    No effect, or one of two that look partly like the geometry, each with its columns'
+    coefficients N(0, 1).
+    """
+    slopes = rng.standard_normal((10, 3))
+    kinds = [
+        np.zeros((10, 0)),
+        slopes[:, :1] + 0.5 * rng.standard_normal((10, 1)),
+        slopes[:, 1:2] - slopes[:, 2:] + 0.5 * rng.standard_normal((10, 1)),
+    ]
+    acting = kinds[rng.integers(3)]
+    theta = rng.standard_normal(3)
+    y = slopes @ theta + acting @ rng.standard_normal(acting.shape[1])
+    y = y + rng.standard_normal(10)
+    log_evidence, moments = [], []
+    for columns in kinds:
+        prior = np.eye(10) + slopes @ slopes.T + columns @ columns.T
+        gain = np.linalg.solve(prior, slopes).T
+        log_evidence.append(stats.multivariate_normal(cov=prior).logpdf(y))
+        moments.append((gain @ y, np.eye(3) - gain @ slopes))
+    answers = [
+        AnswerPosterior(
+            effects=(),
+            unseen=False,
+            unknown=False,
+            probability=float(share),
+            mean=mean,
+            covariance=covariance,
+            theta=rng.multivariate_normal(mean, covariance, 400),
+        )
+        for share, (mean, covariance) in zip(
+            special.softmax(log_evidence), moments, strict=True
+        )
+    ]
+    return theta, AnswerMixture(tuple(answers), 0.0)
+
+
+def test_intervals_of_the_mixture_hold_where_those_of_the_best_answer_do_not() -> None:
+    rng = np.random.default_rng(8)
+    inside, inside_best, errors, errors_best = [], [], [], []
+    for _ in range(600):
+        theta, mixture = drawn_answers(rng)
+        low, high = mixture.quantiles((0.025, 0.975))
+        inside.append((low < theta) & (theta < high))
+        best = mixture.answers[int(np.argmax(mixture.shares))]
+        half = 1.96 * np.sqrt(np.diag(best.covariance))
+        inside_best.append(np.abs(theta - best.mean) < half)
+        errors.append((mixture.mean - theta) ** 2)
+        errors_best.append((best.mean - theta) ** 2)
+    assert 0.93 < np.mean(inside) < 0.97  # the standard error is below .01
+    assert np.mean(inside_best) < 0.90
+    assert np.mean(errors) < 0.97 * np.mean(errors_best)
