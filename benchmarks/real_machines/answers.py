@@ -114,7 +114,7 @@ def one(machine: str, size: float, seed: int) -> dict[str, Any]:
     record["seconds_mixture"] = time.process_time() - started
     record["verdict"], record["rest"] = diagnosis.verdict, mixture.rest
     record["answers"] = [
-        ("+".join(a.effects) + "?" * a.unknown + "~" * a.unseen, a.probability)
+        ("+".join(a.effects) + "unseen" * a.unseen, a.probability)
         for a in mixture.answers
     ]
     nothing = laplace.draw_approximation(

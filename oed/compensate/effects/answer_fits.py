@@ -38,11 +38,15 @@ DRAWS, LEAST_DRAWS = 2000, 300
 
 @dataclasses.dataclass(frozen=True)
 class _Candidate:
-    """An answer, or what two answers share.
+    """An answer, or what no reading shows of all answers.
 
-    constants  {effect: its constants} of the effects of known form
+    effects    as the diagnosis names them
+    constants  {effect: its constants} of the effects of known form that act
+    unseen     whether effects act that are too small to be seen
+    unknown    whether something of no known form acts
     """
 
+    effects: tuple[str, ...]
     constants: Mapping[str, Mapping[str, float]]
     unseen: bool
     unknown: bool
@@ -90,7 +94,7 @@ class AnswerFits:
             for posterior in self._posteriors(candidate, without_effects)
         ]
         if not fitted:
-            nothing = _Candidate({}, False, False, 1.0)
+            nothing = _Candidate((), {}, False, False, 1.0)
             fitted = [self._geometry(nothing, without_effects)]
         rest = 1.0 - sum(posterior.probability for posterior in fitted)
         return AnswerMixture(tuple(fitted), max(rest, 0.0))
@@ -218,9 +222,8 @@ class AnswerFits:
         count = len(estimate.theta) if count is None else count
         coefficients = np.hstack([drawn.theta[:, count:], drawn.effects])
         return AnswerPosterior(
-            effects=tuple(candidate.constants),
+            effects=candidate.effects,
             unseen=candidate.unseen,
-            unknown=candidate.unknown,
             probability=candidate.probability,
             mean=estimate.theta[:count],
             covariance=estimate.covariance[:count, :count],
@@ -236,8 +239,14 @@ def _candidates(
     """The answers at sizes that show; all that no reading shows is one of its own."""
     for answer, content in zip(answers, contents, strict=True):
         if answer.visible > 0.0:
-            yield _Candidate(content.constants, False, content.unknown, answer.visible)
-    yield _Candidate({}, True, False, sum(answer.unseen for answer in answers))
+            yield _Candidate(
+                answer.effects,
+                content.constants,
+                False,
+                content.unknown,
+                answer.visible,
+            )
+    yield _Candidate((), {}, True, False, sum(answer.unseen for answer in answers))
 
 
 def with_constants(effect: Effect, constants: Mapping[str, float]) -> Effect:

@@ -35,9 +35,8 @@ DRAWS = 2000
 class AnswerPosterior:
     """What is known of the machine if one answer of a diagnosis is right.
 
-    effects       names of the effects of known form
+    effects       as the diagnosis names them; none: no gap
     unseen        whether effects act that are too small to be seen
-    unknown       whether something of no known form acts
     probability   of the answer, by the diagnosis
     mean          (n,) parameters, SI
     covariance    (n, n) of the parameters
@@ -48,7 +47,6 @@ class AnswerPosterior:
 
     effects: tuple[str, ...]
     unseen: bool
-    unknown: bool
     probability: float
     mean: Array
     covariance: Array

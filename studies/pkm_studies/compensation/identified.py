@@ -88,24 +88,24 @@ def adjusted_result(result: StudyResult) -> StudyResult:
 
     Raises InputError where none were chosen.
     """
-    section = result.final_estimate
-    if section is None or result.adjustment is None:
+    section, adjustment = result.final_estimate, result.adjustment
+    if section is None or adjustment is None:
         raise InputError(
             "no adjustments were chosen for this result",
             "choose them first: `oed adjust DIR`",
             value="--adjusted",
         )
     parameters = dict(section.parameters)
-    for line in result.adjustment.lines:
+    for line in adjustment.lines:
         p = parameters[line.parameter]
         value, sd = p.value + line.amount, float(np.hypot(p.sd, line.sd))
         parameters[line.parameter] = msgspec.structs.replace(p, value=value, sd=sd)
-    result = _with_adjusted_mixture(result, result.adjustment)
+    result = _with_adjusted_mixture(result, adjustment)
     part = "estimate" if result.corrected is None else "corrected"
     changed = msgspec.structs.replace(section, parameters=parameters)
     if isinstance(changed, EstimateSection) and changed.controller:
         controller = dict(changed.controller)
-        for line in result.adjustment.lines:
+        for line in adjustment.lines:
             controller[line.parameter] += line.amount
         changed = msgspec.structs.replace(changed, controller=controller)
     return msgspec.structs.replace(result, **{part: changed})

@@ -236,7 +236,6 @@ def drawn_answers(rng: np.random.Generator) -> tuple[np.ndarray, AnswerMixture]:
         AnswerPosterior(
             effects=(),
             unseen=False,
-            unknown=False,
             probability=float(share),
             mean=mean,
             covariance=covariance,

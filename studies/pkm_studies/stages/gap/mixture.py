@@ -16,11 +16,9 @@ from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.fit import CorrectedEstimate
 from oed.compensate.effects.mixture import (
     AnswerMixture,
-    AnswerPosterior,
     columns_of_forms,
     side_by_side,
 )
-from oed.gap.data.diagnosis import UNKNOWN
 from oed.measurement.measurement import Measurement, Series
 from oed.result import (
     CompensationChoice,
@@ -93,7 +91,9 @@ def mixture_section(
     seed  of all draws: every compensation is judged by the same ones
     """
     section = MixtureSection(
-        answers=[_answer(a) for a in mixture.answers],
+        answers=[
+            MixedAnswer(a.effects, a.probability, a.unseen) for a in mixture.answers
+        ],
         rest=mixture.rest,
         parameters=_parameters(measurement, mixture),
         covariance=_covariance(measurement, mixture),
@@ -183,11 +183,6 @@ def _with_accuracy(
         prediction=sections[MIXTURE],
         with_effects=sections.get(BEST_WITH_EFFECTS),
     )
-
-
-def _answer(answer: AnswerPosterior) -> MixedAnswer:
-    effects = (*answer.effects, UNKNOWN) if answer.unknown else answer.effects
-    return MixedAnswer(effects, answer.probability, answer.unseen)
 
 
 def _free(mixture: AnswerMixture) -> Index:
