@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.gap.data.diagnosis import Diagnosis, Size
+from oed.gap.data.diagnosis import AnswerContent, Diagnosis, Size
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import signature
 from oed.model.effect import Column, Effect, State
@@ -195,6 +195,11 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         not_testable={"cold": "the readings do not have temp_frame"},
         confusable=(("backlash", "friction"),),
         next=("Read each circle both ways again.",),
+        contents=(
+            AnswerContent({"backlash": {}}, unknown=False),
+            AnswerContent({}, unknown=False),
+            AnswerContent({"backlash": {}}, unknown=True),
+        ),
     )
 
 

@@ -53,6 +53,27 @@ def gap() -> dict[str, Any]:
         "rms_after": {"length": 0.5},
         "traces": [trace],
         "spots": [{"at": [0.0, 0.0, 0.0], "before": 1.0, "after": 0.5}],
+        "mixture": mixture(),
+    }
+
+
+def mixture() -> dict[str, Any]:
+    sample = report_fixture.sample()
+    prediction = sample["prediction"]
+    value = {"value": 1.0, "sd": 0.2, "within": 0.1, "low": 0.6, "high": 1.4}
+    rms = {name: 1.0 for name in prediction["components"]}
+    return {
+        "answers": [
+            {"effects": ["backlash"], "probability": 0.9},
+            {"effects": [], "probability": 0.05},
+        ],
+        "rest": 0.05,
+        "parameters": {name: {**value, "unit": "mm"} for name in ("da1y", "da1z")},
+        "covariance": [[0.04, 0.0], [0.0, 0.04]],
+        "controller": {"da1y": 1.1, "da1z": 0.9},
+        "choices": [{"name": n, "rms": rms} for n in ("mixture", "best answer")],
+        "prediction": prediction,
+        "words": ["The answers disagree.", "The mixture is expected to leave 1 um."],
     }
 
 

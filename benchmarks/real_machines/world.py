@@ -92,7 +92,7 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     stem = out / "case"
     make.write(c, y, label, stem)
     path, readings = adapter.write_case(stem, out / "study")
-    study = studies.load(path)
+    study = studies.load(path, studies.Consent.GIVEN)
     resolved = resolve.resolve(study, readings=[])
     request = resolve_gap.gap_request(study, resolved.machine)
     measurement = resolved.measurement_with(resolved.setups)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from oed.gap.cause.scatter import (
 )
 from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
-from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Diagnosis
+from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, AnswerContent, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
@@ -129,8 +129,8 @@ def conclude(
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)
-    ranked, best = answers.rank(groups)
-    first, verdict = ranked[0], answers.verdict(ranked[0])
+    ranked, leading = answers.rank(groups)
+    first, best, verdict = ranked[0], leading[0], answers.verdict(ranked[0])
     is_rough = verdict == "unknown" and rough > EVEN
     if is_rough:
         best = next(h for h in hypotheses if not h.is_gap)
@@ -171,8 +171,30 @@ def conclude(
         effective_laws=None if is_law_known else best.effective_laws,
         clean=search.problem,
         shares=dict(zip([h.key for h in hypotheses], shares.tolist(), strict=True)),
+        contents=_contents(searched, leading),
     )
     return diagnosis, best
+
+
+def _contents(
+    searched: Sequence[Search], leading: Sequence[Hypothesis]
+) -> tuple[AnswerContent, ...]:
+    """What hypotheses say, each in the form that suits it best."""
+    return tuple(
+        AnswerContent(_constants(searched[h.law], h, h.effects), h.unknown)
+        for h in leading
+    )
+
+
+def _constants(
+    search: Search,
+    best: Hypothesis,
+    effects: Collection[str],
+) -> dict[str, Mapping[str, float]]:
+    """{effect: constants of its best form} of some of a hypothesis' effects."""
+    forms = zip(best.effects, best.atoms, strict=True)
+    atoms = search.library.atoms
+    return {effect: atoms[k].constants for effect, k in forms if effect in effects}
 
 
 def _likeness(search: Search, best: Hypothesis) -> dict[str, float]:

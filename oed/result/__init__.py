@@ -83,6 +83,12 @@ from oed.result.identifiability import (
     IdentifiabilitySection,
     KappaMap,
 )
+from oed.result.mixture import (
+    CompensationChoice,
+    MixedAnswer,
+    MixedParameter,
+    MixtureSection,
+)
 from oed.result.plan import (
     AlternativePlan,
     PlanEffects,
@@ -133,6 +139,7 @@ __all__ = [
     "ClosureRecord",
     "CoefficientRecord",
     "CombinationEstimate",
+    "CompensationChoice",
     "ComponentAccuracy",
     "CorrectedSection",
     "CriterionComparison",
@@ -162,6 +169,9 @@ __all__ = [
     "MapPoint",
     "Marginal",
     "MistakeRecord",
+    "MixedAnswer",
+    "MixedParameter",
+    "MixtureSection",
     "NoiseRecord",
     "OutlierRecord",
     "ParameterEstimate",

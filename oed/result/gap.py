@@ -10,6 +10,7 @@ from __future__ import annotations
 import msgspec
 
 from oed.result.gap_before import ChosenRun, SeparationRecord
+from oed.result.mixture import MixtureSection
 from oed.result.record import Record
 
 
@@ -189,6 +190,7 @@ class GapSection(Record, frozen=True):
     words     one finding a sentence, the most important first
     next      what to do about it
     second_visit  readings that separate the answers; null where the first is sure
+    mixture   parameters and accuracy over all answers; null where no answer can be used
     """
 
     verdict: str
@@ -221,11 +223,15 @@ class GapSection(Record, frozen=True):
     scatter_shape: str = ""
     effective_laws: float | None = None
     second_visit: SecondVisitRecord | None = None
+    mixture: MixtureSection | None = None
 
     @property
     def findings(self) -> list[str]:
-        """Findings in sentences, and what to do first."""
-        return [*self.words, *self.next[:1]]
+        """Findings in sentences, what all answers expect, and what to do first."""
+        sentences = list(self.words)
+        if self.mixture is not None and self.mixture.prediction is not None:
+            sentences += self.mixture.words[-1:]
+        return [*sentences, *self.next[:1]]
 
     @property
     def effect_reported(self) -> bool:

@@ -43,6 +43,7 @@ from pkm_studies.stages.steps.design import (
 from pkm_studies.stages.steps.fit import fit_parameters, sample_posterior
 from pkm_studies.stages.steps.forecast import forecast_errors
 from pkm_studies.stages.steps.gap import diagnose_always, diagnose_gap, preview_gap
+from pkm_studies.stages.steps.mixture import mix_answers
 from pkm_studies.stages.steps.prediction import predict_accuracy, predict_held_out
 from pkm_studies.stages.steps.readings import (
     planned_series,
@@ -122,7 +123,7 @@ def diagnose(
     measured = _measure(state, data)
     measured, _ = analyse_identifiability(check_readings(measured))
     fitted = diagnose_always(fit_parameters(measured))
-    fitted = draw_machine(correct_for_effects(fitted))
+    fitted = draw_machine(mix_answers(correct_for_effects(fitted)))
     return _finish(fitted, out, report=True, sections=DIAGNOSIS_SECTIONS)
 
 
@@ -263,7 +264,7 @@ def _evaluate(state: RunState) -> Scheduled:
 def _fit(state: Measured) -> Fitted:
     """From values to the estimate, its posterior, and the gap that it leaves."""
     fitted = sample_posterior(fit_parameters(state))
-    return correct_for_effects(diagnose_gap(fitted))
+    return mix_answers(correct_for_effects(diagnose_gap(fitted)))
 
 
 def _measure(state: RunState, data: Dataset | None) -> Measured:

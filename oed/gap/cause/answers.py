@@ -113,11 +113,13 @@ def _without_a_sign(nothing: AnswerGroup, names: tuple[str, ...]) -> list[Answer
     return groups
 
 
-def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[AnswerRecord, ...], Hypothesis]:
+def rank(
+    groups: Sequence[AnswerGroup],
+) -> tuple[tuple[AnswerRecord, ...], tuple[Hypothesis, ...]]:
     """The decision first, then the other answers by probability.
 
     A gap is reported where one of a size that shows is probable enough. The second
-    result is the best hypothesis of the first answer.
+    result is the best hypothesis of each answer.
     """
     answers: list[AnswerRecord] = []
     leading: list[Hypothesis] = []
@@ -127,7 +129,8 @@ def rank(groups: Sequence[AnswerGroup]) -> tuple[tuple[AnswerRecord, ...], Hypot
     decision = _decision(answers)
     order = sorted(range(len(answers)), key=lambda k: -answers[k].probability)
     order.remove(decision)
-    return tuple(answers[k] for k in [decision, *order]), leading[decision]
+    ranked = [decision, *order]
+    return tuple(answers[k] for k in ranked), tuple(leading[k] for k in ranked)
 
 
 def _add(answers: list[AnswerRecord], entry: AnswerGroup) -> None:

@@ -77,6 +77,18 @@ class Explained:
     after: Array
 
 
+@dataclasses.dataclass(frozen=True, slots=True)
+class AnswerContent:
+    """What acts by an answer, in the form that suits the readings best.
+
+    constants  {effect: its constants}
+    unknown    whether something of no known form acts as well
+    """
+
+    constants: Mapping[str, Mapping[str, float]]
+    unknown: bool
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Diagnosis(Explained):
     """A diagnosis of one set of readings.
@@ -102,6 +114,7 @@ class Diagnosis(Explained):
                     rests on; None under a known law
     clean           the problem without outliers; None where it was not searched
     shares          {(effects, whether an unknown acts): probability}
+    contents        what acts by each of the answers
     """
 
     problem: GapProblem
@@ -117,6 +130,7 @@ class Diagnosis(Explained):
     not_testable: Mapping[str, str]
     confusable: tuple[tuple[str, ...], ...]
     next: tuple[str, ...]
+    contents: tuple[AnswerContent, ...]
     scatter: ExcessScatter | None = None
     effective_laws: float | None = None
     clean: GapProblem | None = None

@@ -8,6 +8,7 @@ from oed.result.acceptance import AcceptanceSection, VerificationSection
 from oed.result.adjustment import AdjustmentSection
 from oed.result.budget import BudgetSection
 from oed.result.forecast import ForecastSection
+from oed.result.mixture import MixtureSection
 from oed.result.prediction import MapPoint, PredictionSection, SpreadRecord
 from oed.result.relations import base
 from oed.result.relations.base import Breach
@@ -16,7 +17,7 @@ from oed.result.study import StudyResult
 REFERENCES = ("home", "absolute", "best_fit")
 #: figures of drawn machines
 DRAWN = ("rms", "p95", "max", "rms_interval", "p95_interval", "max_interval")
-MODES = ("plan", "identified", "corrected")
+MODES = ("plan", "identified", "corrected", "mixture")
 
 
 def breaches(result: StudyResult) -> Iterator[Breach]:
@@ -33,6 +34,9 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
             "corrected.parameters_only", alone, corrected.prediction.components, of
         )
         yield from _spreads("corrected.parameters_only", alone)
+    mixture = None if result.gap is None else result.gap.mixture
+    if mixture is not None:
+        yield from _mixture(mixture)
     if result.acceptance is not None:
         yield from _acceptance(result.acceptance)
     if result.verification is not None:
@@ -41,6 +45,32 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _adjustment(result.adjustment)
     if result.forecast is not None:
         yield from _forecast(result.forecast)
+
+
+def _mixture(section: MixtureSection) -> Iterator[Breach]:
+    field, count = "gap.mixture", len(section.parameters)
+    of = f"{field}.parameters"
+    yield from base.table(f"{field}.covariance", section.covariance, of, count, count)
+    yield from base.known(
+        f"{field}.controller", section.controller, section.parameters, of
+    )
+    for name, parameter in section.parameters.items():
+        yield from base.unit(f"{of}.{name}.unit", parameter.unit)
+        yield from base.within(
+            f"{of}.{name}.within", parameter.within, 0.0, base.LARGEST
+        )
+    for k, answer in enumerate(section.answers, start=1):
+        at = f"{field}.answers[{k}].probability"
+        yield from base.within(at, answer.probability, 0.0, 1.0)
+    for part in ("prediction", "with_effects"):
+        prediction = getattr(section, part)
+        if prediction is not None:
+            yield from _prediction(f"{field}.{part}", prediction)
+    for k, choice in enumerate(section.choices, start=1):
+        at = f"{field}.choices[{k}].rms"
+        if section.prediction is not None:
+            names, of = section.prediction.components, f"{field}.prediction.components"
+            yield from base.same_names(at, choice.rms, names, of)
 
 
 def _prediction(field: str, section: PredictionSection) -> Iterator[Breach]:

@@ -24,7 +24,7 @@ from pkm_reports.sections.appendix import claims, figures, record
 from pkm_reports.sections.design import chapter as design
 from pkm_reports.sections.gap import before as gap_before
 from pkm_reports.sections.gap import chapter as gap
-from pkm_reports.sections.gap import second_visit
+from pkm_reports.sections.gap import mixture, second_visit
 from pkm_reports.sections.stages import chapter as stages
 
 #: chapters in order; one that does not apply to a result is absent from its report
@@ -41,6 +41,7 @@ CHAPTERS: Final = (
     gap.CHAPTER,
     second_visit.CHAPTER,
     corrected.CHAPTER,
+    mixture.CHAPTER,
     adjustment.CHAPTER,
     forecast.CHAPTER,
     acceptance.CHAPTER,

@@ -23,12 +23,19 @@ from oed.compensate.export_errors import (
     known_errors,
 )
 from oed.mechanism.kinematics import AssemblyError
-from oed.result import BudgetLine, BudgetSection, PredictionSection, StudyResult
+from oed.result import (
+    BudgetLine,
+    BudgetSection,
+    CorrectedSection,
+    PredictionSection,
+    StudyResult,
+)
 from pkm_studies.catalogue.controller_format import (
     Compensation,
     ControllerFormat,
     Texts,
 )
+from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.stages.predict.budget import advice_on, quantities
 
 #: end of the name of the file with the budget
@@ -79,8 +86,7 @@ def complete_budget(
         lines += _interpolation(content, prediction, shown)
     lines += _of_effects(content, shown)
     if corrected is not None and not controller.tables:
-        alone = {n: s.rms for n, s in corrected.parameters_only.items()}
-        lines.append(_left_out(prediction, alone, shown))
+        lines.append(_left_out(prediction, _geometry_alone(result, corrected), shown))
     section = with_lines(budget, lines)
     driven = driven_units(content)
     section = msgspec.structs.replace(
@@ -94,6 +100,15 @@ def complete_budget(
         f" exact compensation leaves {exact}"
     )
     return FileBudget(section, sentence + _axes_sentence(controller, content, section))
+
+
+def _geometry_alone(result: StudyResult, corrected: CorrectedSection) -> Values:
+    """Rms errors with the parameters that are sent, and no effect corrected."""
+    mixture = mixture_of(result)
+    if mixture is not None and mixture.prediction is not None:
+        components = mixture.prediction.components
+        return {name: c.after.rms for name, c in components.items()}
+    return {name: spread.rms for name, spread in corrected.parameters_only.items()}
 
 
 def _shown(

@@ -9,10 +9,20 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.model.machine import Machine
-from oed.result import CorrectedSection, EstimateSection, StudyResult
+from oed.result import (
+    AdjustmentSection,
+    CorrectedSection,
+    EstimateSection,
+    MixtureSection,
+    StudyResult,
+)
 from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue.controller_format import Identified
-from pkm_studies.resolve.earlier_result import controller_values, known_parameters
+from pkm_studies.resolve.earlier_result import (
+    controller_values,
+    known_parameters,
+    mixture_of,
+)
 
 #: parameters that are drawn from the posterior for simulations
 DRAWS = 100
@@ -20,6 +30,11 @@ DRAWS = 100
 ABSORBED = (
     "the parameters are the machine's, shifted so that they take up what is known of its"
     " effects over the workspace"
+)
+#: what they are after a diagnosis, where no effect is corrected
+OVER_ANSWERS = (
+    "the parameters are the mean over all answers of the diagnosis, shifted so that they"
+    " take up what is known of effects over the workspace"
 )
 
 
@@ -33,10 +48,14 @@ def identified_parameters(
     corrected = result.corrected
     if result.final_estimate is None:
         return None
-    values, sd = controller_values(result, machine)
+    with_effects = tables and corrected is not None and bool(corrected.tables)
+    values, sd = controller_values(result, machine, with_effects=with_effects)
     origin = "estimate" if corrected is None else "corrected"
     conditions: tuple[str, ...] = ()
-    if corrected is not None:
+    mixture = mixture_of(result)
+    if mixture is not None and not with_effects:
+        origin, conditions = "gap.mixture", _over_answers(mixture, corrected, tables)
+    elif corrected is not None:
         conditions = _of_effects(corrected, tables)
     elif result.estimate is not None and result.estimate.controller:
         conditions = (ABSORBED,)
@@ -69,26 +88,43 @@ def adjusted_result(result: StudyResult) -> StudyResult:
 
     Raises InputError where none were chosen.
     """
-    section = result.final_estimate
-    if section is None or result.adjustment is None:
+    section, adjustment = result.final_estimate, result.adjustment
+    if section is None or adjustment is None:
         raise InputError(
             "no adjustments were chosen for this result",
             "choose them first: `oed adjust DIR`",
             value="--adjusted",
         )
     parameters = dict(section.parameters)
-    for line in result.adjustment.lines:
+    for line in adjustment.lines:
         p = parameters[line.parameter]
         value, sd = p.value + line.amount, float(np.hypot(p.sd, line.sd))
         parameters[line.parameter] = msgspec.structs.replace(p, value=value, sd=sd)
+    result = _with_adjusted_mixture(result, adjustment)
     part = "estimate" if result.corrected is None else "corrected"
     changed = msgspec.structs.replace(section, parameters=parameters)
     if isinstance(changed, EstimateSection) and changed.controller:
         controller = dict(changed.controller)
-        for line in result.adjustment.lines:
+        for line in adjustment.lines:
             controller[line.parameter] += line.amount
         changed = msgspec.structs.replace(changed, controller=controller)
     return msgspec.structs.replace(result, **{part: changed})
+
+
+def _with_adjusted_mixture(
+    result: StudyResult, adjustment: AdjustmentSection
+) -> StudyResult:
+    """The result whose controller parameters over all answers have the adjustments."""
+    mixture = mixture_of(result)
+    if mixture is None or result.gap is None:
+        return result
+    controller = dict(mixture.controller)
+    for line in adjustment.lines:
+        if line.parameter in controller:
+            controller[line.parameter] += line.amount
+    changed = msgspec.structs.replace(mixture, controller=controller)
+    gap = msgspec.structs.replace(result.gap, mixture=changed)
+    return msgspec.structs.replace(result, gap=gap)
 
 
 def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:
@@ -112,6 +148,24 @@ def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:
         for name, alone in corrected.parameters_only.items()
     ]
     return (*sentences, f"predicted rms without the effects: {', '.join(parts)}")
+
+
+def _over_answers(
+    mixture: MixtureSection, corrected: CorrectedSection | None, tables: bool
+) -> tuple[str, ...]:
+    """What the parameters over all answers are, what stays, and what is reached."""
+    sentences = [OVER_ANSWERS]
+    if corrected is not None:
+        left_out = list(corrected.constants)
+        sentences.append(f"not in this file: {_listed(corrected, left_out, tables)}")
+    if mixture.prediction is not None:
+        components = mixture.prediction.components
+        parts = [
+            f"{name} {component.after.rms:.3g} {component.after.unit}"
+            for name, component in components.items()
+        ]
+        sentences.append(f"predicted rms over all answers: {', '.join(parts)}")
+    return tuple(sentences)
 
 
 def _listed(corrected: CorrectedSection, names: list[str], tables: bool) -> str:

@@ -15,6 +15,7 @@ from oed.result import (
     CorrectedSection,
     EstimateSection,
     MachineInfo,
+    MixtureSection,
     ParameterEstimate,
     StudyResult,
 )
@@ -92,14 +93,23 @@ def identified_values(result: StudyResult, machine: Machine) -> tuple[Array, Arr
     return values, sd
 
 
-def controller_values(result: StudyResult, machine: Machine) -> tuple[Array, Array]:
+def controller_values(
+    result: StudyResult, machine: Machine, *, with_effects: bool = False
+) -> tuple[Array, Array]:
     """Parameters (np,) that a controller is given, and standard deviations, SI.
 
-    The identified ones, but where the fit allowed effects: then those that take up what
-    is known of the effects.
+    The identified ones, but where the fit allowed effects, or a diagnosis has several
+    answers: then those that take up what is known of the effects. With the effects of the
+    best answer corrected as well (`with_effects`), those estimated together with them.
     """
     values, sd = identified_values(result, machine)
-    estimate = result.estimate
+    mixture, estimate = mixture_of(result), result.estimate
+    if mixture is not None and not with_effects:
+        for name, value in mixture.controller.items():
+            parameter = mixture.parameters[name]
+            values[machine.index(name)] = units.to_si(value, parameter.unit)
+            sd[machine.index(name)] = units.to_si(parameter.sd, parameter.unit)
+        return values, sd
     if result.corrected is not None or estimate is None:
         return values, sd
     for name, value in estimate.controller.items():
@@ -107,18 +117,27 @@ def controller_values(result: StudyResult, machine: Machine) -> tuple[Array, Arr
     return values, sd
 
 
+def mixture_of(result: StudyResult) -> MixtureSection | None:
+    """Parameters over all answers of a diagnosis that a controller can be given."""
+    mixture = None if result.gap is None else result.gap.mixture
+    return mixture if mixture is not None and mixture.controller else None
+
+
 def known_parameters(
     stored: StudyResult, machine: str, free: list[str], folder: Path
 ) -> tuple[Array, Array, str]:
     """Values (n,) of free parameters, their covariance (n, n), SI, and its source.
 
-    The covariance is that of the section `corrected` where there is one, which effects
-    do not bend. Otherwise it comes from the draws of the posterior, or, where there are
-    none, from the estimate.
+    After a diagnosis both are those over all of its answers. Otherwise the covariance is
+    that of the section `corrected` where there is one, which effects do not bend, or comes
+    from the draws of the posterior, or, where there are none, from the estimate.
 
     Raises InputError where not all of them were identified there.
     """
     section = _section(stored, machine, free, folder)
+    mixture = mixture_of(stored)
+    if mixture is not None and set(free) <= set(mixture.parameters):
+        return _over_answers(mixture, free)
     draws = folder / FILE
     if stored.corrected is None and draws.is_file():
         sample = read_draws(draws, free)
@@ -138,6 +157,20 @@ def known_parameters(
     source = "covariance of the estimate"
     if stored.corrected is not None:
         source = "parameters and effects estimated together"
+    return value, covariance * np.outer(factors, factors), source
+
+
+def _over_answers(
+    mixture: MixtureSection, free: Sequence[str]
+) -> tuple[Array, Array, str]:
+    """The same over all answers of a diagnosis."""
+    names = list(mixture.parameters)
+    at = [names.index(name) for name in free]
+    rows = [mixture.parameters[name] for name in free]
+    factors = np.array([units.factor(row.unit) for row in rows])
+    covariance = np.array(mixture.covariance)[np.ix_(at, at)]
+    value = np.array([row.value for row in rows]) * factors
+    source = "parameters over all answers of the diagnosis"
     return value, covariance * np.outer(factors, factors), source
 
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from oed.compensate.effects.expected_columns import ExpectedColumns
     from oed.compensate.effects.fit import CorrectedEstimate
     from oed.estimation.identification import Estimate
+    from oed.gap.data.diagnosis import Diagnosis
     from oed.identifiability.assessment import Assessment
     from oed.posterior.checkpoint import Checkpoint
     from oed.posterior.posterior import Posterior
@@ -67,6 +68,7 @@ class Stream(enum.IntEnum):
     LAPLACE = 20
     SIZES = 21
     FORECAST = 22
+    MIXTURE = 23
 
 
 class HeldOut(NamedTuple):
@@ -225,12 +227,14 @@ class Fitted(Measured):
     effect_columns  what effects beside the geometry do; None where none are allowed
     posterior  draws about the estimate, where the study asks for them
     corrected  parameters and effects, estimated together
+    diagnosis  of what the fit leaves, where there is one
     """
 
     estimate: Estimate
     effect_columns: ExpectedColumns | None = None
     posterior: Posterior | None = None
     corrected: CorrectedEstimate | None = None
+    diagnosis: Diagnosis | None = None
 
     @property
     def goodness(self) -> GoodnessSection:

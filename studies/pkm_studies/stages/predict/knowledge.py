@@ -44,10 +44,11 @@ class ParameterKnowledge:
                          the estimate; None before any reading
     worth                number of independent draws that these are worth; None: all
     estimated            (np, np) of the estimate, where it holds more than the model
-    effects              what acts beside the parameters, and is not compensated; None
-                         where nothing is allowed to
+    effects              what acts beside the parameters; None where nothing is allowed to
     sent                 (np,) parameters of the controller, SI; the identified ones by
                          default
+    corrected            (k,) coefficients of the effects that the controller corrects
+                         beside them; none by default
     """
 
     measurement: Measurement
@@ -60,6 +61,7 @@ class ParameterKnowledge:
     estimated: Array | None = None
     effects: ActingEffects | None = None
     sent: Array | None = None
+    corrected: Array | None = None
 
     @property
     def centre(self) -> Array:
@@ -241,6 +243,8 @@ def _with_effects(
     if remaining is None:
         remaining = maps.remaining @ mean - _change_by_controller(known, mean, maps)
     remaining = remaining + acting.raw @ of_effects
+    if known.corrected is not None:
+        remaining = remaining - acting.raw @ known.corrected
     if before is not None:
         before = before + acting.raw @ of_effects
     draws = np.hstack([parameters, effects.draws - of_effects])

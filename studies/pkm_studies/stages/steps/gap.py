@@ -100,6 +100,7 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
         request,
         state.rng(Stream.GAP),
     )
+    state = state.replace(diagnosis=diagnosis)
     gap = section.gap_section(diagnosis, request.effects)
     if state.fit_is_bad and gap.verdict == "none":
         gap = msgspec.structs.replace(gap, next=[AFTER_BAD_FIT])

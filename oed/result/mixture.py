@@ -1,0 +1,73 @@
+"""What is known of the machine over all answers of a diagnosis: `gap.mixture`."""
+
+from __future__ import annotations
+
+from oed.result.prediction import PredictionSection
+from oed.result.record import Record
+
+
+class MixedAnswer(Record, frozen=True):
+    """An answer that the mixture holds, with its probability by the diagnosis.
+
+    effects  that act, `unknown` for something of no known form; none: no gap
+    unseen   whether effects act that are too small to be seen
+    """
+
+    effects: tuple[str, ...]
+    probability: float
+    unseen: bool = False
+
+
+class MixedParameter(Record, frozen=True):
+    """A parameter over all answers, in `unit`.
+
+    within     standard deviation that the answers have on average; the rest of `sd` is
+               between them
+    low, high  ends of the 95 % interval, quantiles of the mixture
+    """
+
+    value: float
+    sd: float
+    within: float
+    low: float
+    high: float
+    unit: str
+
+
+class CompensationChoice(Record, frozen=True):
+    """A compensation, and the rms error that all answers expect of it.
+
+    name  `best answer` or `mixture`, each with the geometry alone; `best answer with
+          effects`, where effects are corrected
+    rms   {component: in its fine unit}
+    """
+
+    name: str
+    rms: dict[str, float]
+
+
+class MixtureSection(Record, frozen=True):
+    """Parameters and accuracy over all answers of a diagnosis.
+
+    answers     that were fitted, the decision's first
+    rest        probability of all others
+    controller  parameters for a controller that corrects geometry alone, in the units of
+                `parameters`: the mixture's mean, shifted so that it takes up what is
+                known of the effects
+    covariance  of `parameters`, in their units
+    choices     compensations and what all answers expect of each
+    prediction  with `controller` sent, over all answers; null without a workspace
+    with_effects  the same with the parameters and the effects of the best answer sent;
+                null where none is corrected
+    words       in sentences
+    """
+
+    answers: list[MixedAnswer]
+    rest: float
+    parameters: dict[str, MixedParameter]
+    covariance: list[list[float]]
+    controller: dict[str, float] = {}
+    choices: list[CompensationChoice] = []
+    prediction: PredictionSection | None = None
+    with_effects: PredictionSection | None = None
+    words: list[str] = []

@@ -1,0 +1,283 @@
+"""Parameters and accuracy over all answers of a diagnosis: the record `gap.mixture`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+import msgspec
+import numpy as np
+
+from oed.accuracy.budget import budget_model
+from oed.accuracy.maps import Reference
+from oed.base import units
+from oed.base.arrays import Array, Index
+from oed.compensate.effects.effect_maps import SessionStates
+from oed.compensate.effects.fit import CorrectedEstimate
+from oed.compensate.effects.mixture import (
+    AnswerMixture,
+    columns_of_forms,
+    side_by_side,
+)
+from oed.measurement.measurement import Measurement, Series
+from oed.result import (
+    CompensationChoice,
+    MixedAnswer,
+    MixedParameter,
+    MixtureSection,
+)
+from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
+from pkm_studies.stages.headline import format_number
+from pkm_studies.stages.predict import knowledge
+from pkm_studies.stages.predict.accuracy import accuracy_section, with_wanted
+from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowledge
+
+#: ends of a 95 % interval
+INTERVAL = (0.025, 0.975)
+#: names of the compensations that are compared
+MIXTURE, BEST, BEST_WITH_EFFECTS = (
+    "mixture",
+    "best answer",
+    "best answer with effects",
+)
+PHRASES = {
+    MIXTURE: "by the parameters over all answers",
+    BEST: "by those of the best answer alone",
+    BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
+}
+#: probability that is rounding
+NOTHING = 1e-6
+#: share of a parameter's variance between the answers from which they disagree
+DISAGREE = 0.05
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class UseOfMachine:
+    """Where, in which states and by which accuracy the machine is used.
+
+    command   (n, n_dof) commands, SI
+    session   states in which the readings were taken and the machine is used
+    wanted    errors to reach by component, SI
+    """
+
+    command: Array
+    reference: Reference
+    session: SessionStates
+    wanted: Mapping[str, float]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class BestAnswer:
+    """What a compensation by the decision alone takes.
+
+    theta      (n,) parameters, SI
+    corrected  the fit with its effects; None where it names none
+    """
+
+    theta: Array
+    corrected: CorrectedEstimate | None
+
+
+def mixture_section(
+    measurement: Measurement,
+    series: Sequence[Series],
+    mixture: AnswerMixture,
+    best: BestAnswer,
+    use: UseOfMachine,
+    seed: Sequence[int],
+) -> MixtureSection:
+    """The record of a mixture; without commands it has no accuracy.
+
+    seed  of all draws: every compensation is judged by the same ones
+    """
+    section = MixtureSection(
+        answers=[
+            MixedAnswer(a.effects, a.probability, a.unseen) for a in mixture.answers
+        ],
+        rest=mixture.rest,
+        parameters=_parameters(measurement, mixture),
+        covariance=_covariance(measurement, mixture),
+    )
+    if len(use.command):
+        known = _knowledge(measurement, series, mixture, best, seed, use.session)
+        section = _with_accuracy(section, known, best, use, seed)
+    return msgspec.structs.replace(section, words=words(section))
+
+
+def _knowledge(
+    measurement: Measurement,
+    series: Sequence[Series],
+    mixture: AnswerMixture,
+    best: BestAnswer,
+    seed: Sequence[int],
+    session: SessionStates,
+) -> ParameterKnowledge:
+    """Draws over all answers; the last effects are those of the best answer's fit."""
+    count = len(measurement.machine.parameters)
+    drawn = mixture.draw(np.random.default_rng(seed))
+    parts = [] if drawn.columns is None else [drawn.columns]
+    coefficients = drawn.coefficients
+    if best.corrected is not None:
+        parts.append(columns_of_forms(best.corrected.forms))
+        width = len(best.corrected.scales)
+        coefficients = np.hstack([coefficients, np.zeros((len(coefficients), width))])
+    columns = side_by_side(parts)
+    effects = None
+    if columns is not None:
+        effects = ActingEffects(columns, session, mixture.mean, coefficients)
+    errors = drawn.theta[:, :count] - mixture.mean[:count]
+    return ParameterKnowledge(
+        measurement,
+        tuple(series),
+        budget_model(measurement, series, mixture.mean),
+        errors.T @ errors / len(errors),
+        mean=(mixture.mean - measurement.drawn)[:count],
+        draws=errors,
+        effects=effects,
+    )
+
+
+def _with_accuracy(
+    section: MixtureSection,
+    known: ParameterKnowledge,
+    best: BestAnswer,
+    use: UseOfMachine,
+    seed: Sequence[int],
+) -> MixtureSection:
+    """The section with what all answers expect of each compensation."""
+    machine = known.measurement.machine
+    count = len(machine.parameters)
+    rng = np.random.default_rng(seed)
+    absorbed = knowledge.with_absorbed_effects(known, use.command, use.reference, rng)
+    sent = machine.nominal + known.centre if absorbed.sent is None else absorbed.sent
+    compensations = {
+        MIXTURE: absorbed,
+        BEST: dataclasses.replace(known, sent=best.theta[:count]),
+    }
+    if best.corrected is not None and known.effects is not None:
+        of_best = best.corrected.estimate.theta[best.corrected.parameters :]
+        corrected = np.zeros(known.effects.draws.shape[1])
+        corrected[-len(of_best) :] = of_best
+        compensations[BEST_WITH_EFFECTS] = dataclasses.replace(
+            compensations[BEST], corrected=corrected
+        )
+    sections, choices = {}, []
+    for name, compensation in compensations.items():
+        draws = np.random.default_rng(seed)
+        predicted = knowledge.accuracy(
+            compensation, use.command, [use.reference], draws
+        )[use.reference].prediction
+        record = accuracy_section(known.measurement.kinematics, predicted, "mixture")
+        sections[name] = with_wanted(record, use.wanted)
+        rms = {n: c.after.rms for n, c in record.components.items()}
+        choices.append(CompensationChoice(name, rms))
+    controller = {}
+    for parameter, value in zip(machine.parameters, sent, strict=True):
+        estimate = section.parameters.get(parameter.name)
+        if estimate is not None:
+            controller[parameter.name] = units.number(float(value), estimate.unit)
+    return msgspec.structs.replace(
+        section,
+        controller=controller,
+        choices=choices,
+        prediction=sections[MIXTURE],
+        with_effects=sections.get(BEST_WITH_EFFECTS),
+    )
+
+
+def _free(mixture: AnswerMixture) -> Index:
+    """Numbers of the parameters that are not fixed."""
+    return np.flatnonzero(np.diag(mixture.covariance) > 0.0)
+
+
+def _parameters(
+    measurement: Measurement, mixture: AnswerMixture
+) -> dict[str, MixedParameter]:
+    """Each parameter that is not fixed, in its display unit."""
+    low, high = mixture.quantiles(INTERVAL)
+    sd = np.sqrt(np.diag(mixture.covariance))
+    variances = np.array([np.diag(a.covariance) for a in mixture.answers])
+    within = np.sqrt(mixture.shares @ variances)
+    parameters = {}
+    for k in _free(mixture):
+        parameter = measurement.parameters[k]
+        unit = units.display(parameter.unit)
+        parameters[parameter.name] = MixedParameter(
+            value=units.number(mixture.mean[k], unit),
+            sd=units.number(sd[k], unit),
+            within=units.number(within[k], unit),
+            low=units.number(low[k], unit),
+            high=units.number(high[k], unit),
+            unit=unit,
+        )
+    return parameters
+
+
+def _covariance(measurement: Measurement, mixture: AnswerMixture) -> list[list[float]]:
+    free = _free(mixture)
+    names = [units.display(measurement.parameters[k].unit) for k in free]
+    factor = np.array([units.factor(name) for name in names])
+    covariance = mixture.covariance[np.ix_(free, free)] / np.outer(factor, factor)
+    return [[float(value) for value in row] for row in covariance]
+
+
+# -- words -----------------------------------------------------------------------------
+
+
+def words(section: MixtureSection) -> list[str]:
+    """What the answers are, how far they set the parameters apart, what to compensate."""
+    sentences = [_of_answers(section), *_of_parameters(section)]
+    return [*sentences, *_of_choices(section)]
+
+
+def _of_answers(section: MixtureSection) -> str:
+    named = [
+        f"{_name(answer)} ({format_probability(answer.probability)})"
+        for answer in section.answers
+    ]
+    sentence = f"Over all answers of the diagnosis: {', '.join(named)}"
+    if section.rest > NOTHING:
+        rest = format_probability(section.rest)
+        sentence += f"; other answers, {rest} together, are left out"
+    return f"{sentence}."
+
+
+def _name(answer: MixedAnswer) -> str:
+    if answer.unseen:
+        return "effects too small to be seen"
+    return join_words([plain_name(name) for name in answer.effects]) or "no gap"
+
+
+def _of_parameters(section: MixtureSection) -> list[str]:
+    """The parameter of which the answers disagree most."""
+    between = {
+        name: 1.0 - (p.within / p.sd) ** 2 for name, p in section.parameters.items()
+    }
+    if not between:
+        return []
+    name = max(between, key=lambda n: between[n])
+    if between[name] < DISAGREE:
+        return ["The answers agree on all parameters."]
+    return [
+        f"The answers disagree most on {name}: {100.0 * between[name]:.0f} % of its"
+        " variance is between them."
+    ]
+
+
+def _of_choices(section: MixtureSection) -> list[str]:
+    """Expected errors of the compensations, in one sentence."""
+    if section.prediction is None:
+        return []
+    unit, parts = section.prediction.unit, []
+    for name, component in section.prediction.components.items():
+        if not component.compensatable:
+            continue
+        figures = [
+            f"{format_number(choice.rms[name])} {unit[name]} {PHRASES[choice.name]}"
+            for choice in section.choices
+        ]
+        parts.append(f"{name} {', '.join(figures)}")
+    return [
+        "Over all answers of the diagnosis, the expected rms error after compensation is"
+        f" {'; '.join(parts)}."
+    ]

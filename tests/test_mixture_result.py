@@ -1,0 +1,116 @@
+"""Parameters over all answers of a diagnosis: who takes them, and what is printed."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import report_fixture
+from result_sample import drop, whole
+
+from oed.result import MixtureSection, StudyResult
+from pkm_models.machines.a3_head import machine
+from pkm_reports.sections.gap import mixture as chapter
+from pkm_studies.compensation.identified import identified_parameters
+from pkm_studies.resolve.earlier_result import known_parameters
+from pkm_studies.stages.gap import mixture as sections
+
+NAMES = ("da1y", "da1z")
+
+
+@pytest.fixture
+def result() -> StudyResult:
+    return report_fixture.result_of(whole())
+
+
+def mixture_of(result: StudyResult) -> MixtureSection:
+    assert result.gap is not None
+    assert result.gap.mixture is not None
+    return result.gap.mixture
+
+
+def sent(result: StudyResult, *, tables: bool) -> tuple[np.ndarray, str]:
+    identified = identified_parameters(result, machine, tables=tables)
+    assert identified is not None
+    values = identified.values[[machine.index(name) for name in NAMES]]
+    return values, identified.origin
+
+
+def test_a_controller_without_effects_takes_the_parameters_over_all_answers(
+    result: StudyResult,
+) -> None:
+    values, origin = sent(result, tables=False)
+    assert origin == "gap.mixture"
+    assert values == pytest.approx([1.1e-3, 0.9e-3])
+
+
+def test_a_controller_with_effects_takes_what_was_estimated_with_them(
+    result: StudyResult,
+) -> None:
+    assert result.corrected is not None
+    values, origin = sent(result, tables=True)
+    assert origin == "corrected"
+    best = [1e-3 * result.corrected.parameters[name].value for name in NAMES]
+    assert values == pytest.approx(best)
+
+
+def test_without_a_table_of_any_effect_geometry_is_all_that_is_sent() -> None:
+    plain = whole()
+    drop("corrected/tables/0")(plain)
+    assert sent(report_fixture.result_of(plain), tables=True)[1] == "gap.mixture"
+
+
+def test_a_file_says_what_is_reached_and_what_it_lacks(result: StudyResult) -> None:
+    identified = identified_parameters(result, machine, tables=False)
+    assert identified is not None
+    prediction = mixture_of(result).prediction
+    assert prediction is not None
+    words = " ".join(identified.conditions)
+    assert "not in this file: backlash" in words
+    rms = prediction.components["z"].after.rms
+    assert f"z {rms:.3g}" in words
+
+
+def test_a_next_plan_knows_the_parameters_over_all_answers(
+    result: StudyResult, tmp_path: Path
+) -> None:
+    value, covariance, source = known_parameters(
+        result, machine.name, list(NAMES), tmp_path
+    )
+    assert value == pytest.approx([1e-3, 1e-3])
+    assert np.sqrt(np.diag(covariance)) == pytest.approx([0.2e-3, 0.2e-3])
+    assert "all answers" in source
+
+
+def test_words_name_answers_disagreement_and_each_compensation(
+    result: StudyResult,
+) -> None:
+    mixture = mixture_of(result)
+    parameters = dict(mixture.parameters)
+    agreed = msgspec.structs.replace(parameters["da1z"], within=0.2)
+    mixture = msgspec.structs.replace(
+        mixture, parameters={**parameters, "da1z": agreed}
+    )
+    answers, parameter, choices = sections.words(mixture)
+    assert "backlash (90 %), no gap (5 %)" in answers
+    assert "5 % together, are left out" in answers
+    assert "disagree most on da1y: 75 %" in parameter
+    assert "1 um by the parameters over all answers" in choices
+    assert "1 um by those of the best answer alone" in choices
+
+
+def test_answers_that_agree_are_said_to(result: StudyResult) -> None:
+    mixture = mixture_of(result)
+    parameters = {
+        name: msgspec.structs.replace(p, within=p.sd)
+        for name, p in mixture.parameters.items()
+    }
+    agreed = msgspec.structs.replace(mixture, parameters=parameters)
+    assert sections.words(agreed)[1] == "The answers agree on all parameters."
+
+
+def test_the_chapter_is_there_with_a_mixture_only(result: StudyResult) -> None:
+    assert chapter.blocks(result)
+    assert result.gap is not None
+    gap = msgspec.structs.replace(result.gap, mixture=None)
+    assert not chapter.blocks(msgspec.structs.replace(result, gap=gap))
