@@ -16,6 +16,9 @@ from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
 WIND_UP = 4e-6  # m
+#: speed up to which lubrication is mixed, over the session's largest feed: some 10 mm/s
+#: (Armstrong-Helouvry et al. 1994, Automatica 30) of 2 m/min
+STRIBECK = 0.3
 #: joint travel over which a drive of that friction winds up after a reversal, m: on rolling elements 0.1
 #: mm and less (Futami et al. 1990, Nanotechnology 1, 31), with seals and slack joints
 #: more
@@ -23,9 +26,8 @@ WINDS_UP = (0.1e-3, 0.5e-3, 2e-3, 10e-3)
 
 
 def columns(state: State, distance: float) -> Iterable[Column]:
-    """-sense F / k(l) a leg, wound up anew after each reversal (Dahl 1968); shape: a peak
-    after a reversal, higher or lower than by winding up alone, as of a servo loop that
-    friction disturbs.
+    """-sense F / k(l) a leg, wound up anew after each reversal (Dahl 1968); shape:
+    friction by load, more of it at low speed, and more along the travel.
     """
     unit, at, known = (
         terms.joint_per_metre(state),
@@ -35,14 +37,27 @@ def columns(state: State, distance: float) -> Iterable[Column]:
     screw = np.where(
         known.guide.any(axis=1), 1.0 + 0.5 * at, state.strut_length / known.strut
     )
-    against = -state.motion_sign * unit * screw
-    fresh = np.exp(-state.travel_since_reversal / (distance * unit))
-    behind, peak = against * (1.0 - 2.0 * fresh), against * fresh
+    wound = state.motion_sign * (
+        1.0 - 2.0 * np.exp(-state.travel_since_reversal / (distance * unit))
+    )
+    behind = -wound * unit * screw
+    load = np.abs(state.tool_force * state.joint_per_length) * len(state.limbs) / 2.0
+    slow = np.where(
+        np.isfinite(state.rate),
+        np.exp(-np.abs(terms.rate_share(state)) / STRIBECK),
+        0.0,
+    )
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
-        scale = terms.SHAPE_SHARE * WIND_UP
-        yield Column(f"{leg} fresh", scale, leg, {i: peak[:, i]}, shape=True)
+        for name, form in (("load", load), ("slow", slow), ("slope", at)):
+            yield Column(
+                f"{leg} {name}",
+                terms.SHAPE_SHARE * WIND_UP,
+                leg,
+                {i: behind[:, i] * form[:, i]},
+                shape=True,
+            )
 
 
 effect = Effect(
