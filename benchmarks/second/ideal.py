@@ -1,0 +1,196 @@
+"""How well can any detector do on the second generator, the noise law unknown?
+
+    python -m benchmarks.second.ideal run --seed 511733 --cases 32 --out out/ideal.jsonl
+    python -m benchmarks.second.ideal table out/ideal.jsonl
+
+The first command draws the cases of four machines again, as `python -m benchmarks.second
+generate` does with the same seed and number, and computes the log Bayes factors of the
+observers of `observers.py` on fresh noise with and without the effect of each case. The
+second prints the share detected where one in 20 healthy sets of readings is called a gap.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
+import argparse
+import json
+import sys
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from benchmarks.second import cases as case_files
+from benchmarks.second import noise_laws, observers
+from benchmarks.second.adapter import MACHINES
+from benchmarks.second.replay import Generator, Replay
+from benchmarks.second.score import SIX, TEN
+
+#: realizations of noise without the effect of a case, and with it
+HEALTHY, WITH_EFFECT = 60, 40
+#: sqrt(lambda) that an observer holds possible, equally likely
+SIZES = np.array([2.0, 4.0, 6.0, 10.0, 20.0])
+#: shares of false alarms
+ALARMS = (0.05, 0.01)
+#: prior probability of a gap that shows, and the probability of none from which no gap
+#: is reported, as the toolkit has them
+GAP, NO_GAP = 0.47, 0.65
+KINDS = ("single", "pair", "unknown")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Exit code: 0 done or no generator, 2 bad input."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except (OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 2
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.cases < 1:
+        raise ValueError(f"--cases {options.cases}: give at least 1")
+    try:
+        generator = Generator(options.generator)
+    except ModuleNotFoundError as missing:
+        print(f"skipped: the second generator is not there ({missing})")
+        return 0
+    done = {(r["machine"], r["case"]) for r in _rows(options.out)}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    plans = {m: generator.kinds(options.seed, m, options.cases) for m in MACHINES}
+    for number in range(options.cases):
+        for machine in MACHINES:
+            name, kind = f"case_{number:03d}", plans[machine][number]
+            if (machine, name) in done or kind[0] not in KINDS or kind[2] < SIX:
+                continue
+            replay = generator.replay(options.seed, machine, number, kind)
+            key = zlib.crc32(f"{options.seed}/{machine}/{name}".encode())
+            rng = np.random.default_rng(key)
+            row = _row(generator, replay, machine, rng)
+            with options.out.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"machine": machine, "case": name} | row) + "\n")
+    return 0
+
+
+def _row(
+    generator: Generator, replay: Replay, machine: str, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Log Bayes factors of each observer: healthy, with the effect, of the case itself."""
+    label = replay.label
+    law = noise_laws.law_of_label(label["law"])
+    healthy = [
+        noise_laws.draw_noise(replay, noise_laws.draw_law(rng), 1, rng)
+        for _ in range(HEALTHY)
+    ]
+    noise = noise_laws.draw_noise(replay, law, WITH_EFFECT, rng)
+    itself = (replay.readings - replay.case.y) / replay.sigma
+    itself += replay.slopes @ rng.standard_normal(replay.slopes.shape[1])
+    data = np.hstack([*healthy, noise + replay.change[:, None], itself[:, None]])
+    drawn = observers.draw_effects(generator, replay, machine, rng)
+    names = [e["effect"] for e in label["effects"]]
+    factors = observers.log_factors(replay, data, drawn, names, SIZES)
+    row: dict[str, Any] = {
+        "kind": label["kind"],
+        "law": label["law"]["law"],
+        "total": label["sqrt_lambda_total"],
+        "effects": names,
+        "out_of_span": min(e["out_of_span"] for e in label["effects"]),
+    }
+    for observer, by_size in factors.items():
+        log_factor = special.logsumexp(by_size, axis=0) - np.log(len(SIZES))
+        row[observer] = {
+            "healthy": np.round(log_factor[:HEALTHY], 3).tolist(),
+            "gap": np.round(log_factor[HEALTHY:-1], 3).tolist(),
+            "itself": round(float(log_factor[-1]), 3),
+        }
+    return row
+
+
+def _table(options: argparse.Namespace) -> int:
+    rows = _rows(options.file)
+    if not rows:
+        raise ValueError(f"{options.file}: no cases; run the command `run` first")
+    print("\n".join(table(rows)))
+    return 0
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Share detected by each observer: at shares of false alarms, and by its posterior."""
+    columns = [*(f"{100 * a:.0f} % false alarms" for a in ALARMS), "posterior rule"]
+    lines = [
+        "| observer | gaps | n | " + " | ".join(columns) + " |",
+        "|---" * (3 + len(columns)) + "|",
+    ]
+    for observer in (observers.EXACT, observers.NAMED, observers.ANY):
+        with_it = [r for r in rows if observer in r]
+        healthy = np.concatenate([r[observer]["healthy"] for r in with_it])
+        limits = [float(np.quantile(healthy, 1.0 - a)) for a in ALARMS]
+        limits.append(_limit_of_rule())
+        alarms = [float(np.mean(healthy > limit)) for limit in limits]
+        lines.append(_line(observer, "none: false alarms", len(healthy), alarms))
+        for words, part in _parts(with_it):
+            shares = [_share(part, observer, limit) for limit in limits]
+            lines.append(_line(observer, words, len(part), shares))
+    return lines
+
+
+def _limit_of_rule() -> float:
+    """Log Bayes factor from which P(no gap) is below NO_GAP."""
+    return float(special.logit(1.0 - NO_GAP) - special.logit(GAP))
+
+
+def _parts(
+    rows: Sequence[Mapping[str, Any]],
+) -> list[tuple[str, Sequence[Mapping[str, Any]]]]:
+    """Cases by size and kind, with words for them."""
+    parts = []
+    for words, low, high in (("6", SIX, TEN), ("10 and more", TEN, np.inf)):
+        among = [r for r in rows if low <= r["total"] < high]
+        parts.append((words, among))
+        for kind, name in (("single", "single"), ("unknown", "never listed")):
+            parts.append((f"{words}, {name}", [r for r in among if r["kind"] == kind]))
+    return [(words, part) for words, part in parts if part]
+
+
+def _share(rows: Sequence[Mapping[str, Any]], observer: str, limit: float) -> float:
+    """Mean over cases of the share of noise realizations with the gap detected."""
+    return float(np.mean([np.mean(np.array(r[observer]["gap"]) > limit) for r in rows]))
+
+
+def _line(observer: str, words: str, count: int, values: Sequence[float]) -> str:
+    cells = " | ".join(f"{v:.2f}" for v in values)
+    return f"| {observer} | {words} | {count} | {cells} |"
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    if not path.is_file():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.second.ideal", description=__doc__
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("run", help="compute the observers' Bayes factors")
+    run.add_argument("--seed", type=int, required=True)
+    run.add_argument("--cases", type=int, default=20, help="of each machine")
+    run.add_argument("--out", type=Path, default=Path("out/ideal.jsonl"))
+    run.add_argument("--generator", type=Path, default=case_files.GENERATOR)
+    run.set_defaults(run=_run)
+    results = commands.add_parser("table", help="print the share detected")
+    results.add_argument("file", type=Path)
+    results.set_defaults(run=_table)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
