@@ -9,6 +9,7 @@ code in this process, whichever way they come about.
 from __future__ import annotations
 
 import contextlib
+import copy
 import sys
 import tempfile
 import tomllib
@@ -224,7 +225,7 @@ def test_results(draw: st.DataObject) -> None:
 @settings(EXAMPLES, max_examples=2)
 @given(st.data())
 def test_reports(draw: st.DataObject) -> None:
-    plain = report_fixture.sample()
+    plain = copy.deepcopy(report_fixture.sample())  # its parts are others' too
     with field() as folder:
         replace_some(plain, draw, folder)
         (folder / "result.json").write_bytes(msgspec.json.encode(plain))

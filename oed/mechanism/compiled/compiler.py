@@ -133,8 +133,11 @@ def _opened(file: Path) -> ctypes.CDLL:
 
 def _is_private(folder: Path) -> bool:
     """Whether nobody else can write there what this process would run."""
+    user = getattr(os, "getuid", None)  # Windows has no such thing
+    if user is None:
+        return False
     status = folder.stat()
-    return status.st_uid == os.getuid() and not status.st_mode & 0o022
+    return status.st_uid == user() and not status.st_mode & 0o022
 
 
 def _is_whole(file: Path) -> bool:
