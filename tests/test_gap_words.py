@@ -176,8 +176,10 @@ def test_an_unknown_effect_is_as_probable_as_all_answers_with_one() -> None:
         "There is a gap that no known effect explains (probability 88 %)"
     )
     assert section.words[1] == (
-        "The next most likely explanation is any of 7 effects, and an effect of unknown"
-        " form (probability 31 %)."
+        "Any of 7 effects may act beside it (probability 31 %)."
+    )
+    assert section.words[2] == (
+        "The next most likely explanation is no gap at all (probability 12 %)."
     )
     unsure = _gap("unknown", ["unknown"], [], answers=[AnswerRecord(("unknown",), 0.4)])
     assert unsure.words[0].startswith("There may be a gap that no known effect")

@@ -111,6 +111,7 @@ def one(machine: str, size: float, seed: int) -> dict[str, Any]:
         corrected=corrected,
     )
     mixture = fits.fit(diagnosis.answers, diagnosis.contents, alone)
+    assert mixture is not None  # some answer is likely enough, and is fitted
     record["seconds_mixture"] = time.process_time() - started
     record["verdict"], record["rest"] = diagnosis.verdict, mixture.rest
     record["answers"] = [

@@ -41,7 +41,7 @@ MIXTURE, BEST, BEST_WITH_EFFECTS = (
     "best answer with effects",
 )
 PHRASES = {
-    MIXTURE: "by the parameters over all answers",
+    MIXTURE: "by the controller's parameters over all answers",
     BEST: "by those of the best answer alone",
     BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
 }
@@ -253,7 +253,7 @@ def _of_parameters(section: MixtureSection) -> list[str]:
     between = {
         name: 1.0 - (p.within / p.sd) ** 2 for name, p in section.parameters.items()
     }
-    if not between:
+    if not between or len(section.answers) < 2:
         return []
     name = max(between, key=lambda n: between[n])
     if between[name] < DISAGREE:
