@@ -22,6 +22,7 @@ from oed.result import (
 )
 from pkm_studies.base.errors import InputError
 from pkm_studies.compensation import identified
+from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.study import Study
@@ -121,7 +122,7 @@ def promised_accuracy(
         conditions=(
             _states_of_use(result.prediction)
             if corrected is None
-            else tuple(corrected.conditions)
+            else (*corrected.conditions, *without_effects(result))
         ),
         further=_further(result, kinematics, maps, reference, others, promise),
     )
@@ -136,6 +137,24 @@ def _states_of_use(prediction: PredictionSection | None) -> tuple[str, ...]:
         for column, values in prediction.states.items()
     ]
     return (f"the machine is measured over the states in use: {', '.join(parts)}",)
+
+
+def without_effects(result: StudyResult) -> tuple[str, ...]:
+    """What to promise of a controller that corrects no effect."""
+    mixture = mixture_of(result)
+    if mixture is None or mixture.prediction is None:
+        return ()
+    driven = {
+        name: component.after
+        for name, component in mixture.prediction.components.items()
+        if component.compensatable
+    }
+    rms = ", ".join(f"{name} {s.rms:.3g} {s.unit}" for name, s in driven.items())
+    option = ",".join(f"{name}_{s.unit}={s.rms:.3g}" for name, s in driven.items())
+    return (
+        f"a controller that corrects the geometry alone is predicted to reach {rms} rms,"
+        f" over all answers of the diagnosis: promise that by `--promise {option}`",
+    )
 
 
 def _further(

@@ -27,10 +27,10 @@ from oed.result import (
     MixtureSection,
 )
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
-from pkm_studies.stages.headline import format_number
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, with_wanted
 from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowledge
+from pkm_studies.stages.rounding import format_number
 
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
