@@ -14,6 +14,7 @@ from pkm_reports.sections.gap import mixture as chapter
 from pkm_studies.compensation.identified import identified_parameters
 from pkm_studies.resolve.earlier_result import known_parameters
 from pkm_studies.sessions.acceptance import promise
+from pkm_studies.sessions.certificate import build
 from pkm_studies.stages.gap import mixture as sections
 
 NAMES = ("da1y", "da1z")
@@ -147,6 +148,21 @@ def test_a_promise_says_what_geometry_alone_reaches(result: StudyResult) -> None
     assert result.gap is not None
     gap = msgspec.structs.replace(result.gap, mixture=None)
     assert not promise.without_effects(msgspec.structs.replace(result, gap=gap))
+
+
+def test_without_a_correction_a_test_promises_what_is_sent(result: StudyResult) -> None:
+    """That is over all answers, as the certificate says too."""
+    sent_alone = msgspec.structs.replace(result, corrected=None)
+    number = [c.name for c in machine.components].index("z")
+    size = len(machine.parameters)
+    unit = np.eye(size)
+    slope = np.ones((1, 1, size))
+    (rms,) = promise.promised_rms(sent_alone, machine, slope, [number], unit)
+    prediction = mixture_of(result).prediction
+    assert prediction is not None
+    assert rms == pytest.approx(1e-6 * prediction.components["z"].after.rms)
+    assert build.OVER_ANSWERS in build.conditions(sent_alone)
+    assert build.OVER_ANSWERS not in build.conditions(result)
 
 
 def test_the_chapter_is_there_with_a_mixture_only(result: StudyResult) -> None:

@@ -102,7 +102,7 @@ def promised_accuracy(
         """The promise for some components."""
         names = tuple(machine.components[k].name for k in chosen)
         slope = maps.raw[:, chosen]
-        rms = _promised_rms(result, machine, slope, chosen, covariance)
+        rms = promised_rms(result, machine, slope, chosen, covariance)
         rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
         given = [
             uncertainty.get(n, UNCERTAINTY_SHARE * r)
@@ -202,20 +202,26 @@ def _varying(maps: ErrorMaps, covariance: Array) -> list[int]:
     return np.flatnonzero(variance > 0.0).tolist()
 
 
-def _promised_rms(
+def promised_rms(
     result: StudyResult,
     machine: Machine,
     slope: Array,
     chosen: list[int],
     covariance: Array,
 ) -> Array:
-    """Predicted rms (k,), SI: of the corrected model, or of the identified parameters.
+    """Predicted rms (k,), SI: of the corrected model, or of the parameters to be sent.
+
+    After a diagnosis without a correction, these are those over all of its answers.
 
     Of what no drive corrects, the part that stays unknown. A prediction made before the
     measurement promises nothing of this machine.
     """
-    prediction = None if result.corrected is None else result.corrected.prediction
-    plain = result.prediction
+    prediction, plain = None, result.prediction
+    mixture = mixture_of(result)
+    if result.corrected is not None:
+        prediction = result.corrected.prediction
+    elif mixture is not None:
+        prediction = mixture.prediction
     if prediction is None and plain is not None and plain.mode == "identified":
         prediction = plain
     if prediction is not None:
