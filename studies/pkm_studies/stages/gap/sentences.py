@@ -42,11 +42,6 @@ SECOND_SESSION = (
     "Diagnose such readings together with these: `oed diagnose STUDY --readings NEW.csv"
     " --after DIR`, with the folder of this result."
 )
-#: advice where no held-out reading confirms what is named
-UNPROVEN = (
-    "Measure before you exchange or correct anything: on held-out readings the correction"
-    " may do harm."
-)
 #: difference between the probabilities of parts of an answer from which each is given
 WORTH_SAYING = 0.01
 #: effective number of noise laws below which probabilities are rough
@@ -263,7 +258,7 @@ def _next_steps(gap: GapSection) -> list[str]:
     """The diagnosis' advice; remedies and tests of its effects that it leaves out."""
     steps = [_with_plain_names(text, gap.about) for text in gap.next]
     if gap.selected and closures.may_grow(gap):
-        steps.insert(0, UNPROVEN)
+        steps.insert(0, closures.unproven(gap))
     places = place_names(gap) if UNKNOWN in gap.answers[0].effects else []
     if places:
         steps.append(f"Look first at {join_words(places)}.")
