@@ -346,9 +346,8 @@ def test_what_no_held_out_reading_confirms_is_measured_first(
         ClosureRecord("whole", 0.3, low, 0.5, 0.1, 3.0, 2.4, 1.2, 200) for low in lows
     ]
     section = _gap("effect", ["gravity"], [["gravity"]], closure=closures)
-    first = section.next[0]
-    assert first.startswith("Measure before you exchange") != proven
-    assert first.endswith("may do harm (probability 10 %).") != proven
+    assert section.next[0].startswith("Measure before you exchange") != proven
+    assert section.next[0].endswith("may do harm (probability 10 %).") != proven
 
 
 def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow() -> None:

@@ -68,6 +68,12 @@ def second_explanation(gap: GapSection) -> list[str]:
         )
         return words
     causes = _spoken(second) or "no gap at all"
+    if gap.verdict == "none" and second.visible > best.probability:
+        words.append(
+            f"More likely than noise alone is {causes}{chance}, but not than noise and what"
+            " is too small to be seen together."
+        )
+        return words
     return [*words, f"The next most likely explanation is {causes}{chance}."]
 
 

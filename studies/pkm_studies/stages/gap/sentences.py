@@ -113,7 +113,10 @@ def _no_gap(gap: GapSection) -> list[str]:
     nothing = gap.answers[0].probability
     unseen = sum(answer.unseen for answer in gap.answers)
     chance = f"(probability {format_probability(nothing)})"
-    words = [f"No gap is found: noise alone explains what calibration leaves {chance}."]
+    explains = "explains" if nothing >= EVEN else "may explain"
+    words = [
+        f"No gap is found: noise alone {explains} what calibration leaves {chance}."
+    ]
     if unseen >= CONSIDERABLE:
         part = format_probability(unseen)
         words.append(
