@@ -279,12 +279,28 @@ def test_one_seed_gives_the_same_bytes(oed: Run, tmp_path: Path) -> None:
         ["run", "a", "--seed", "-1"],
         ["run", "a", "--fast"],
         ["list", "x"],
+        ["list"],
     ],
 )
 def test_a_wrong_call_gets_one_line(arguments: list[str], oed: Run) -> None:
     code, out, err = oed(*arguments)
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.endswith("see `oed --help`.\n")
+    assert "Value error" not in err
+
+
+def test_a_misspelt_command_is_asked_about_in_one_sentence(oed: Run) -> None:
+    code, _, err = oed("diagnos")
+    assert code == 2
+    assert err == (
+        "oed: No such command 'diagnos' (did you mean 'diagnose'?); see `oed --help`.\n"
+    )
+
+
+def test_no_command_gets_the_help(oed: Run) -> None:
+    code, out, err = oed()
+    assert (code, out) == (2, "")
+    assert err.startswith("Usage: oed [OPTIONS] COMMAND")
 
 
 def test_interrupted(oed: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,9 @@ import compensation_sample as sample
 import msgspec
 import numpy as np
 import pytest
+import report_fixture
 from oracles import a3_geometry as a3
+from result_sample import whole
 from scipy.interpolate import RegularGridInterpolator
 
 from oed.compensate import compensated_joints
@@ -19,6 +21,7 @@ from oed.result import BudgetLine, BudgetSection, PredictionSection
 from oed.result.prediction import ComponentAccuracy, SpreadRecord
 from pkm_models.machines import a3_head
 from pkm_studies.commands import cli
+from pkm_studies.results.stored_result import load_result
 
 GRID = """
 [prediction]
@@ -142,6 +145,23 @@ def test_rounding_costs_what_its_line_says(
     for name in NAMES:
         assert sum(line.share[name] for line in budget.lines) == pytest.approx(1.0)
     assert "with this file the predicted rms is" in capsys.readouterr().out.lower()
+
+
+def test_a_budget_without_effects_is_not_that_over_all_answers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each figure says of which machine it is, where a diagnosis corrects nothing."""
+    folder = tmp_path / "out"
+    exported(folder, np.array([10.0, 5.0, 5.0]), "json")
+    gap = report_fixture.result_of(whole()).gap
+    assert gap is not None
+    gap = msgspec.structs.replace(gap, verdict="none")
+    sample.save(folder, msgspec.structs.replace(load_result(folder), gap=gap))
+    capsys.readouterr()
+    assert cli.main(["compensate", str(folder), "--to", "json"]) == 0
+    printed = capsys.readouterr().out
+    assert "Predicted rms over all answers: " in printed
+    assert "With this file the predicted rms of a machine without effects is" in printed
 
 
 def read_table(folder: Path) -> tuple[list[np.ndarray], np.ndarray]:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import itertools
 
+import msgspec
 import numpy as np
 import pytest
+import report_fixture
 from design_sample import EXTRA, KNOWN, chosen, rows, text
+from result_sample import whole
 
 from oed.design import candidates
 from oed.design.exchange import choose
 from oed.design.nuisances import Nuisances
+from oed.result import AllowedEffects
 from pkm_studies.base.errors import InputError
+from pkm_studies.stages.design.phrases import design_sentences
 
 EFFECTS = 'effects = ["encoder_scale", "pitch_accumulation"]\n'
 
@@ -75,6 +80,33 @@ def test_the_plan_is_stated_beside_that_without_effects() -> None:
     predicted = rigid.criteria.predicted_accuracy(resolved.measurement, rigid.series)
     # effects leave more than the geometry alone
     assert all(allowed.accuracy_without[k] > v for k, v in predicted.items())
+
+
+def test_reference_plans_are_compared_without_effects() -> None:
+    """Values with and without effects are not set against each other."""
+    section = report_fixture.result_of(whole()).design
+    assert section is not None
+    plans = [
+        msgspec.structs.replace(section.plans[0], name=name, criterion="I", value=value)
+        for name, value in (("chosen", -2e-8), ("paper", -3e-8))
+    ]
+    allowed = AllowedEffects(2, 3, 0.9, 1.0, {}, {}, {})
+    section = msgspec.structs.replace(
+        section,
+        criterion="I",
+        value=-4e-7,
+        efficiency=0.97,
+        proven=False,
+        plans=plans,
+        effects=allowed,
+    )
+    (words,) = design_sentences(section)
+    assert (
+        "reach I = -4e-07 with effects (certified to 97.0 % of the best possible), and"
+        " without any I = -2e-08, against -3e-08 for paper"
+    ) in words
+    (alone,) = design_sentences(msgspec.structs.replace(section, effects=None))
+    assert "without" not in alone
 
 
 @pytest.mark.parametrize(

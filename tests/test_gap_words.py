@@ -175,10 +175,10 @@ def test_an_unknown_effect_is_as_probable_as_all_answers_with_one() -> None:
     assert section.words[0].startswith(
         "There is a gap that no known effect explains (probability 88 %)"
     )
-    assert section.words[1] == (
-        "The next most likely explanation is any of 7 effects, and an effect of unknown"
-        " form (probability 31 %)."
-    )
+    assert section.words[1:3] == [
+        "Any of 7 effects may act beside it (probability 31 %).",
+        "The next most likely explanation is no gap at all (probability 12 %).",
+    ]
     unsure = _gap("unknown", ["unknown"], [], answers=[AnswerRecord(("unknown",), 0.4)])
     assert unsure.words[0].startswith("There may be a gap that no known effect")
     assert "Look first at the time from 10 min to 20 min." in section.next
@@ -347,6 +347,7 @@ def test_what_no_held_out_reading_confirms_is_measured_first(
     ]
     section = _gap("effect", ["gravity"], [["gravity"]], closure=closures)
     assert section.next[0].startswith("Measure before you exchange") != proven
+    assert section.next[0].endswith("may do harm (probability 10 %).") != proven
 
 
 def test_of_two_ways_of_holding_out_one_may_shrink_and_one_grow() -> None:

@@ -8,11 +8,13 @@ import pytest
 import report_fixture
 from result_sample import drop, whole
 
-from oed.result import MixtureSection, StudyResult
+from oed.result import MixtureSection, StudyResult, trust
 from pkm_models.machines.a3_head import machine
 from pkm_reports.sections.gap import mixture as chapter
 from pkm_studies.compensation.identified import identified_parameters
 from pkm_studies.resolve.earlier_result import known_parameters
+from pkm_studies.sessions.acceptance import promise
+from pkm_studies.sessions.certificate import build
 from pkm_studies.stages.gap import mixture as sections
 
 NAMES = ("da1y", "da1z")
@@ -95,7 +97,7 @@ def test_words_name_answers_disagreement_and_each_compensation(
     assert "backlash (90 %), no gap (5 %)" in answers
     assert "5 % together, are left out" in answers
     assert "disagree most on da1y: 75 %" in parameter
-    assert "1 um by the parameters over all answers" in choices
+    assert "1 um by the controller's parameters over all answers" in choices
     assert "1 um by those of the best answer alone" in choices
 
 
@@ -107,6 +109,60 @@ def test_answers_that_agree_are_said_to(result: StudyResult) -> None:
     }
     agreed = msgspec.structs.replace(mixture, parameters=parameters)
     assert sections.words(agreed)[1] == "The answers agree on all parameters."
+
+
+def test_one_answer_agrees_with_no_other(result: StudyResult) -> None:
+    mixture = mixture_of(result)
+    alone = msgspec.structs.replace(mixture, answers=mixture.answers[:1], rest=0.0)
+    words = " ".join(sections.words(alone))
+    assert "agree" not in words
+
+
+def test_a_file_with_effects_says_what_all_answers_expect(result: StudyResult) -> None:
+    mixture = mixture_of(result)
+    assert result.gap is not None
+    both = msgspec.structs.replace(mixture, with_effects=mixture.prediction)
+    gap = msgspec.structs.replace(result.gap, mixture=both)
+    result = msgspec.structs.replace(result, gap=gap)
+    identified = identified_parameters(result, machine, tables=True)
+    assert identified is not None
+    assert mixture.prediction is not None
+    rms = mixture.prediction.components["z"].after.rms
+    assert identified.origin == "corrected"
+    assert "take the diagnosis' best answer as true" in identified.conditions[-1]
+    assert f"z {rms:.3g} um" in identified.conditions[-1]
+
+
+def test_what_to_do_first_is_no_second_diagnosis(result: StudyResult) -> None:
+    assert trust.remedy(result) == "do first what its diagnosis advises"
+    plain = msgspec.structs.replace(result, gap=None)
+    assert trust.remedy(plain) == "run `oed diagnose`"
+
+
+def test_a_promise_says_what_geometry_alone_reaches(result: StudyResult) -> None:
+    (condition,) = promise.without_effects(result)
+    prediction = mixture_of(result).prediction
+    assert prediction is not None
+    rms = prediction.components["z"].after.rms
+    assert f"z_um={rms:.3g}" in condition
+    assert result.gap is not None
+    gap = msgspec.structs.replace(result.gap, mixture=None)
+    assert not promise.without_effects(msgspec.structs.replace(result, gap=gap))
+
+
+def test_without_a_correction_a_test_promises_what_is_sent(result: StudyResult) -> None:
+    """That is over all answers, as the certificate says too."""
+    sent_alone = msgspec.structs.replace(result, corrected=None)
+    number = [c.name for c in machine.components].index("z")
+    size = len(machine.parameters)
+    unit = np.eye(size)
+    slope = np.ones((1, 1, size))
+    (rms,) = promise.promised_rms(sent_alone, machine, slope, [number], unit)
+    prediction = mixture_of(result).prediction
+    assert prediction is not None
+    assert rms == pytest.approx(1e-6 * prediction.components["z"].after.rms)
+    assert build.OVER_ANSWERS in build.conditions(sent_alone)
+    assert build.OVER_ANSWERS not in build.conditions(result)
 
 
 def test_the_chapter_is_there_with_a_mixture_only(result: StudyResult) -> None:

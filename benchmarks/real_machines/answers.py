@@ -31,7 +31,7 @@ from oed.compensate.effects.fit import (
     EffectReadings,
     estimate_with_effects,
 )
-from oed.compensate.effects.mixture import columns_of_forms
+from oed.compensate.effects.mixture import AnswerMixture, columns_of_forms
 from oed.estimation import identify
 from oed.gap import procedure
 from oed.gap.data import problem as problems
@@ -78,6 +78,14 @@ def main() -> None:
                 file.write(json.dumps(record) + "\n")
 
 
+def _named(mixture: AnswerMixture) -> list[tuple[str, float]]:
+    """Each answer's effects, and its probability."""
+    return [
+        ("+".join(a.effects) + "unseen" * a.unseen, a.probability)
+        for a in mixture.answers
+    ]
+
+
 def one(machine: str, size: float, seed: int) -> dict[str, Any]:
     """One machine: diagnosed, fitted by each answer, and judged."""
     with tempfile.TemporaryDirectory() as folder:
@@ -111,12 +119,10 @@ def one(machine: str, size: float, seed: int) -> dict[str, Any]:
         corrected=corrected,
     )
     mixture = fits.fit(diagnosis.answers, diagnosis.contents, alone)
+    assert mixture is not None  # some answer is likely enough, and is fitted
     record["seconds_mixture"] = time.process_time() - started
     record["verdict"], record["rest"] = diagnosis.verdict, mixture.rest
-    record["answers"] = [
-        ("+".join(a.effects) + "unseen" * a.unseen, a.probability)
-        for a in mixture.answers
-    ]
+    record["answers"] = _named(mixture)
     nothing = laplace.draw_approximation(
         bench.measurement, problem.series, bench.y, alone, rng, DRAWS
     )

@@ -59,6 +59,13 @@ def section_objections(
     return sentences
 
 
+def remedy(result: StudyResult) -> str:
+    """What to do where there are objections; a diagnosis is not made twice."""
+    if result.gap is None:
+        return "run `oed diagnose`"
+    return "do first what its diagnosis advises"
+
+
 def far_parameters(section: EstimateSection | CorrectedSection) -> list[str]:
     """Parameters that ended more than FAR tolerances from nominal.
 

@@ -79,13 +79,13 @@ class AnswerFits:
         answers: Sequence[AnswerRecord],
         contents: Sequence[AnswerContent],
         without_effects: Estimate,
-    ) -> AnswerMixture:
-        """The mixture over the answers that are probable enough.
+    ) -> AnswerMixture | None:
+        """The mixture over the answers that are probable enough; None without any.
 
         contents         of the answers, as in a Diagnosis
         without_effects  the fit of the geometry alone, with no gap
 
-        An answer that no fit follows is left out; without any, the geometry alone stays.
+        An answer that no fit follows is left out.
         """
         fitted = [
             posterior
@@ -94,8 +94,7 @@ class AnswerFits:
             for posterior in self._posteriors(candidate, without_effects)
         ]
         if not fitted:
-            nothing = _Candidate((), {}, False, False, 1.0)
-            fitted = [self._geometry(nothing, without_effects)]
+            return None
         rest = 1.0 - sum(posterior.probability for posterior in fitted)
         return AnswerMixture(tuple(fitted), max(rest, 0.0))
 

@@ -216,7 +216,8 @@ def _between(
     """What would distinguish the leading answer from the second."""
     if not second.effects:
         tests = _tests(first.effects, known)
-        more = f" It would be shown by {_listed(tests)}." if tests else ""
+        shown = [effect for effect in first.effects if _tests([effect], known)]
+        more = f" What would show {_listed(shown)}: {_listed(tests)}." if tests else ""
         chance = f"{100.0 * second.probability:.0f} %"
         return [
             f"Noise alone has a probability of {chance}: read again before acting on"

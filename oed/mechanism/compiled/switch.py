@@ -31,11 +31,15 @@ def begin_job() -> None:
     _Jobs.number += 1
 
 
+class CompileSettingError(ValueError):
+    """The environment variable has a value that says nothing."""
+
+
 class CompileSwitch:
-    """Whether a function runs compiled."""
+    """Whether a function runs compiled. Raises CompileSettingError."""
 
     def __init__(self) -> None:
-        self._setting = os.environ.get(VARIABLE, "")
+        self._setting = _setting()
         self._job, self._points = _Jobs.number, 0
 
     def is_on(self, points: int, length: int) -> bool:
@@ -50,3 +54,14 @@ class CompileSwitch:
             self._job, self._points = _Jobs.number, 0
         self._points += points
         return (self._points - ENOUGH_POINTS) * length > LEAST_WORK
+
+
+def _setting() -> str:
+    """NEVER, AT_ONCE, or an empty text: after enough work. Raises CompileSettingError."""
+    setting = os.environ.get(VARIABLE, "").strip()
+    if setting not in ("", NEVER, AT_ONCE):
+        raise CompileSettingError(
+            f"the environment variable {VARIABLE} is {setting!r}: write {NEVER} for never,"
+            f" {AT_ONCE} for at once, or unset it"
+        )
+    return setting

@@ -66,8 +66,13 @@ def height(line: str, width: int) -> int:
 
 def print_error(line: str) -> None:
     """Print one line about an error on stderr, if it can be written."""
+    print_on_error_stream(f"oed: {line}")
+
+
+def print_on_error_stream(text: str) -> None:
+    """Print on stderr, if it can be written."""
     with contextlib.suppress(OSError, ValueError):
-        print(f"oed: {line}", file=sys.stderr, flush=True)
+        print(text, file=sys.stderr, flush=True)
 
 
 def is_about_output(error: OSError) -> bool:

@@ -45,6 +45,7 @@ GARBAGE_THRESHOLD = 50_000
 #: errors of the kernel about the input, by module; looked for only in loaded modules
 KERNEL_ERRORS = {
     "oed.base.units": "UnitError",
+    "oed.mechanism.compiled.switch": "CompileSettingError",
     "oed.mechanism.kinematics": "AssemblyError",
     "oed.dataset.readings_file": "ReadingsError",
     "oed.estimation.identification": "IdentificationError",
@@ -91,8 +92,7 @@ def _guarded(arguments: Sequence[str] | None) -> int:
     except Exception as error:
         if not hasattr(error, "format_message"):
             raise
-        usage = error.format_message().rstrip(".")  # how the command was called
-        return _bad_input(f"{usage}; see `oed --help`.")
+        return _bad_call(error.format_message())
 
 
 def _call(arguments: Sequence[str] | None) -> int:
@@ -127,6 +127,18 @@ def _about_file(error: OSError) -> str:
 def _kernel_errors() -> tuple[type[BaseException], ...]:
     loaded = [(sys.modules.get(module), name) for module, name in KERNEL_ERRORS.items()]
     return tuple(getattr(module, name) for module, name in loaded if module is not None)
+
+
+def _bad_call(usage: str) -> int:
+    """How typer says that the command was called, in one line; its help as it is."""
+    if usage.startswith("Usage:"):
+        console.print_on_error_stream(usage)
+        return BAD_INPUT
+    line = " ".join(usage.split()).rstrip(".").replace("Value error, ", "")
+    problem, asks, guess = line.partition(". Did you mean ")
+    if asks:
+        line = f"{problem} (did you mean {guess.rstrip('?')}?)"
+    return _bad_input(f"{line}; see `oed --help`.")
 
 
 def _bad_input(paragraph: str) -> int:

@@ -95,9 +95,10 @@ def complete_budget(
         no_axes=_without_axes(content, prediction, budget, section),
     )
     exact = quantities(budget.predicted, driven)
+    alone = corrected is None and mixture_of(result) is not None
     sentence = (
-        f"with this file the predicted rms is {quantities(section.predicted, driven)};"
-        f" exact compensation leaves {exact}"
+        f"with this file the predicted rms{' of a machine without effects' * alone} is"
+        f" {quantities(section.predicted, driven)}; exact compensation leaves {exact}"
     )
     return FileBudget(section, sentence + _axes_sentence(controller, content, section))
 

@@ -134,7 +134,7 @@ def export(
     objections = trust.objections(result)
     if objections and not force:
         raise BadFitError(
-            f"{'; '.join(objections)}: nothing is written; run `oed diagnose`, or"
+            f"{'; '.join(objections)}: nothing is written; {trust.remedy(result)}, or"
             " give --force"
         )
     content = build.compensation(result, study, folder, controller, commands)

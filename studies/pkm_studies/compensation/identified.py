@@ -14,6 +14,7 @@ from oed.result import (
     CorrectedSection,
     EstimateSection,
     MixtureSection,
+    PredictionSection,
     StudyResult,
 )
 from pkm_studies.base.errors import InputError
@@ -56,7 +57,7 @@ def identified_parameters(
     if mixture is not None and not with_effects:
         origin, conditions = "gap.mixture", _over_answers(mixture, corrected, tables)
     elif corrected is not None:
-        conditions = _of_effects(corrected, tables)
+        conditions = (*_of_effects(corrected, tables), *_if_not_best(mixture))
     elif result.estimate is not None and result.estimate.controller:
         conditions = (ABSORBED,)
     return Identified(values, sd, origin, conditions)
@@ -159,13 +160,29 @@ def _over_answers(
         left_out = list(corrected.constants)
         sentences.append(f"not in this file: {_listed(corrected, left_out, tables)}")
     if mixture.prediction is not None:
-        components = mixture.prediction.components
-        parts = [
-            f"{name} {component.after.rms:.3g} {component.after.unit}"
-            for name, component in components.items()
-        ]
-        sentences.append(f"predicted rms over all answers: {', '.join(parts)}")
+        rms = _rms_of(mixture.prediction)
+        sentences.append(f"predicted rms over all answers: {rms}")
     return tuple(sentences)
+
+
+def _if_not_best(mixture: MixtureSection | None) -> tuple[str, ...]:
+    """What all answers expect of the best answer with its effects corrected."""
+    if mixture is None or mixture.with_effects is None:
+        return ()
+    rms = _rms_of(mixture.with_effects)
+    return (
+        "these figures take the diagnosis' best answer as true; over all of its answers"
+        f" the predicted rms with this compensation is {rms}",
+    )
+
+
+def _rms_of(prediction: PredictionSection) -> str:
+    """Rms errors after compensation, each with its unit."""
+    parts = [
+        f"{name} {component.after.rms:.3g} {component.after.unit}"
+        for name, component in prediction.components.items()
+    ]
+    return ", ".join(parts)
 
 
 def _listed(corrected: CorrectedSection, names: list[str], tables: bool) -> str:

@@ -12,7 +12,7 @@ from oed.base.arrays import Array
 from oed.measurement.measurement import Series
 from pkm_studies.sessions.next_effects import Outlook
 from pkm_studies.stages import describe
-from pkm_studies.stages.headline import format_number
+from pkm_studies.stages.rounding import format_number
 
 if TYPE_CHECKING:
     from pkm_studies.sessions.next_reading import Adviser

@@ -108,8 +108,8 @@ def refuse_bad_fit(result: StudyResult) -> None:
     objections = trust.objections(result)
     if objections:
         raise BadFitError(
-            f"{'; '.join(objections)}: such a fit promises no accuracy; run"
-            " `oed diagnose`"
+            f"{'; '.join(objections)}: such a fit promises no accuracy;"
+            f" {trust.remedy(result)}"
         )
 
 

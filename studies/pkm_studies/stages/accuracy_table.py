@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from pkm_studies.base import console
-from pkm_studies.stages.headline import REFERENCES, format_number, without_drive
+from pkm_studies.stages.headline import REFERENCES, without_drive
 from pkm_studies.stages.predict.budget import improvements
+from pkm_studies.stages.rounding import format_number
 
 if TYPE_CHECKING:
     from oed.result import PredictionSection, StudyResult, UsualEffects

@@ -9,18 +9,21 @@ from oed.result import (
     IMPORTANCE,
     ComponentAccuracy,
     CorrectedSection,
-    DesignSection,
     EstimateSection,
     GapBeforeSection,
     GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
     MachineInfo,
-    PlanScore,
     PosteriorSection,
     PredictionSection,
     StudyResult,
     indices,
+)
+from pkm_studies.stages.design.phrases import (
+    design_sentences,
+    effects_sentences,
+    gain_sentences,
 )
 from pkm_studies.stages.forecast import words as forecast_words
 from pkm_studies.stages.gap import scatter
@@ -28,6 +31,7 @@ from pkm_studies.stages.gap.words import join_words, plain_name
 from pkm_studies.stages.plan.phrases import bound_sentences, plan_sentences
 from pkm_studies.stages.predict.budget import unmodelled_sentence
 from pkm_studies.stages.recording_words import recording_sentences
+from pkm_studies.stages.rounding import format_number
 
 MAX_SENTENCES = 5
 #: verdicts of held-out readings that raise no doubt of the fit
@@ -57,8 +61,9 @@ def sentences(
         *_unmodelled(result.prediction),
         *forecast_words.figures(result.forecast),
         *_rank(result.identifiability),
-        *_gain(chosen),
-        *_design(chosen),
+        *effects_sentences(chosen),
+        *gain_sentences(chosen),
+        *design_sentences(chosen),
         *_fit(result.estimate, result.goodness),
         *_posterior(result.posterior),
     ]
@@ -115,8 +120,8 @@ def detail_sentences(result: StudyResult) -> list[str]:
     return [
         *bound_sentences(result.plan),
         *_held_out([s for s in result.held_out if s.verdict in FITTING]),
-        *_gain(result.design),
-        *_design(result.design)[:1],
+        *gain_sentences(result.design),
+        *design_sentences(result.design),
         *_posterior(result.posterior),
         *_indices(result.identifiability),
     ]
@@ -253,64 +258,6 @@ def _indices(section: IdentifiabilitySection | None) -> list[str]:
     return [] if section is None else indices.sentences(section.indices)
 
 
-def _gain(section: DesignSection | None) -> list[str]:
-    """How much more accurate the machine becomes than with the first reference plan."""
-    if section is None or len(section.plans) < 2 or not section.plans[0].gain:
-        return []
-    gains, reference = section.plans[0].gain.values(), section.plans[1]
-    readings = f"{section.n} readings in {', '.join(section.setups)}"
-    return [
-        f"With the {readings}, the pose is {min(gains):.2g} to {max(gains):.2g} times as"
-        f" accurate as with {reference.name}."
-    ]
-
-
-def _design(section: DesignSection | None) -> list[str]:
-    if section is None:
-        return []
-    criterion = section.criterion
-    value = f"{criterion} = {format_number(section.value)}"
-    if criterion == "D":
-        value = f"log det {section.plans[0].logdet:.2f}"
-    proof = ""
-    if section.proven:
-        proof = " (proven optimal)"
-    elif section.efficiency is not None:
-        share = percent_rounded_down(section.efficiency)
-        proof = f" (certified to {share} % of the best possible)"
-    others = [_other_plan(plan, criterion) for plan in section.plans[1:]]
-    against = f", against {'; '.join(others)}" if others else ""
-    return [
-        f"The {criterion}-optimal {section.n} readings reach {value}{proof}{against};"
-        f" the condition number is {format_number(section.kappa)}"
-        f" ({section.scaling} scaling).",
-        *_allowed_effects(section),
-    ]
-
-
-def _allowed_effects(section: DesignSection) -> list[str]:
-    """What the plan reaches on a machine with effects, beside the plan without them."""
-    allowed = section.effects
-    if allowed is None:
-        return []
-    parts = []
-    for key, value in allowed.accuracy.items():
-        name, _, unit = key.rpartition("_")
-        other = allowed.accuracy_without[key]
-        parts.append(f"{name} {value:.3g} ({other:.3g}) {unit}")
-    return [
-        f"It allows for {allowed.groups} groups of effects. With these at the sizes expected"
-        " of them it leaves rms errors, in brackets those of the plan for a machine without"
-        f" effects: {', '.join(parts)}.",
-    ]
-
-
-def _other_plan(plan: PlanScore, criterion: str) -> str:
-    value = f"{plan.logdet:.2f}" if criterion == "D" else format_number(plan.value)
-    share = f"{100 * plan.efficiency:.0f} % {criterion}-efficiency"
-    return f"{value} for {plan.name} ({share})"
-
-
 def _fit(section: EstimateSection | None, checked: GoodnessSection | None) -> list[str]:
     if section is None:
         return []
@@ -388,13 +335,3 @@ def _change(name: str, before: float, after: float, unit: str) -> str:
     if format_number(before) == format_number(after):
         return f"{name} stays at {format_number(after)} {unit}"
     return f"{name} from {format_number(before)} to {format_number(after)} {unit}"
-
-
-def format_number(value: float) -> str:
-    """Three significant digits, without an exponent in the usual range."""
-    return f"{value:.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
-
-
-def percent_rounded_down(share: float) -> str:
-    """A share in percent with one digit: 99.96 % is 99.9 %, not all."""
-    return f"{math.floor(1000 * share * (1 + 1e-12)) / 10:.1f}"

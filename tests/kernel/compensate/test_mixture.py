@@ -129,7 +129,9 @@ def case() -> Case:
     fits = AnswerFits(
         given, EFFECTS, None, estimate_noise=False, rng=np.random.default_rng(1)
     )
-    return Case(fits.fit(records, forms, plain), tuple(answers), shares)
+    mixture = fits.fit(records, forms, plain)
+    assert mixture is not None
+    return Case(mixture, tuple(answers), shares)
 
 
 def test_mean_and_covariance_are_those_of_the_dense_mixture(case: Case) -> None:
@@ -205,9 +207,21 @@ def test_an_answer_below_the_least_share_is_left_out_and_said(case: Case) -> Non
         given, EFFECTS, None, estimate_noise=False, rng=np.random.default_rng(1)
     )
     mixture = fits.fit(records, forms, plain)
+    assert mixture is not None
     assert len(mixture.answers) == 1
     assert mixture.rest == pytest.approx(0.01)
     assert mixture.mean == pytest.approx(plain.theta)
+
+
+def test_without_an_answer_that_is_likely_enough_there_is_no_mixture() -> None:
+    """Not one that takes no gap for sure."""
+    given = readings()
+    plain = identify(given.measurement, given.series, given.y)
+    fits = AnswerFits(
+        given, EFFECTS, None, estimate_noise=False, rng=np.random.default_rng(1)
+    )
+    forms = [AnswerContent({}, unknown=False)]
+    assert fits.fit([AnswerRecord((), 0.01)], forms, plain) is None
 
 
 def drawn_answers(rng: np.random.Generator) -> tuple[np.ndarray, AnswerMixture]:

@@ -127,3 +127,13 @@ def test_what_is_unknown_may_be_what_could_not_be_tested() -> None:
         "ecord" in t
         for t in advise([_answer(0.95, "bow"), _answer(0.05)], EFFECTS, lost)
     )
+
+
+def test_what_would_show_an_effect_names_it_beside_noise_alone() -> None:
+    """Not `it`, which could be the noise."""
+    effects = (dataclasses.replace(BOW, exposed_by="a straightedge"), SLIP, DRIFT)
+    words = " ".join(advise([_answer(0.6, "bow"), _answer(0.3)], effects, {}))
+    assert (
+        "Noise alone has a probability of 30 %: read again before acting on the gap. What"
+        " would show bow: a straightedge."
+    ) in words

@@ -13,7 +13,7 @@ from oed.mechanism import newton
 from oed.mechanism.array_code.newton import SolvedSystems
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.compiled import lanes, switch
-from oed.mechanism.compiled.switch import CompileSwitch, begin_job
+from oed.mechanism.compiled.switch import CompileSettingError, CompileSwitch, begin_job
 
 __all__ = ["compiled_files"]
 pytestmark = [needs_compiler, pytest.mark.usefixtures("compiled_files")]
@@ -276,5 +276,8 @@ def test_a_function_is_compiled_once_it_has_done_enough(
 def test_the_variable_decides(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(switch.VARIABLE, switch.NEVER)
     assert not CompileSwitch().is_on(10**12, 1000)
-    monkeypatch.setenv(switch.VARIABLE, switch.AT_ONCE)
+    monkeypatch.setenv(switch.VARIABLE, f" {switch.AT_ONCE}")
     assert CompileSwitch().is_on(1, 1)
+    monkeypatch.setenv(switch.VARIABLE, "off")
+    with pytest.raises(CompileSettingError, match="OED_COMPILE is 'off': write 0"):
+        CompileSwitch()

@@ -164,6 +164,8 @@ def _caption(design: DesignSection) -> str:
     criterion = design.criterion
     value = criterion_value(criterion, design.value)
     caption = f"The choice in numbers: by criterion {criterion} it reaches {value}"
+    if design.effects is not None:
+        caption += " with the effects that it allows for"
     if design.bound is None:
         return f"{caption}."
     bound = criterion_value(criterion, design.bound)

@@ -76,6 +76,8 @@ def _scores_caption(design: DesignSection) -> str:
         "The chosen plan (marked) and reference plans. Higher log det and lower κ are"
         " better."
     )
+    if design.effects is not None:
+        caption += " All are judged on a machine without effects."
     plans = [plan for plan in design.plans if plan.efficiency > 0.0]
     chosen = [plan for plan in plans if is_chosen(plan, design)]
     others = [plan for plan in plans if not is_chosen(plan, design)]

@@ -22,6 +22,7 @@ from oed.result import (
 )
 from pkm_studies.base.errors import InputError
 from pkm_studies.compensation import identified
+from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.study import Study
@@ -101,7 +102,7 @@ def promised_accuracy(
         """The promise for some components."""
         names = tuple(machine.components[k].name for k in chosen)
         slope = maps.raw[:, chosen]
-        rms = _promised_rms(result, machine, slope, chosen, covariance)
+        rms = promised_rms(result, machine, slope, chosen, covariance)
         rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
         given = [
             uncertainty.get(n, UNCERTAINTY_SHARE * r)
@@ -121,7 +122,7 @@ def promised_accuracy(
         conditions=(
             _states_of_use(result.prediction)
             if corrected is None
-            else tuple(corrected.conditions)
+            else (*corrected.conditions, *without_effects(result))
         ),
         further=_further(result, kinematics, maps, reference, others, promise),
     )
@@ -136,6 +137,24 @@ def _states_of_use(prediction: PredictionSection | None) -> tuple[str, ...]:
         for column, values in prediction.states.items()
     ]
     return (f"the machine is measured over the states in use: {', '.join(parts)}",)
+
+
+def without_effects(result: StudyResult) -> tuple[str, ...]:
+    """What to promise of a controller that corrects no effect."""
+    mixture = mixture_of(result)
+    if mixture is None or mixture.prediction is None:
+        return ()
+    driven = {
+        name: component.after
+        for name, component in mixture.prediction.components.items()
+        if component.compensatable
+    }
+    rms = ", ".join(f"{name} {s.rms:.3g} {s.unit}" for name, s in driven.items())
+    option = ",".join(f"{name}_{s.unit}={s.rms:.3g}" for name, s in driven.items())
+    return (
+        f"a controller that corrects the geometry alone is predicted to reach {rms} rms,"
+        f" over all answers of the diagnosis: promise that by `--promise {option}`",
+    )
 
 
 def _further(
@@ -183,20 +202,26 @@ def _varying(maps: ErrorMaps, covariance: Array) -> list[int]:
     return np.flatnonzero(variance > 0.0).tolist()
 
 
-def _promised_rms(
+def promised_rms(
     result: StudyResult,
     machine: Machine,
     slope: Array,
     chosen: list[int],
     covariance: Array,
 ) -> Array:
-    """Predicted rms (k,), SI: of the corrected model, or of the identified parameters.
+    """Predicted rms (k,), SI: of the corrected model, or of the parameters to be sent.
+
+    After a diagnosis without a correction, these are those over all of its answers.
 
     Of what no drive corrects, the part that stays unknown. A prediction made before the
     measurement promises nothing of this machine.
     """
-    prediction = None if result.corrected is None else result.corrected.prediction
-    plain = result.prediction
+    prediction, plain = None, result.prediction
+    mixture = mixture_of(result)
+    if result.corrected is not None:
+        prediction = result.corrected.prediction
+    elif mixture is not None:
+        prediction = mixture.prediction
     if prediction is None and plain is not None and plain.mode == "identified":
         prediction = plain
     if prediction is not None:

@@ -24,6 +24,7 @@ from oed.result.certificate import (
 )
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.resolve import quantities
+from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.sessions.acceptance.promise import (
     PromisedAccuracy,
     covariances,
@@ -41,6 +42,11 @@ NORMAL = "parameters are stated as normal; expanded uncertainties have a coverag
 ACCURACY = (
     "predicted errors are those of the machine compensated with these parameters, over"
     " the workspace of the study"
+)
+OVER_ANSWERS = (
+    "the parameters are those of the fit before its diagnosis; predicted errors are those"
+    " of the machine compensated with the parameters over all answers of the diagnosis, and"
+    " hold the effects that these leave possible"
 )
 CHECKED = (
     "errors at the acceptance poses are taken as independent, each with the standard"
@@ -86,7 +92,7 @@ def certificate(
         verified_poses=_measured_poses(result),
         verified=list(_verified(result)),
         conformity=list(_conformities(result, section, promised, tolerance, place)),
-        conditions=_conditions(result),
+        conditions=conditions(result),
     )
 
 
@@ -124,8 +130,9 @@ def _parameter(
     )
 
 
-def _conditions(result: StudyResult) -> list[str]:
-    sentences = [NORMAL, ACCURACY]
+def conditions(result: StudyResult) -> list[str]:
+    over_answers = result.corrected is None and mixture_of(result) is not None
+    sentences = [NORMAL, OVER_ANSWERS if over_answers else ACCURACY]
     if result.verification is not None:
         sentences.append(CHECKED)
     if result.corrected is not None:

@@ -18,7 +18,7 @@ from pkm_studies.stages.design import effects
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.plan_scores import plan_scores
 from pkm_studies.stages.design.select import ChosenDesign
-from pkm_studies.stages.headline import percent_rounded_down
+from pkm_studies.stages.rounding import percent_rounded_down
 
 #: slack of the bound (log of an efficiency) from which it is worth saying
 SLACK = 0.01

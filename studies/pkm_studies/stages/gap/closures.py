@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from oed.result.gap import ClosureRecord, GapSection
-from pkm_studies.stages.gap.words import join_words, plain_name
+from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
 
 SPLITS = {
     "within": "on held-out stretches of runs",
@@ -40,6 +40,16 @@ def may_grow(gap: GapSection) -> bool:
     """Whether the gap may grow in every way of holding readings out that is known."""
     lows = [closure.low for closure in gap.closure if closure.low is not None]
     return bool(lows) and max(lows) < 0.0
+
+
+def unproven(gap: GapSection) -> str:
+    """Advice where no held-out reading confirms what is named."""
+    harms = [closure.p_worse for closure in gap.closure if closure.p_worse is not None]
+    chance = f" (probability {format_probability(max(harms))})" if harms else ""
+    return (
+        "Measure before you exchange or correct anything: on held-out readings the"
+        f" correction may do harm{chance}."
+    )
 
 
 def _closure(closure: ClosureRecord, value: float) -> str:

@@ -27,10 +27,10 @@ from oed.result import (
     MixtureSection,
 )
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
-from pkm_studies.stages.headline import format_number
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, with_wanted
 from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowledge
+from pkm_studies.stages.rounding import format_number
 
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
@@ -41,7 +41,7 @@ MIXTURE, BEST, BEST_WITH_EFFECTS = (
     "best answer with effects",
 )
 PHRASES = {
-    MIXTURE: "by the parameters over all answers",
+    MIXTURE: "by the controller's parameters over all answers",
     BEST: "by those of the best answer alone",
     BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
 }
@@ -253,7 +253,7 @@ def _of_parameters(section: MixtureSection) -> list[str]:
     between = {
         name: 1.0 - (p.within / p.sd) ** 2 for name, p in section.parameters.items()
     }
-    if not between:
+    if not between or len(section.answers) < 2:
         return []
     name = max(between, key=lambda n: between[n])
     if between[name] < DISAGREE:

@@ -21,6 +21,12 @@ from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
 from oed.result.gap import AnswerRecord, GapSection, SizeRecord
 from pkm_studies.stages.gap import closures, implausible, scatter
+from pkm_studies.stages.gap.explanations import (
+    CONSIDERABLE,
+    chance_of,
+    probability_of_causes,
+    second_explanation,
+)
 from pkm_studies.stages.gap.places import named_places, place_names, place_sentences
 from pkm_studies.stages.gap.words import (
     capitalised,
@@ -29,19 +35,12 @@ from pkm_studies.stages.gap.words import (
     plain_name,
 )
 
-#: probability from which a second explanation is named
-CONSIDERABLE = 0.1
 #: probability from which a cause is stated as a fact
 EVEN = 0.5
 #: how readings that are taken for it come into the answer
 SECOND_SESSION = (
     "Diagnose such readings together with these: `oed diagnose STUDY --readings NEW.csv"
     " --after DIR`, with the folder of this result."
-)
-#: advice where no held-out reading confirms what is named
-UNPROVEN = (
-    "Measure before you exchange or correct anything: on held-out readings the correction"
-    " may do harm."
 )
 #: difference between the probabilities of parts of an answer from which each is given
 WORTH_SAYING = 0.01
@@ -64,7 +63,7 @@ def with_sentences(gap: GapSection) -> GapSection:
         *_sizes(gap),
         *_implausible(gap),
         *_resemblance(gap),
-        *_second_explanation(gap),
+        *second_explanation(gap),
         *_few_laws(gap),
         *place_sentences(gap),
         *closures.sentences(gap),
@@ -91,7 +90,7 @@ def _verdict(gap: GapSection) -> list[str]:
             f"There {is_there} a gap that no known effect explains {chance}: it has the form of"
             f" none of the {testable} effects that these readings can test."
         ]
-    probability = _probability_of_causes(gap)
+    probability = probability_of_causes(gap)
     chance = f"(probability {format_probability(probability)})"
     comes = "comes" if probability >= EVEN else "may come"
     if gap.verdict == "class":
@@ -100,7 +99,7 @@ def _verdict(gap: GapSection) -> list[str]:
             f" {chance}."
         ]
     if UNKNOWN in best.effects:
-        sure = "" if best.probability == probability else _chance(best.probability)
+        sure = "" if best.probability == probability else chance_of(best.probability)
         return [
             f"Part of the gap {comes} from {_classes(gap)} {chance}; a remainder has a"
             f" form that no known effect has{sure}."
@@ -109,31 +108,15 @@ def _verdict(gap: GapSection) -> list[str]:
     return [f"The gap {comes} from {_classes(gap)}{together} {chance}."]
 
 
-def _probability_of_causes(gap: GapSection) -> float:
-    """That the best answer's named effects act, alone or beside one of unknown form."""
-    same = [answer for answer in gap.answers if _has_its_causes(answer, gap)]
-    return sum(answer.visible for answer in same)
-
-
-def _has_its_causes(answer: AnswerRecord, gap: GapSection) -> bool:
-    """Whether an answer differs from the best one by an unknown remainder at most."""
-    best = gap.answers[0]
-    if answer is best:
-        return True
-    names, others = ({*a.effects} - {UNKNOWN} for a in (best, answer))
-    return bool(names) and names == others and answer.visible > 0.0
-
-
-def _chance(probability: float) -> str:
-    return f" (probability {format_probability(probability)})"
-
-
 def _no_gap(gap: GapSection) -> list[str]:
     """That none is found, and how likely one is that these readings do not show."""
     nothing = gap.answers[0].probability
     unseen = sum(answer.unseen for answer in gap.answers)
     chance = f"(probability {format_probability(nothing)})"
-    words = [f"No gap is found: noise alone explains what calibration leaves {chance}."]
+    explains = "explains" if nothing >= EVEN else "may explain"
+    words = [
+        f"No gap is found: noise alone {explains} what calibration leaves {chance}."
+    ]
     if unseen >= CONSIDERABLE:
         part = format_probability(unseen)
         words.append(
@@ -155,7 +138,7 @@ def _classes(gap: GapSection) -> str:
     chances = [_probability_of_any(names, gap.answers) for names in classes]
     if max(chances) - min(chances) >= WORTH_SAYING:
         together = zip(parts, chances, strict=True)
-        parts = [f"{part}{_chance(chance)}" for part, chance in together]
+        parts = [f"{part}{chance_of(chance)}" for part, chance in together]
         return ", and ".join(parts)
     clear = [part for part, n in zip(parts, classes, strict=True) if len(n) == 1]
     vague = parts[len(clear) :]
@@ -246,46 +229,6 @@ def _resemblance(gap: GapSection) -> list[str]:
     return [f"What no known effect explains most resembles: {'; or '.join(parts)}."]
 
 
-def _second_explanation(gap: GapSection) -> list[str]:
-    """The next explanation, where its probability is considerable."""
-    if len(gap.answers) < 2:
-        return []
-    best, *rest = gap.answers
-    words = [
-        f"An effect of unknown form may act beside it{_chance(answer.visible)}."
-        for answer in rest
-        if _has_its_causes(answer, gap)
-        and UNKNOWN in answer.effects
-        and answer.visible >= CONSIDERABLE
-    ]
-    others = [answer for answer in rest if not _has_its_causes(answer, gap)]
-    second = max(others, key=lambda answer: answer.visible, default=best)
-    if second is best or second.visible < CONSIDERABLE:
-        return words
-    chance = _chance(second.visible)
-    if not second.effects and second.probability > _probability_of_causes(gap):
-        words.append(
-            f"Noise alone is more likely{chance}, but not likely enough to report no"
-            " gap."
-        )
-        return words
-    causes = _spoken(second) or "no gap at all"
-    return [*words, f"The next most likely explanation is {causes}{chance}."]
-
-
-def _spoken(answer: AnswerRecord) -> str:
-    """An answer's effects, with those that cannot be told from them, or their number."""
-    classes = {names[0]: names for names in answer.classes}
-    spoken = []
-    for name in answer.effects:
-        alike = classes.get(name, (name,))
-        plain = join_words([plain_name(n) for n in alike], last="or")
-        many = len(alike) > MOST_NAMES
-        spoken.append(f"any of {len(alike)} effects" if many else plain)
-    has_alternatives = any(len(alike) > 1 for alike in answer.classes)
-    return ", and ".join(spoken) if has_alternatives else join_words(spoken)
-
-
 def _few_laws(gap: GapSection) -> list[str]:
     """That the probabilities are rough, where few of the tried noise laws count."""
     if gap.effective_laws is None or gap.effective_laws >= FEW_LAWS:
@@ -318,7 +261,7 @@ def _next_steps(gap: GapSection) -> list[str]:
     """The diagnosis' advice; remedies and tests of its effects that it leaves out."""
     steps = [_with_plain_names(text, gap.about) for text in gap.next]
     if gap.selected and closures.may_grow(gap):
-        steps.insert(0, UNPROVEN)
+        steps.insert(0, closures.unproven(gap))
     places = place_names(gap) if UNKNOWN in gap.answers[0].effects else []
     if places:
         steps.append(f"Look first at {join_words(places)}.")

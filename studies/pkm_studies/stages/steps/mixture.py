@@ -46,6 +46,8 @@ def mix_answers(state: Fitted) -> Fitted:
         corrected=state.corrected,
     )
     mixture = fits.fit(diagnosis.answers, diagnosis.contents, without_effects)
+    if mixture is None:
+        return state
     corrected, table = state.corrected, state.study.prediction
     theta = state.estimate.theta
     if corrected is not None:

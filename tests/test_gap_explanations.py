@@ -1,0 +1,44 @@
+"""Explanations beside the best one: no sentence contradicts another one's probability."""
+
+from __future__ import annotations
+
+import msgspec
+import report_fixture
+from result_sample import whole
+
+from oed.result.gap import AnswerRecord, GapSection
+from pkm_studies.stages.gap.explanations import second_explanation
+from pkm_studies.stages.gap.sentences import with_sentences
+
+
+def _gap(verdict: str, answers: list[AnswerRecord]) -> GapSection:
+    section = report_fixture.result_of(whole()).gap
+    assert section is not None
+    return msgspec.structs.replace(
+        section, verdict=verdict, answers=answers, selected=[]
+    )
+
+
+def test_what_is_more_likely_than_noise_alone_is_not_the_next_most_likely() -> None:
+    """No gap stands by noise and what is too small to be seen, 56 % together."""
+    answers = [
+        AnswerRecord((), 0.36),
+        AnswerRecord(("gravity",), 0.44, (("gravity",),), unseen=0.06),
+        AnswerRecord(("unknown",), 0.20, unseen=0.14),
+    ]
+    gap = with_sentences(_gap("none", answers))
+    assert gap.words[0] == (
+        "No gap is found: noise alone may explain what calibration leaves (probability"
+        " 36 %)."
+    )
+    assert second_explanation(gap) == [
+        "More likely than noise alone is gravity (probability 38 %), but not than noise"
+        " and what is too small to be seen together."
+    ]
+
+
+def test_what_is_less_likely_than_noise_alone_is_the_next() -> None:
+    answers = [AnswerRecord((), 0.6), AnswerRecord(("gravity",), 0.4, (("gravity",),))]
+    assert second_explanation(_gap("none", answers)) == [
+        "The next most likely explanation is gravity (probability 40 %)."
+    ]
