@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import argparse
 
-import cvxpy as cp
 import numpy as np
 
+from oed.design import conic
+from oed.design.criterion.spectrum import ExtremeEigenvalues
 from oed.design.exchange import choose
 
 CANDIDATES, COLUMNS, SIZE = 2000, 21, 30
@@ -27,19 +28,10 @@ TAKEN = (0, 5, 10, 15, 20, 25)
 
 def relaxed(rows: np.ndarray, taken: np.ndarray, others: np.ndarray) -> float:
     """The largest least eigenvalue that weights of `others` reach beside `taken` rows."""
-    count = len(others)
-    weights, least = cp.Variable(count, nonneg=True), cp.Variable()
-    products = np.einsum("ci,cj->cij", rows[others], rows[others]).reshape(count, -1)
-    added = cp.reshape(products.T @ weights, (COLUMNS, COLUMNS), order="C")
-    information = added + rows[taken].T @ rows[taken]
-    symmetric = (information + information.T) / 2.0
-    limits = [
-        cp.sum(weights) == SIZE - len(taken),
-        weights <= 1.0,
-        symmetric - least * np.eye(COLUMNS) >> 0,
-    ]
-    problem = cp.Problem(cp.Maximize(least), limits)
-    return float(problem.solve(solver="CLARABEL"))
+    prior = rows[taken].T @ rows[taken]
+    size = float(SIZE - len(taken))
+    relaxation = conic.relax(rows[others], size, ExtremeEigenvalues(), prior)
+    return float(np.exp(relaxation.value))
 
 
 def main() -> None:
