@@ -20,7 +20,6 @@ from types import SimpleNamespace
 import numpy as np
 
 from benchmarks.real_machines import world
-from benchmarks.real_machines.plans import MACHINES, UNKNOWNS, WORKSPACE
 from oed.accuracy import error_maps
 from oed.base.arrays import Array, Index
 from oed.compensate.effects.planned_effects import PlannedEffects
@@ -32,7 +31,12 @@ from oed.estimation.effect_sizes import healthy_size
 from oed.identifiability.information import prior_information
 from pkm_studies.resolve.planned_effects import effects_of_planned, pose_error_slopes
 
+MACHINES = ("a3", "planar", "delta", "hexapod")
 PLANS = ("rigid", "typical", "full")
+#: combinations of effects that a plan profiles out
+UNKNOWNS = 60
+#: poses of the session at which accuracy counts while planning
+WORKSPACE = 60
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,57 +59,51 @@ class Problem:
         variances = np.einsum("ri,ij,rj->r", self.factor, covariance, self.factor)
         return 1e6 * float(np.sqrt(variances.sum()))
 
-    def plan(self, size: int, seed: int) -> Index:
+    def plan(self, size: int, rng: np.random.Generator) -> Index:
         """The readings that serve this machine best."""
         criterion = Variance(np.linalg.qr(self.factor, mode="r"))
-        rng = np.random.default_rng(seed)
         choice = choose(
             self.blocks, size, rng, criterion, prior=self.prior, certify=False
         )
         return np.sort(choice.indices)
 
 
-def problems(bench: world.Bench, seed: int) -> dict[str, Problem]:
-    """The session's candidates on machines with effects of each size."""
-    measurement = bench.measurement
-    where = bench.command[:: max(len(bench.command) // WORKSPACE, 1)]
-    maps = error_maps(measurement.kinematics, where, "best_fit")
-    place = SimpleNamespace(command=where, table=SimpleNamespace(reference="best_fit"))
-    full = effects_of_planned(
-        measurement,
-        bench.series,
-        bench.effects,
-        SimpleNamespace(gravity=bench.gravity),
-        place,
-        np.random.default_rng(seed),
-        UNKNOWNS,
+def effects_of(bench: world.Bench, rng: np.random.Generator) -> PlannedEffects:
+    """What all effects of a bench's machine do to its session, at expected sizes."""
+    place = SimpleNamespace(
+        command=_workspace(bench), table=SimpleNamespace(reference="best_fit")
     )
-    assert full is not None
-    # a machine without effects: nuisances that change nothing keep the columns alike
-    sizes = {"rigid": 0.0, "typical": healthy_size(), "full": 1.0}
-    moved = [k for k, name in enumerate(maps.names) if name in "xyz"]
-    return {
-        name: _problem(bench, full.of_size(size), maps.raw, moved)
-        for name, size in sizes.items()
-    }
+    request = SimpleNamespace(gravity=bench.gravity)
+    effects = effects_of_planned(
+        bench.measurement, bench.series, bench.effects, request, place, rng, UNKNOWNS
+    )
+    assert effects is not None  # every machine of the generator has some
+    return effects
 
 
-def _problem(
-    bench: world.Bench, effects: PlannedEffects, raw: Array, moved: list[int]
-) -> Problem:
+def problem(bench: world.Bench, effects: PlannedEffects | None) -> Problem:
+    """The session's candidates on a machine with these effects, or without any."""
     measurement = bench.measurement
+    maps = error_maps(measurement.kinematics, _workspace(bench), "best_fit")
     pool = candidates.build(
         measurement,
         bench.series,
         measurement.nominal,
         "tolerance",
-        nuisances=effects.readings,
+        nuisances=None if effects is None else effects.readings,
     )
     prior = pool.prior_information.copy()
     prior[: pool.columns, : pool.columns] += prior_information(measurement)
-    slopes = pose_error_slopes(pool, raw, effects)[:, moved]
-    factor = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
+    tool = np.zeros((*maps.raw.shape[:2], 0)) if effects is None else effects.tool
+    slopes = pose_error_slopes(pool, maps.raw, SimpleNamespace(tool=tool))
+    moved = [k for k, name in enumerate(maps.names) if name in "xyz"]
+    factor = slopes[:, moved].reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
     return Problem(pool.blocks, prior, factor)
+
+
+def _workspace(bench: world.Bench) -> Array:
+    """Some of the session's commands, at which accuracy counts."""
+    return bench.command[:: max(len(bench.command) // WORKSPACE, 1)]
 
 
 def main() -> None:
@@ -119,11 +117,15 @@ def main() -> None:
     for seed in range(*options.seeds):
         with tempfile.TemporaryDirectory() as folder:
             bench = world.draw(options.machine, 0, "healthy", seed, Path(folder))
-        worlds = problems(bench, seed)
-        plans = [worlds[name].plan(options.readings, seed) for name in PLANS]
-        for name, problem in worlds.items():
-            plans_and_all = [*plans, np.arange(len(problem.blocks))]
-            values = " | ".join(f"{problem.rms(plan):.4g}" for plan in plans_and_all)
+        full = effects_of(bench, np.random.default_rng(seed))
+        sizes = (None, full.of_size(healthy_size()), full)
+        worlds = [problem(bench, effects) for effects in sizes]
+        plans = [
+            one.plan(options.readings, np.random.default_rng(seed)) for one in worlds
+        ]
+        plans.append(np.arange(len(worlds[0].blocks)))
+        for name, one in zip(PLANS, worlds, strict=True):
+            values = " | ".join(f"{one.rms(plan):.4g}" for plan in plans)
             print(f"| {options.machine} | {seed} | {name} | {values} |", flush=True)
 
 

@@ -16,31 +16,19 @@ import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from benchmarks.real_machines import world
 from benchmarks.real_machines.__main__ import judge
-from oed.accuracy import error_maps
+from benchmarks.real_machines.attainable import MACHINES, effects_of, problem
 from oed.base.arrays import Array, Index
 from oed.compensate.effects.expected_columns import expected_columns
-from oed.compensate.effects.planned_effects import PlannedEffects
-from oed.design import candidates
-from oed.design.criterion.variance import Variance
-from oed.design.exchange import choose
 from oed.estimation import identify
 from oed.estimation.effect_sizes import healthy_size
 from oed.gap.data import problem as problems
-from oed.identifiability.information import prior_information
-from pkm_studies.resolve.planned_effects import effects_of_planned, pose_error_slopes
 
-MACHINES = ("a3", "planar", "delta", "hexapod")
-#: combinations of effects that a plan profiles out
-UNKNOWNS = 60
-#: poses of the session at which accuracy counts while planning
-WORKSPACE = 60
 KINDS = ("rigid", "real")
 
 
@@ -82,38 +70,9 @@ def one(machine: str, level: str, count: int, seed: int) -> dict[str, Any]:
 
 def _chosen(bench: world.Bench, count: int, seed: int, real: bool) -> Index:
     """Readings of the session that a plan takes, by their number."""
-    measurement, rng = bench.measurement, np.random.default_rng(seed)
-    every = max(len(bench.command) // WORKSPACE, 1)
-    where = bench.command[::every]
-    maps = error_maps(measurement.kinematics, where, "best_fit")
-    effects: PlannedEffects | None = None
-    if real:
-        place = SimpleNamespace(
-            command=where, table=SimpleNamespace(reference="best_fit")
-        )
-        request = SimpleNamespace(gravity=bench.gravity)
-        effects = effects_of_planned(
-            measurement, bench.series, bench.effects, request, place, rng, UNKNOWNS
-        )
-    if effects is not None:
-        effects = effects.of_size(healthy_size())
-    pool = candidates.build(
-        measurement,
-        bench.series,
-        measurement.nominal,
-        "tolerance",
-        nuisances=None if effects is None else effects.readings,
-    )
-    if effects is None:
-        effects = SimpleNamespace(tool=np.zeros((*maps.raw.shape[:2], 0)))
-    prior = pool.prior_information.copy()
-    prior[: pool.columns, : pool.columns] += prior_information(measurement)
-    slopes = pose_error_slopes(pool, maps.raw, effects)
-    moved = [k for k, name in enumerate(maps.names) if name in "xyz"]
-    factor = slopes[:, moved].reshape(-1, slopes.shape[2]) / np.sqrt(len(where))
-    criterion = Variance(np.linalg.qr(factor, mode="r"))
-    choice = choose(pool.blocks, count, rng, criterion, prior=prior, certify=False)
-    return np.sort(choice.indices)
+    rng = np.random.default_rng(seed)
+    effects = effects_of(bench, rng).of_size(healthy_size()) if real else None
+    return problem(bench, effects).plan(count, rng)
 
 
 def _realised(bench: world.Bench, indices: Index, seed: int) -> dict[str, float]:
@@ -122,13 +81,13 @@ def _realised(bench: world.Bench, indices: Index, seed: int) -> dict[str, float]
     series, numbers = _taken(bench, indices)
     y, rows = bench.y[numbers], bench.covariates.iloc[indices].reset_index(drop=True)
     plain = identify(measurement, series, y)
-    problem = problems.assemble(
+    gap_problem = problems.assemble(
         measurement, series, rows, plain.theta, y, gravity=bench.gravity
     )
-    columns = expected_columns(problem, bench.effects)
+    columns = expected_columns(gap_problem, bench.effects)
     estimate = identify(
         measurement,
-        problem.series,
+        gap_problem.series,
         y,
         discrepancy=None if columns is None else columns.discrepancy,
         rng=rng,

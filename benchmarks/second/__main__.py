@@ -11,10 +11,10 @@ law, and prints the table.
 from __future__ import annotations
 
 import argparse
-import subprocess
 import sys
 from pathlib import Path
 
+from benchmarks.exit_code import exit_code
 from benchmarks.second import adapter, cases, table
 
 #: folder of the campaign, and of the set that it reads
@@ -23,12 +23,7 @@ CAMPAIGN, SET = Path("out/second"), Path("out/second/set")
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done or no generator, 2 bad input."""
-    options = _parser().parse_args(arguments)
-    try:
-        return int(options.run(options))
-    except (OSError, ValueError, subprocess.CalledProcessError) as error:
-        print(error, file=sys.stderr)
-        return 2
+    return exit_code(_parser(), arguments)
 
 
 def _generate(options: argparse.Namespace) -> int:

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
+from benchmarks.exit_code import exit_code
 from benchmarks.second import cases as case_files
 from benchmarks.second import noise_laws, observers
 from benchmarks.second.adapter import MACHINES
@@ -46,12 +47,7 @@ KINDS = ("single", "pair", "unknown")
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done or no generator, 2 bad input."""
-    options = _parser().parse_args(arguments)
-    try:
-        return int(options.run(options))
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
+    return exit_code(_parser(), arguments)
 
 
 def _run(options: argparse.Namespace) -> int:

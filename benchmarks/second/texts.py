@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.exit_code import exit_code
 from benchmarks.second import adapter, cases
 from benchmarks.second.cases import Case
 from oed.base.whole_file import whole_file
@@ -47,13 +47,7 @@ LAW_SIZES = ("repeat_over_sigma", "ar_over_sigma")
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done, 2 bad input."""
-    options = _parser().parse_args(arguments)
-    try:
-        options.run(options)
-    except (OSError, ValueError, subprocess.CalledProcessError) as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
+    return exit_code(_parser(), arguments)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -75,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
 # -- answers ---------------------------------------------------------------------------
 
 
-def _write_answers(options: argparse.Namespace) -> None:
+def _write_answers(options: argparse.Namespace) -> int:
     """Write NN.txt for each case that has none yet."""
     folder = options.out / "set"
     cases.generate(folder, options.seed, DRAWN, adapter.MACHINES, options.generator)
@@ -89,6 +83,7 @@ def _write_answers(options: argparse.Namespace) -> None:
         path = options.out / f"{number}.txt"
         if not path.is_file():
             _write(path, answer(diagnosis(case, folder / "studies" / number)))
+    return 0
 
 
 def _write(path: Path, content: str) -> None:
@@ -151,12 +146,13 @@ def block_lines(blocks: Sequence[Block]) -> list[str]:
 # -- truths ----------------------------------------------------------------------------
 
 
-def _print_truths(options: argparse.Namespace) -> None:
+def _print_truths(options: argparse.Namespace) -> int:
     folder = options.out / "set"
     numbered = json.loads((folder / CHOSEN).read_text(encoding="utf-8"))
     for number, (machine, name) in numbered.items():
         label = cases.labels(folder, machine)[name]
         print(f"| {number} | {machine} | {truth(label)} |")
+    return 0
 
 
 def truth(label: Mapping[str, Any]) -> str:

@@ -18,6 +18,7 @@ import json
 import sys
 from pathlib import Path
 
+from benchmarks.exit_code import exit_code
 from benchmarks.second import cases
 from benchmarks.visits import later, run, table
 from oed.mechanism.inverse import AssemblyError
@@ -38,12 +39,7 @@ KINDS = (
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done or no generator, 2 bad input."""
-    options = _parser().parse_args(arguments)
-    try:
-        return int(options.run(options))
-    except (OSError, ValueError) as error:
-        print(error, file=sys.stderr)
-        return 2
+    return exit_code(_parser(), arguments)
 
 
 def _run(options: argparse.Namespace) -> int:
