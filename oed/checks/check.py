@@ -56,9 +56,13 @@ class CheckedSession:
 
         Some mistakes are what an effect of a machine does as well.
         """
-        total = sum(one.probability for one in self.explanations)
-        mimicked = [one for one in self.explanations if one.kind in PHYSICAL]
-        return total > 2.0 * sum(one.probability for one in mimicked)
+        mimicked, others = 0.0, 0.0
+        for one in self.explanations:
+            if one.kind in PHYSICAL:
+                mimicked += one.probability
+            else:
+                others += one.probability
+        return others > mimicked
 
     @property
     def doubtful_values(self) -> Mask:
