@@ -59,6 +59,14 @@ def allowed_effects(
     )
 
 
+def to_plan_for(
+    expected: PlannedEffects | None, table: DesignTable
+) -> PlannedEffects | None:
+    """The effects at the sizes that a plan is chosen for; themselves at expected sizes."""
+    size = chosen_size(table)
+    return expected if expected is None or size == 1.0 else expected.of_size(size)
+
+
 def chosen_size(table: DesignTable) -> float:
     """Size of the effects that a plan is chosen for, in expected sizes.
 

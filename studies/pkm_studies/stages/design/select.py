@@ -91,18 +91,16 @@ def select_design(
         return None
     place = resolved.study.place.key("design")
     expected = effects.allowed_effects(resolved, table, request, rng)
-    planned = expected and expected.of_size(effects.chosen_size(table))
+    planned = effects.to_plan_for(expected, table)
     study_criteria = StudyCriteria(resolved, table, request, planned)
     problem = _problem(resolved, study_criteria, place)
     field = "compound" if table.compound else "criterion"
     choice, relaxed_summary = _main_choice(problem, study_criteria, rng, place, field)
-    with_expected = StudyCriteria(resolved, table, request, expected)
-    summary_of_effects = None
-    if expected is not None:
-        without = _without_effects(study_criteria, rng, place, field)
-        summary_of_effects = effects.compare_without(
-            _problem(resolved, with_expected, place), with_expected, choice, without
-        )
+    at_expected = study_criteria, problem
+    if planned is not expected:
+        with_expected = StudyCriteria(resolved, table, request, expected)
+        at_expected = with_expected, _problem(resolved, with_expected, place)
+    summary_of_effects = _beside_rigid(at_expected, choice, rng, place, field)
     compared = _compared(problem, study_criteria, choice, rng, place.key("compare"))
     robust_summary, size_summary = None, None
     if table.robust is not None:
@@ -129,7 +127,7 @@ def select_design(
         series=ordered.series,
         scheduled=ordered.scheduled,
         choice=choice,
-        criteria=with_expected,
+        criteria=at_expected[0],
         retained=sum(map(len, retained)),
         candidates=len(problem.candidates),
         bound_ignores_setups=problem.selects_setups and problem.bound_ignores_setups,
@@ -183,6 +181,24 @@ def _main_choice(
             problem, criterion, choice, table.branch_nodes, rng
         )
     return choice, summary
+
+
+def _beside_rigid(
+    at_expected: tuple[StudyCriteria, DesignProblem],
+    choice: Choice,
+    rng: np.random.Generator,
+    place: Place,
+    field: str,
+) -> AllowedEffects | None:
+    """The choice beside that of a machine without effects; None without effects.
+
+    at_expected  criteria and problem of a machine with effects at their expected sizes
+    """
+    study_criteria, problem = at_expected
+    if study_criteria.effects is None:
+        return None
+    without = _without_effects(study_criteria, rng, place, field)
+    return effects.compare_without(problem, study_criteria, choice, without)
 
 
 def _without_effects(
