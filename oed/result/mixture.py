@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from oed.result.prediction import PredictionSection
 from oed.result.record import Record
+
+#: names of the compensations that are compared
+MIXTURE: Final = "mixture"
+BEST: Final = "best answer"
+BEST_WITH_EFFECTS: Final = "best answer with effects"
 
 
 class MixedAnswer(Record, frozen=True):

@@ -14,6 +14,7 @@ from oed.compensate.effects.fit import (
     estimate_with_effects,
 )
 from oed.compensate.effects.mixture import (
+    DRAWS,
     AnswerMixture,
     AnswerPosterior,
     columns_of_forms,
@@ -32,8 +33,8 @@ from oed.result.gap import AnswerRecord
 
 #: probability from which an answer is fitted
 LEAST_SHARE = 0.02
-#: draws of all answers together, in their shares, and of each at least
-DRAWS, LEAST_DRAWS = 2000, 300
+#: draws of each answer at least
+LEAST_DRAWS = 300
 
 
 @dataclasses.dataclass(frozen=True)

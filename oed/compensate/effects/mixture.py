@@ -27,7 +27,7 @@ from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.compensate.effects.forms import ChosenForm
 from oed.estimation.discrepancy import Discrepancy
 
-#: draws of the mixture
+#: draws of the mixture: each answer has as many as its share of them
 DRAWS = 2000
 
 
@@ -77,7 +77,7 @@ class AnswerMixture:
         """Mean parameters (n,), SI."""
         return np.asarray(self.shares @ np.array([a.mean for a in self.answers]))
 
-    @property
+    @functools.cached_property
     def covariance(self) -> Array:
         """Covariance (n, n) of the parameters, within and between the answers."""
         total = np.zeros((len(self.mean), len(self.mean)))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import MixtureSection, PredictionSection, StudyResult
+from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE
 from pkm_reports.page import text
 from pkm_reports.page.blocks import (
     Block,
@@ -19,9 +20,9 @@ from pkm_reports.sections.accuracy_ranges import figures
 
 #: compensations that a controller can be sent, as a reader knows them
 COMPENSATIONS: Final = {
-    "mixture": "Geometry, over all answers",
-    "best answer": "Geometry, best answer alone",
-    "best answer with effects": "Best answer with its effects corrected",
+    MIXTURE: "Geometry, over all answers",
+    BEST: "Geometry, best answer alone",
+    BEST_WITH_EFFECTS: "Best answer with its effects corrected",
 }
 
 
@@ -58,8 +59,8 @@ def _accuracy(section: MixtureSection) -> list[Block]:
     """Figures with intervals of what is sent: geometry, and with effects if any."""
     tables: list[Block] = []
     for name, prediction in (
-        ("mixture", section.prediction),
-        ("best answer with effects", section.with_effects),
+        (MIXTURE, section.prediction),
+        (BEST_WITH_EFFECTS, section.with_effects),
     ):
         if prediction is None:
             continue

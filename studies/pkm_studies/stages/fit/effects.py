@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 import numpy as np
@@ -23,7 +23,13 @@ from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.noise.prior import KNOWN_TO
-from oed.result import EffectSizeRecord, EstimateSection, GoodnessSection, trust
+from oed.result import (
+    EffectSizeRecord,
+    EstimateSection,
+    GoodnessSection,
+    MixtureSection,
+    trust,
+)
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.planned_effects import NONE, named_effects
 from pkm_studies.resolve.prediction import check_states
@@ -34,6 +40,8 @@ from pkm_studies.stages.run_state import Fitted, Measured
 
 if TYPE_CHECKING:
     import pandas as pd
+
+Section = TypeVar("Section", EstimateSection, MixtureSection)
 
 #: mean square of readings left out, over that of the fit without effects, up to which
 #: effects explain the misfit
@@ -168,9 +176,7 @@ def with_effects(
     return msgspec.structs.replace(section, effects=records, faulty=sampled.faulty)
 
 
-def with_controller(
-    section: EstimateSection, machine: Machine, sent: Array
-) -> EstimateSection:
+def with_controller(section: Section, machine: Machine, sent: Array) -> Section:
     """The section with the parameters (np,) that the controller is given, SI."""
     controller = {}
     for parameter, value in zip(machine.parameters, sent, strict=True):

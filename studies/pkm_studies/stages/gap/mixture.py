@@ -26,6 +26,8 @@ from oed.result import (
     MixedParameter,
     MixtureSection,
 )
+from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE
+from pkm_studies.stages.fit.effects import with_controller
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, with_wanted
@@ -34,12 +36,6 @@ from pkm_studies.stages.rounding import format_number
 
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
-#: names of the compensations that are compared
-MIXTURE, BEST, BEST_WITH_EFFECTS = (
-    "mixture",
-    "best answer",
-    "best answer with effects",
-)
 PHRASES = {
     MIXTURE: "by the controller's parameters over all answers",
     BEST: "by those of the best answer alone",
@@ -171,14 +167,8 @@ def _with_accuracy(
         sections[name] = with_wanted(record, use.wanted)
         rms = {n: c.after.rms for n, c in record.components.items()}
         choices.append(CompensationChoice(name, rms))
-    controller = {}
-    for parameter, value in zip(machine.parameters, sent, strict=True):
-        estimate = section.parameters.get(parameter.name)
-        if estimate is not None:
-            controller[parameter.name] = units.number(float(value), estimate.unit)
     return msgspec.structs.replace(
-        section,
-        controller=controller,
+        with_controller(section, machine, sent),
         choices=choices,
         prediction=sections[MIXTURE],
         with_effects=sections.get(BEST_WITH_EFFECTS),

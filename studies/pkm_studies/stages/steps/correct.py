@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.checks.goodness import goodness_of_estimate
+from oed.compensate.effects.answer_fits import with_constants
 from oed.compensate.effects.fit import (
     CorrectedEstimate,
     EffectReadings,
@@ -87,18 +87,12 @@ def _effects(
     if gap is None or not gap.effect_reported:
         return []
     by_name = {effect.name: effect for effect in request.effects}
+    # with the constants of the forms that the diagnosis selected
     return [
-        _as_diagnosed(by_name[name], gap) for name in gap.selected if name in by_name
+        with_constants(by_name[name], gap.constants.get(name, {}))
+        for name in gap.selected
+        if name in by_name
     ]
-
-
-def _as_diagnosed(effect: Effect, gap: GapSection) -> Effect:
-    """The effect with the constants of the form that the diagnosis selected."""
-    if effect.name not in gap.constants:
-        return effect
-    constants = gap.constants[effect.name]
-    selected = {name: (value,) for name, value in constants.items()}
-    return dataclasses.replace(effect, constants=selected)
 
 
 def _refuse_untestable(
