@@ -1,7 +1,7 @@
 """The diagnosis on the second generator: its cases, and the table of their diagnoses.
 
     python -m benchmarks.second generate --seed 7 --cases 20
-    PYTHONPATH=. oed campaign --allow-code benchmarks/second.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/second.campaign.toml --seeds 20
     python -m benchmarks.second table
 
 draws 20 cases of each machine, diagnoses each under the estimated and the true noise

@@ -1,6 +1,6 @@
 """Cases of the campaign `second`: a diagnosis under the estimated or the true noise law.
 
-    PYTHONPATH=. oed campaign --allow-code benchmarks/second.campaign.toml
+    PYTHONPATH=. oed campaign --allow-code benchmarks/second.campaign.toml --seeds 20
 
 A setting names the folder of the set, a machine and a law; the seed is the number of
 the machine's case.

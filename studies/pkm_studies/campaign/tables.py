@@ -98,8 +98,16 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return ", ".join(parts) or "as it is"
 
     def first(self, seeds: int) -> Campaign:
-        """The campaign with at most so many cases of each combination."""
-        return msgspec.structs.replace(self, seeds=min(seeds, self.seeds))
+        """The campaign with the first so many cases of each combination.
+
+        Raises InputError for more than it has.
+        """
+        if seeds > self.seeds:
+            raise self.place.key("seeds").error(
+                f"{self.seeds} cases of each combination, and --seeds {seeds}",
+                f"raise `seeds` to {seeds}, or leave the option away for all",
+            )
+        return msgspec.structs.replace(self, seeds=seeds)
 
     def figures(self, setting: Mapping[str, Any]) -> Figures:
         """What computes the figures of a combination's cases."""
