@@ -307,6 +307,14 @@ def test_what_is_too_small_to_be_seen_is_said_to_be() -> None:
         assert explanations.row(answer)[0] == words
 
 
+def test_no_gap_closes_by_more_than_all_of_it(gap: GapSection) -> None:
+    """Held-out readings that lie closer than the noise expects leave no less than none."""
+    closer = replace(gap.closure[0], value=1.24, low=0.7, high=1.31)
+    (table,) = closure.blocks(replace(gap, closure=[closer]))
+    cells = [cell.replace("\N{NO-BREAK SPACE}", " ") for cell in table.rows[0]]
+    assert cells[2:4] == ["all of it", "70 % to over 100 %"]
+
+
 def test_no_closure_is_reported_where_no_effect_is(gap: GapSection) -> None:
     assert closure.blocks(gap)
     assert not closure.blocks(replace(gap, verdict="none"))

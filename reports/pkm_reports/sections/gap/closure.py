@@ -12,7 +12,9 @@ from pkm_reports.page.missing import or_nan
 
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
 #: shares beyond which an end of an interval is not written in figures
-HIGHEST, LOWEST = 1.5, -1.0
+HIGHEST, LOWEST = 1.0, -1.0
+#: a gap of which no more than the noise is left
+ALL: Final = "all of it"
 #: share from which percent are rounded down, never up to the whole
 NEARLY_WHOLE: Final = 0.99
 
@@ -30,7 +32,7 @@ def blocks(gap: GapSection) -> list[Block]:
         [
             text.meaning(closure.split, SPLITS),
             str(closure.n),
-            _share(closure.value),
+            _closed(closure.value),
             _interval(closure),
             text.percent(closure.p_worse),
             text.number(closure.s0),
@@ -43,10 +45,16 @@ def blocks(gap: GapSection) -> list[Block]:
         "How far what calibration leaves shrinks, beyond the noise and in its mean"
         " square, on readings that were held out of the fit. Before,"
         " after and noise alone are mean squared residuals in units of their expected"
-        " value; the gap closed is (before − after) / (before − noise alone). Whole"
+        " value; the gap closed is (before − after) / (before − noise alone), all of it"
+        " where no more than the noise is left. Whole"
         " held-out runs also show what the geometry cannot learn from the other runs."
     )
     return [Table(columns, rows, caption)]
+
+
+def _closed(value: Number) -> str:
+    """The share that is closed; beyond the whole, less than the noise expects is left."""
+    return ALL if or_nan(value) >= 1.0 else _share(value)
 
 
 def _interval(closure: ClosureRecord) -> str:

@@ -84,17 +84,13 @@ def _answers(gap: GapSection) -> Table:
 
 
 def _decision() -> str:
-    """When no gap is reported, by the costs of missing one and of searching in vain."""
-    sure, vaguely_sure = (
-        text.percent(answers.MISSED / (answers.MISSED + cost))
-        for cost in (answers.IN_VAIN, answers.VAGUELY_IN_VAIN)
-    )
-    ratio = text.number(answers.MISSED / answers.IN_VAIN)
+    """When no gap is reported, by the costs of missing one and of a test in vain."""
+    sure = text.percent(answers.MISSED / (answers.MISSED + 1.0))
     return (
-        f"A missed gap is taken to cost {ratio} times a futile search for a named"
-        f" cause: no gap is reported where noise, with or without what is too small for"
-        f" these readings to show, has {sure} or more, or {vaguely_sure} where the cause"
-        " could be any of many."
+        f"A missed gap is taken to cost {text.number(answers.MISSED)} times a further"
+        " test in vain: no gap is reported where noise, with or without what is too"
+        f" small for these readings to show, has {sure} or more. What is less likely"
+        " than noise is a reason to read again, and is not corrected."
     )
 
 
