@@ -52,13 +52,13 @@ def advise(
     missing = _missing_covariates(not_testable)
     if missing and not first.effects:
         sentences.append(
-            "These readings cannot test all effects. Record more with the next ones:"
-            f" {_listed(missing)}."
+            "These readings cannot test all effects. Record with the next ones, and"
+            f" vary: {_listed(missing)}."
         )
     elif missing and UNKNOWN in first.effects:
         sentences.append(
-            "What acts may be what these readings cannot test: record"
-            f" {_listed(missing)} with them."
+            "What acts may be what these readings cannot test: record and vary"
+            f" {_listed(missing)}."
         )
     return tuple(dict.fromkeys(sentences))
 

@@ -83,7 +83,7 @@ def test_no_gap_asks_for_what_was_not_recorded() -> None:
         {"drift": "the readings do not have time"},
     )
     assert advice[-1] == (
-        "These readings cannot test all effects. Record more with the next ones: time."
+        "These readings cannot test all effects. Record with the next ones, and vary: time."
     )
 
 
@@ -120,8 +120,8 @@ def test_what_is_unknown_may_be_what_could_not_be_tested() -> None:
     advice = advise([_answer(0.95, UNKNOWN), _answer(0.05)], EFFECTS, lost)
     assert (
         advice[-1]
-        == "What acts may be what these readings cannot test: record direction and time"
-        " with them."
+        == "What acts may be what these readings cannot test: record and vary direction"
+        " and time."
     )
     assert not any(
         "ecord" in t
