@@ -13,6 +13,9 @@ from oed.result.gap_before import ChosenRun, SeparationRecord
 from oed.result.mixture import MixtureSection
 from oed.result.record import Record
 
+#: probability of an effect from which it more likely acts than not
+EVEN = 0.5
+
 
 class AnswerRecord(Record, frozen=True):
     """One explanation: effects that act together (none: no gap; `unknown`: a shape that
@@ -237,3 +240,12 @@ class GapSection(Record, frozen=True):
     def effect_reported(self) -> bool:
         """Whether the verdict is an effect, known or not."""
         return self.verdict not in ("none", "scatter")
+
+    @property
+    def effect_likely(self) -> bool:
+        """Whether an effect is reported, and more likely acts than not.
+
+        One that is less likely is a reason to read again, and none to correct it.
+        """
+        visible = sum(answer.visible for answer in self.answers if answer.effects)
+        return self.effect_reported and visible > EVEN

@@ -51,7 +51,7 @@ def section_objections(
             f"these ended more than {FAR:.0f} tolerances from nominal: {', '.join(far)};"
             " the nominal numbers are those of another machine, or [prior] is too narrow"
         )
-    if corrected is None and gap is not None and gap.effect_reported:
+    if corrected is None and gap is not None and gap.effect_likely:
         sentences.append(
             f"the diagnosis reports a gap ({gap.verdict}), which bends the parameters of"
             " a fit without it"

@@ -43,6 +43,10 @@ def good(*, checked: dict[str, object] | None = None, **changes: object) -> Stud
     return result_of(**{**calm, **changes})
 
 
+#: the answer that noise alone explains the readings
+NOTHING = {"effects": [], "probability": 0.6, "classes": [], "unseen": 0.0}
+
+
 def at_nominal(**value: float) -> dict[str, object]:
     """The estimate's parameters, of no known truth, where the first has a value."""
     parameters = whole()["estimate"]["parameters"]
@@ -82,6 +86,15 @@ def test_parameters_far_from_nominal_are_named() -> None:
 def test_a_gap_bends_a_fit_without_it() -> None:
     (sentence,) = trust.objections(good(gap=whole()["gap"]))
     assert "reports a gap (effect)" in sentence
+
+
+def test_a_gap_that_is_less_likely_than_none_bends_nothing() -> None:
+    gap = whole()["gap"]
+    (first, *_) = gap["answers"]
+    unlikely = gap | {
+        "answers": [first | {"probability": 0.4, "unseen": 0.0}, NOTHING],
+    }
+    assert trust.objections(good(gap=unlikely)) == []
 
 
 def test_chi2_is_large_by_its_law() -> None:

@@ -76,7 +76,7 @@ def correct_for_effects(state: Fitted) -> Fitted:
 def _effects(
     state: Fitted, request: GapRequest, gap: GapSection | None
 ) -> list[Effect]:
-    """The effects of the command, or those that the diagnosis selected."""
+    """The effects of the command, or those that the diagnosis holds likely."""
     if state.with_effects:
         place = state.study.place.key("--with")
         origin = state.study.origin
@@ -84,7 +84,7 @@ def _effects(
         return [
             sized(catalogue.effect(name, origin, place), state.study) for name in names
         ]
-    if gap is None or not gap.effect_reported:
+    if gap is None or not gap.effect_likely:
         return []
     by_name = {effect.name: effect for effect in request.effects}
     # with the constants of the forms that the diagnosis selected
