@@ -42,3 +42,20 @@ def test_what_is_less_likely_than_noise_alone_is_the_next() -> None:
     assert second_explanation(_gap("none", answers)) == [
         "The next most likely explanation is gravity (probability 40 %)."
     ]
+
+
+def test_a_gap_that_is_less_likely_than_noise_says_so_at_once() -> None:
+    """The first sentence is all that the report's first page has of it."""
+    answers = [
+        AnswerRecord(("gravity",), 0.3, (("gravity",),)),
+        AnswerRecord((), 0.45),
+        AnswerRecord(("unknown",), 0.25, unseen=0.25),
+    ]
+    gap = with_sentences(_gap("effect", answers))
+    assert gap.words[0] == (
+        "The gap may come from gravity (probability 30 %; noise alone 45 %)."
+    )
+    assert second_explanation(gap) == [
+        "Noise alone is more likely, but not enough to report no gap."
+    ]
+    assert not gap.effect_likely

@@ -60,14 +60,9 @@ def second_explanation(gap: GapSection) -> list[str]:
     second = max(others, key=lambda answer: answer.visible, default=best)
     if second is best or second.visible < CONSIDERABLE:
         return words
-    chance = chance_of(second.visible)
     if not second.effects and second.probability > probability_of_causes(gap):
-        words.append(
-            f"Noise alone is more likely{chance}, but not likely enough to report no"
-            " gap."
-        )
-        return words
-    causes = _spoken(second) or "no gap at all"
+        return [*words, "Noise alone is more likely, but not enough to report no gap."]
+    causes, chance = _spoken(second) or "no gap at all", chance_of(second.visible)
     if gap.verdict == "none" and second.visible > best.probability:
         words.append(
             f"More likely than noise alone is {causes}{chance}, but not than noise and what"

@@ -83,7 +83,7 @@ def _verdict(gap: GapSection) -> list[str]:
         return _no_gap(gap)
     if gap.verdict == "unknown":
         unknown = probability_of(UNKNOWN, gap.answers)
-        chance = f"(probability {format_probability(unknown)})"
+        chance = _chance(gap, unknown)
         is_there = "is" if unknown >= EVEN else "may be"
         testable = len(gap.tried) - len(gap.not_testable)
         return [
@@ -91,7 +91,7 @@ def _verdict(gap: GapSection) -> list[str]:
             f" none of the {testable} effects that these readings can test."
         ]
     probability = probability_of_causes(gap)
-    chance = f"(probability {format_probability(probability)})"
+    chance = _chance(gap, probability)
     comes = "comes" if probability >= EVEN else "may come"
     if gap.verdict == "class":
         return [
@@ -106,6 +106,15 @@ def _verdict(gap: GapSection) -> list[str]:
         ]
     together = " together" if len(gap.selected) > 1 else ""
     return [f"The gap {comes} from {_classes(gap)}{together} {chance}."]
+
+
+def _chance(gap: GapSection, probability: float) -> str:
+    """The probability of a cause, and that of noise alone where it is larger."""
+    nothing = sum(a.probability for a in gap.answers if not a.effects)
+    chance = f"probability {format_probability(probability)}"
+    if nothing > probability:
+        chance += f"; noise alone {format_probability(nothing)}"
+    return f"({chance})"
 
 
 def _no_gap(gap: GapSection) -> list[str]:
