@@ -210,8 +210,8 @@ def _by_group(forms: Array, group: Array) -> Array:
 
 def _drift(session: SessionReadings) -> Array:
     """Legendre polynomials (N, k) in the order of the readings."""
-    order = session.values["row"].to_numpy(dtype=float)
-    place = _centred(order)
+    _, order = np.unique(session.values["row"].to_numpy(), return_inverse=True)
+    place = _centred(order.astype(float))
     powers = [np.polynomial.Legendre.basis(k)(place) for k in range(1, DEGREE + 1)]
     return np.column_stack(powers)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import enum
 
+from oed.dataset.file_rows import Row
+
 
 class Severity(enum.IntEnum):
     """How much harm a finding does, the most harmful first.
@@ -32,10 +34,10 @@ class CheckFinding:
     severity  how much harm it does
     kind      such as `unit`, `sign`, `outlier`, `doubled`
     sentence  for the user
-    rows      rows of the file at fault; empty where all are
+    rows      rows of the files at fault; empty where all are
     """
 
     severity: Severity
     kind: str
     sentence: str
-    rows: tuple[int, ...] = ()
+    rows: tuple[Row, ...] = ()

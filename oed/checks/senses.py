@@ -14,6 +14,7 @@ from scipy import spatial
 
 from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
+from oed.dataset.file_rows import Row
 
 #: fewest common poses of two runs, and share of steps that must agree
 LEAST, AGREE = 4, 0.75
@@ -29,7 +30,7 @@ class Contradiction:
     """
 
     runs: tuple[str, str]
-    rows: tuple[int, int]
+    rows: tuple[Row, Row]
     same_order: bool
 
 
@@ -37,7 +38,7 @@ class Contradiction:
 class _Run:
     name: str
     setup: str
-    row: int
+    row: Row
     direction: float
     joints: Array
 
@@ -65,12 +66,13 @@ def _runs(session: SessionReadings) -> list[_Run]:
     for (setup, run), members in frame.groupby(
         ["setup", "run"], sort=False
     ).indices.items():
-        rows = frame.iloc[members].drop_duplicates("row").sort_values("order")
+        of_run = frame.iloc[members].assign(reading=reading[members])
+        rows = of_run.drop_duplicates("reading").sort_values("order")
         directions = np.unique(rows["direction"].to_numpy(dtype=float))
         if len(directions) != 1 or abs(directions[0]) != 1.0:
             continue
-        path = joints[reading[rows.index.to_numpy()]]
-        first = int(rows["row"].iloc[0])
+        path = joints[rows["reading"].to_numpy()]
+        first = rows["row"].iloc[0]
         runs.append(_Run(str(run), str(setup), first, float(directions[0]), path))
     return runs
 

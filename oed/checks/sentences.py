@@ -19,6 +19,7 @@ from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
 from oed.checks.words import capital
+from oed.dataset.file_rows import Row
 from oed.result.goodness import without_rows
 from oed.result.trust import GUESS
 
@@ -89,7 +90,7 @@ def too_large(
     return CheckFinding(Severity.BAD_FIT, "fit", sentence)
 
 
-def _one_of(rows: Sequence[int]) -> str:
+def _one_of(rows: Sequence[Row]) -> str:
     """That one of some rows is wrong, and what to do."""
     if len(rows) == 1:
         return (
@@ -256,7 +257,7 @@ def outside(session: SessionReadings, ranges: Ranges, values: Index) -> CheckFin
         session.written(channel, float(end[first]))
         for end in (ranges.lower, ranges.upper)
     )
-    rows = tuple(sorted({int(session.values["row"].iloc[k]) for k in values}))
+    rows = tuple(sorted({session.values["row"].iloc[k] for k in values}))
     lie = "lies" if len(rows) == 1 else "lie"
     sentence = (
         f"{_count(rows)} {lie} outside the range that tolerances and noise predict; the"
@@ -276,11 +277,11 @@ def _place(session: SessionReadings, value: int) -> str:
     return f"row {row}, column {session.column(str(channel)).name} = {written}"
 
 
-def _count(rows: Sequence[int]) -> str:
+def _count(rows: Sequence[Row]) -> str:
     return "1 reading" if len(rows) == 1 else f"{len(rows)} readings"
 
 
-def _listing(rows: Sequence[int]) -> str:
+def _listing(rows: Sequence[Row]) -> str:
     shown = ", ".join(str(k) for k in rows[:NAMED])
     more = ", ..." if len(rows) > NAMED else ""
     return f"row{'s' if len(rows) > 1 else ''} {shown}{more}"

@@ -14,6 +14,7 @@ from oed.base.arrays import Array, Index, Mask
 from oed.checks.law import CheckedLaw
 from oed.dataset.columns import ReadingsColumn, column_name, parse_column
 from oed.dataset.data import consecutive
+from oed.dataset.file_rows import Row, named_rows
 from oed.measurement.measurement import Measurement, Series
 from oed.noise.covariance import Noise
 
@@ -94,11 +95,11 @@ class SessionReadings:
         every = np.arange(1 + int(self.reading_of_value[-1]))
         return self.take(np.setdiff1d(every, np.asarray(readings, dtype=np.intp)))
 
-    def rows(self, readings: Sequence[int] | Index) -> tuple[int, ...]:
-        """Rows of the file of readings, by number."""
+    def rows(self, readings: Sequence[int] | Index) -> tuple[Row, ...]:
+        """Rows of the files of readings, by number."""
         row, reading = self.values["row"].to_numpy(), self.reading_of_value
         first = np.searchsorted(reading, np.asarray(readings, dtype=np.intp))
-        return tuple(int(k) for k in row[first])
+        return tuple(row[first].tolist())
 
     def with_y(self, y: Array) -> SessionReadings:
         """The session with other values (N,), SI."""
@@ -186,6 +187,8 @@ def session(
     values["row"] = number + 2
     values["order"] = number + 1
     if covariates is not None:
-        for name in {"row", "order", "direction", "time"} & set(covariates.columns):
+        if "row" in covariates:
+            values["row"] = named_rows(covariates)[number]
+        for name in {"order", "direction", "time"} & set(covariates.columns):
             values[name] = covariates[name].to_numpy()[number]
     return plain

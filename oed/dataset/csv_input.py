@@ -28,7 +28,8 @@ from oed.dataset.columns import (
     tension_columns,
 )
 from oed.dataset.data import Dataset, column_layouts
-from oed.dataset.readings_file import ROW, ReadingsError, ReadingsFile
+from oed.dataset.file_rows import short_names
+from oed.dataset.readings_file import FILE, ROW, ReadingsError, ReadingsFile
 from oed.dataset.table_checks import ORDER_REMEDY
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
@@ -158,7 +159,7 @@ def _setup_readings(
     return _SetupReadings(
         series=series,
         y=values[taken].ravel(),
-        covariates=_covariates(frame[taken]),
+        covariates=_covariates(frame[taken], merged.frame[FILE]),
         dropped=int((~taken & ~reference).sum()),
     )
 
@@ -217,10 +218,16 @@ def _with_references(run: pd.Series, taken: Mask, reference: Mask) -> Index:
     return np.flatnonzero(taken | (reference & in_use))
 
 
-def _covariates(rows: pd.DataFrame) -> pd.DataFrame:
+def _covariates(rows: pd.DataFrame, files: pd.Series) -> pd.DataFrame:
+    """Covariates of some rows, with the file of each where there are several."""
     columns = ["setup", "run", "order"]
     columns += [c for c in rows.columns if is_covariate(str(c))]
     selected = rows[[*columns, ROW]].rename(columns={ROW: "row"})
+    every = list(dict.fromkeys(map(str, files)))
+    if len(every) > 1:
+        names = dict(zip(every, short_names(every), strict=True))
+        of_rows = rows[FILE].astype(str).map(names)
+        selected["file"] = pd.Categorical(of_rows, categories=list(names.values()))
     return selected.reset_index(drop=True)
 
 

@@ -6,13 +6,18 @@ from oed.result.record import Number, Record
 
 
 class OutlierRecord(Record, frozen=True):
-    """A reading that all others contradict; `row` is that of its file."""
+    """A reading that all others contradict.
+
+    row   of its file
+    file  its name, where the readings are of several
+    """
 
     setup: str
     run: str
     order: int
     row: int
     pull: float
+    file: str = ""
 
 
 class MistakeRecord(Record, frozen=True):

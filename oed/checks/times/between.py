@@ -85,7 +85,7 @@ def _clash(one: TimedRun, other: TimedRun) -> Clash | None:
         return None
     first = int(places[0])
     pair = (one, first), (other, int(nearest[first]))
-    (a, i), (b, j) = sorted(pair, key=lambda at: int(at[0].rows[0]))
+    (a, i), (b, j) = sorted(pair, key=lambda at: at[0].rows[0])
     return a, i, b, j
 
 
@@ -134,7 +134,7 @@ def _remedy(runs: Sequence[TimedRun], column: TimeColumn) -> str:
         turns = [turn for turn in LATER if _follows_later(runs, k, turn)]
         if turns:
             amounts = " or ".join(LATER[turn] for turn in turns)
-            row = int(runs[k].rows.min())
+            row = runs[k].rows.min()
             return (
                 f"The runs follow one another with {amounts} added from row {row} on:"
                 " correct the times, or leave the cells empty"
@@ -204,7 +204,7 @@ def _overlapping(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding |
                 f" from {column.written(begin)} to {column.written(end)}: a run is read"
                 " without a break. Correct the times, or name runs by when they were read."
             )
-            rows = (int(one.rows[0]), int(other.rows[0]))
+            rows = (one.rows[0], other.rows[0])
             return CheckFinding(Severity.REMARK, "time overlap", sentence, rows)
     return None
 

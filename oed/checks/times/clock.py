@@ -8,6 +8,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Mask
 from oed.checks.session import SessionReadings
+from oed.dataset.file_rows import Row
 
 HOUR = 3600.0
 #: times after which a clock begins again, s, with its remedy
@@ -62,7 +63,7 @@ class TimedRun:
     """Readings of a run with a time, by their order.
 
     setup, run  names
-    rows        (n,) in the file
+    rows        (n,) in the files
     times       (n,) s
     joints      (n, nq) over their range in the session
     """
@@ -102,9 +103,9 @@ class TimedRun:
         steps = np.diff(np.unique(self.times))
         return float(steps.min()) if steps.size else 0.0
 
-    def rows_from(self, first: int = 0) -> tuple[int, ...]:
-        """Rows of the file from a reading on."""
-        return tuple(int(row) for row in self.rows[first:])
+    def rows_from(self, first: int = 0) -> tuple[Row, ...]:
+        """Rows of the files from a reading on."""
+        return tuple(self.rows[first:].tolist())
 
     def scaled(self, factor: float, later: float = 0.0) -> TimedRun:
         """The run with times times a factor, and later by an amount, s."""
@@ -150,4 +151,4 @@ def timed_runs(session: SessionReadings) -> list[TimedRun]:
                 joints=joints[ordered["reading"].to_numpy()],
             )
         )
-    return sorted(runs, key=lambda one: int(one.rows.min()))
+    return sorted(runs, key=lambda one: one.rows.min())

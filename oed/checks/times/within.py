@@ -21,6 +21,7 @@ from oed.checks.times.clock import (
     typical,
 )
 from oed.checks.words import capital
+from oed.dataset.file_rows import Row
 
 #: steps of a turn of the clock from which on a jump forward cannot be a step
 FAR = 10.0
@@ -135,13 +136,13 @@ def _go_on(times: Array, first: int) -> bool:
     return bool(is_near) and alike(*(typical(side) for side in sides))
 
 
-def _single_row(run: TimedRun) -> int | None:
+def _single_row(run: TimedRun) -> Row | None:
     """The one row without which the times are in order; None where there is none."""
     k = int(np.flatnonzero(np.diff(run.times) < 0.0)[0])
     single = [
         one for one in (k, k + 1) if (np.diff(np.delete(run.times, one)) >= 0.0).all()
     ]
-    return int(run.rows[single[0]]) if len(single) == 1 else None
+    return run.rows[single[0]] if len(single) == 1 else None
 
 
 # -- times that jump -------------------------------------------------------------------

@@ -17,6 +17,7 @@ from oed.checks.far_reading import FarReading
 from oed.checks.goodness import Goodness
 from oed.checks.sentences import misfits
 from oed.dataset import Dataset
+from oed.dataset.file_rows import file_of
 from oed.estimation.run_prediction import RunPrediction
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 from pkm_studies.resolve.noise import noise_is_a_guess
@@ -105,6 +106,7 @@ def _records(checked: CheckedSession, far: Sequence[FarReading]) -> list[Outlier
                 run=str(row["run"]),
                 order=int(row["order"]),
                 row=int(row["row"]),
+                file=file_of(row["row"]),
                 pull=one.pull,
             )
         )
