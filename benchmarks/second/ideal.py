@@ -43,6 +43,10 @@ ALARMS = (0.05, 0.01)
 #: is reported, as the toolkit has them
 GAP, NO_GAP = 0.47, 0.65
 KINDS = ("single", "pair", "unknown")
+#: what is added to an observer's name where it knows no more of the laws than the toolkit
+USUAL = ", usual laws"
+#: shapes of noise for which it can be judged: its laws have no tails
+GAUSSIAN = ("white", "repeat", "ar1", "mix")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -58,7 +62,7 @@ def _run(options: argparse.Namespace) -> int:
     except ModuleNotFoundError as missing:
         print(f"skipped: the second generator is not there ({missing})")
         return 0
-    done = {(r["machine"], r["case"]) for r in _rows(options.out)}
+    done = {(r["machine"], r["case"]) for r in recorded(options.out)}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     plans = {m: generator.kinds(options.seed, m, options.cases) for m in MACHINES}
     for number in range(options.cases):
@@ -81,23 +85,25 @@ def _row(
     """Log Bayes factors of each observer: healthy, with the effect, of the case itself."""
     label = replay.label
     law = noise_laws.law_of_label(label["law"])
-    healthy = [
-        noise_laws.draw_noise(replay, noise_laws.draw_law(rng), 1, rng)
-        for _ in range(HEALTHY)
-    ]
+    healthy_laws = [noise_laws.draw_law(rng) for _ in range(HEALTHY)]
+    healthy = [noise_laws.draw_noise(replay, drawn, 1, rng) for drawn in healthy_laws]
     noise = noise_laws.draw_noise(replay, law, WITH_EFFECT, rng)
     itself = (replay.readings - replay.case.y) / replay.sigma
     itself += replay.slopes @ rng.standard_normal(replay.slopes.shape[1])
     data = np.hstack([*healthy, noise + replay.change[:, None], itself[:, None]])
     drawn = observers.draw_effects(generator, replay, machine, rng)
     names = [e["effect"] for e in label["effects"]]
-    factors = observers.log_factors(replay, data, drawn, names, SIZES)
+    factors = {}
+    for words, grid in ("", noise_laws.laws()), (USUAL, noise_laws.usual_laws()):
+        of_grid = observers.log_factors(replay, data, drawn, names, SIZES, grid)
+        factors |= {f"{name}{words}": values for name, values in of_grid.items()}
     row: dict[str, Any] = {
         "kind": label["kind"],
         "law": label["law"]["law"],
         "total": label["sqrt_lambda_total"],
         "effects": names,
         "out_of_span": min(e["out_of_span"] for e in label["effects"]),
+        "healthy_is_gaussian": [drawn.shape == "white" for drawn in healthy_laws],
     }
     for observer, by_size in factors.items():
         log_factor = special.logsumexp(by_size, axis=0) - np.log(len(SIZES))
@@ -110,7 +116,7 @@ def _row(
 
 
 def _table(options: argparse.Namespace) -> int:
-    rows = _rows(options.file)
+    rows = recorded(options.file)
     if not rows:
         raise ValueError(f"{options.file}: no cases; run the command `run` first")
     print("\n".join(table(rows)))
@@ -125,15 +131,37 @@ def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         "|---" * (3 + len(columns)) + "|",
     ]
     for observer in (observers.EXACT, observers.NAMED, observers.ANY):
-        with_it = [r for r in rows if observer in r]
-        healthy = np.concatenate([r[observer]["healthy"] for r in with_it])
-        limits = [float(np.quantile(healthy, 1.0 - a)) for a in ALARMS]
-        limits.append(_limit_of_rule())
-        alarms = [float(np.mean(healthy > limit)) for limit in limits]
-        lines.append(_line(observer, "none: false alarms", len(healthy), alarms))
-        for words, part in _parts(with_it):
-            shares = [_share(part, observer, limit) for limit in limits]
-            lines.append(_line(observer, words, len(part), shares))
+        lines += _lines(observer, observer, rows)
+    gaussian = [_gaussian(r) for r in rows if r["law"] in GAUSSIAN]
+    for observer in (observers.ANY, observers.ANY + USUAL):
+        lines += _lines(f"{observer}, Gaussian noise", observer, gaussian)
+    return lines
+
+
+def _gaussian(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A case without its healthy noises that are not Gaussian."""
+    kept = np.array(row["healthy_is_gaussian"])
+    parts = {n: v for n, v in row.items() if isinstance(v, Mapping)}
+    healthy = {
+        name: {**part, "healthy": np.array(part["healthy"])[kept].tolist()}
+        for name, part in parts.items()
+    }
+    return {**row, **healthy}
+
+
+def _lines(words: str, observer: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Lines of an observer, for the cases in which it was one."""
+    with_it = [r for r in rows if observer in r]
+    if not with_it:
+        return []
+    healthy = np.concatenate([r[observer]["healthy"] for r in with_it])
+    limits = [float(np.quantile(healthy, 1.0 - a)) for a in ALARMS]
+    limits.append(_limit_of_rule())
+    alarms = [float(np.mean(healthy > limit)) for limit in limits]
+    lines = [_line(words, "none: false alarms", len(healthy), alarms)]
+    for part_words, part in _parts(with_it):
+        shares = [_share(part, observer, limit) for limit in limits]
+        lines.append(_line(words, part_words, len(part), shares))
     return lines
 
 
@@ -165,7 +193,8 @@ def _line(observer: str, words: str, count: int, values: Sequence[float]) -> str
     return f"| {observer} | {words} | {count} | {cells} |"
 
 
-def _rows(path: Path) -> list[dict[str, Any]]:
+def recorded(path: Path) -> list[dict[str, Any]]:
+    """Records of a file, a line each; none without it."""
     if not path.is_file():
         return []
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]

@@ -16,9 +16,12 @@ from typing import Any
 
 import numpy as np
 from scipy import linalg, special
+from scipy.stats import qmc
 
 from benchmarks.second.replay import Replay
 from oed.base.arrays import Array
+from oed.gap.data.evidence import RATE, SHAPE
+from oed.noise.prior import CARRIED, REACH, RUN, SPARSE, NoisePrior
 
 #: nodes of quadrature of each law's parameters
 REPEAT_NODES, AR_NODES, MIX_NODES = 4, (3, 3), (3, 2, 2)
@@ -27,19 +30,28 @@ RUN_SD, AR_SD, RHO = (0.6, 1.5), (0.4, 0.9), (0.8, 0.95)
 #: degrees of freedom of its t distribution; share and size of its outliers, over sigma
 DEGREES, OUTLYING, FAR = 3.0, 0.01, (8.0, 20.0)
 ITERATIONS = 40
+#: points that stand for the toolkit's prior of laws, and the seed of their Sobol sequence
+POINTS, POINT_SEED = 256, 1
 #: density of readings that no law explains
 TINY = 1e-290
 
 
 @dataclasses.dataclass(frozen=True)
 class Law:
-    """A noise law: `shape` of single readings, run-to-run and AR(1) parts over sigma."""
+    """A noise law: `shape` of single readings, run-to-run and AR(1) parts over sigma.
+
+    single_sd      of what each reading has alone, over sigma
+    level_is_free  whether a factor on all of the noise is integrated over, with the
+                   toolkit's prior
+    """
 
     shape: str
     run_sd: float = 0.0
     ar_sd: float = 0.0
     rho: float = 0.0
     log_prior: float = 0.0
+    single_sd: float = 1.0
+    level_is_free: bool = False
 
 
 def laws() -> list[Law]:
@@ -56,6 +68,28 @@ def laws() -> list[Law]:
                     prior = np.log(sixth * run_weight * ar_weight * rho_weight)
                     grid.append(Law("white", run, ar, rho, prior))
     return grid
+
+
+def usual_laws() -> list[Law]:
+    """Gaussian laws by the toolkit's prior of the level, of run-to-run and carried parts."""
+    prior = NoisePrior(("level", CARRIED, REACH, RUN), 1, SPARSE)
+    sobol = qmc.Sobol(3, seed=POINT_SEED)
+    u = special.ndtri(sobol.random_base2(int(np.log2(POINTS))))
+    drawn = prior.laws(np.column_stack([np.zeros(POINTS), u]))
+    return [
+        Law(
+            "white",
+            run_sd=run,
+            ar_sd=np.sqrt(share),
+            rho=np.exp(-1.0 / reach),
+            log_prior=-np.log(POINTS),
+            single_sd=np.sqrt(1.0 - share),
+            level_is_free=True,
+        )
+        for run, share, reach in zip(
+            drawn.level, drawn.carried, drawn.reach, strict=True
+        )
+    ]
 
 
 def law_of_label(info: Mapping[str, Any]) -> Law:
@@ -81,7 +115,8 @@ def noise_covariance(replay: Replay, law: Law) -> Array:
     order, run = np.arange(len(replay.run)), replay.run
     same = run[:, None] == run
     level = (DEGREES + 3.0) / (DEGREES + 1.0) if law.shape == "student" else 1.0
-    covariance = level * np.eye(len(run)) + replay.reference @ replay.reference.T
+    covariance = level * law.single_sd**2 * np.eye(len(run))
+    covariance += replay.reference @ replay.reference.T
     covariance += law.run_sd**2 * same
     if law.ar_sd:
         distance = np.abs(order[:, None] - order)
@@ -125,13 +160,28 @@ class LawModel:
             white = self.whiten(data)
             slope = (white_change / norm) @ white
             gain = sizes[:, None] * slope - 0.5 * sizes[:, None] ** 2
-            return np.asarray(self._log_density(white) + gain)
+            return self._log_density(white) + self.log_ratio(white, gain)
         shifted = [data - (size / norm) * change[:, None] for size in sizes]
         return np.array([self._robust(part)[0] for part in shifted])
 
+    def log_ratio(self, white: Array, gain: Array) -> Array:
+        """Log density ratio (S, R) where half the energy falls by `gain` (S, R)."""
+        if not self.law.level_is_free:
+            return gain
+        half_energy = RATE + 0.5 * np.einsum("nr,nr->r", white, white)
+        power = 0.5 * len(white) + SHAPE
+        return np.asarray(-power * np.log1p(-gain / half_energy))
+
     def _log_density(self, white: Array) -> Array:
         energy = np.einsum("nr,nr->r", white, white)
-        constant = len(white) * np.log(2.0 * np.pi)
+        size = len(white)
+        if self.law.level_is_free:
+            half = 0.5 * size + SHAPE
+            constant = special.gammaln(half) - special.gammaln(SHAPE)
+            constant += SHAPE * np.log(RATE) - 0.5 * size * np.log(2.0 * np.pi)
+            kernel = -half * np.log(RATE + 0.5 * energy)
+            return np.asarray(kernel + constant - 0.5 * self._log_det)
+        constant = size * np.log(2.0 * np.pi)
         return np.asarray(-0.5 * (energy + self._log_det + constant))
 
     def _robust(self, data: Array) -> tuple[Array, Array]:
@@ -241,9 +291,9 @@ def draw_law(rng: np.random.Generator) -> Law:
     )
 
 
-def over_laws(by_law: Sequence[Array]) -> Array:
-    """Log densities integrated over `laws()`, one entry a law."""
-    log_priors = np.array([law.log_prior for law in laws()])
+def over_laws(by_law: Sequence[Array], grid: Sequence[Law]) -> Array:
+    """Log densities integrated over laws, one entry a law."""
+    log_priors = np.array([law.log_prior for law in grid])
     shape = (-1,) + (1,) * (np.ndim(by_law[0]))
     return np.asarray(
         special.logsumexp(np.array(by_law) + log_priors.reshape(shape), axis=0)

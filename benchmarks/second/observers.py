@@ -21,7 +21,7 @@ import numpy as np
 from scipy import special
 
 from benchmarks.second import noise_laws
-from benchmarks.second.noise_laws import LawModel
+from benchmarks.second.noise_laws import Law, LawModel
 from benchmarks.second.replay import Generator, Replay
 from oed.base.arrays import Array, Index
 
@@ -84,12 +84,13 @@ def log_factors(
     drawn: DrawnEffects | None,
     named: Sequence[str],
     sizes: Array,
+    grid: Sequence[Law],
 ) -> dict[str, Array]:
     """Log Bayes factor (S, R) of each observer on data (n, R), for each size s.
 
     named   effects that act, for the observer that knows their names; none for several
+    grid    laws that an observer holds possible, with their log priors
     """
-    grid = noise_laws.laws()
     models = [LawModel(replay, law) for law in grid]
     none, exact, any_effect, of_names = [], [], [], []
     for model in models:
@@ -101,12 +102,12 @@ def log_factors(
             any_effect.append(log_density + _mixture(ratios, drawn.shares))
             if len(named) == 1:
                 of_names.append(log_density + ratios[named[0]])
-    base = noise_laws.over_laws(none)
-    factors = {EXACT: noise_laws.over_laws(exact) - base}
+    base = noise_laws.over_laws(none, grid)
+    factors = {EXACT: noise_laws.over_laws(exact, grid) - base}
     if any_effect:
-        factors[ANY] = noise_laws.over_laws(any_effect) - base
+        factors[ANY] = noise_laws.over_laws(any_effect, grid) - base
     if of_names:
-        factors[NAMED] = noise_laws.over_laws(of_names) - base
+        factors[NAMED] = noise_laws.over_laws(of_names, grid) - base
     return factors
 
 
@@ -128,14 +129,18 @@ def _ratios(
         logs = []
         for members, share in groups:
             part = columns[:, members]
-            log_ratio = _gaussian_ratio(part, slopes[members], sizes)
+            gain, log_det = _gaussian_ratio(part, slopes[members], sizes)
+            log_ratio = model.log_ratio(white, gain) - 0.5 * log_det
             logs.append(np.log(share) + log_ratio)
         ratios[name] = np.asarray(special.logsumexp(np.array(logs), axis=0))
     return ratios
 
 
-def _gaussian_ratio(columns: Array, slopes: Array, sizes: Array) -> Array:
-    """Log ratio (S, R) of N(0, I + s^2 U U^T / m) over N(0, I) for unit columns U."""
+def _gaussian_ratio(columns: Array, slopes: Array, sizes: Array) -> tuple[Array, Array]:
+    """Half the energy (S, R) by which N(0, I + s^2 U U^T / m) is below N(0, I).
+
+    U are unit columns. The second result are the log determinants (S, 1).
+    """
     count = columns.shape[1]
     values, axes = np.linalg.eigh(columns.T @ columns / count)
     clear = values > 1e-9
@@ -143,4 +148,4 @@ def _gaussian_ratio(columns: Array, slopes: Array, sizes: Array) -> Array:
     square = sizes[:, None] ** 2
     inflation = 1.0 + square * values[clear]
     gain = 0.5 * (square / inflation) @ energy
-    return np.asarray(gain - 0.5 * np.log(inflation).sum(axis=1, keepdims=True))
+    return np.asarray(gain), np.log(inflation).sum(axis=1, keepdims=True)

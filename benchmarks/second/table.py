@@ -49,7 +49,7 @@ def markdown(campaign: Path) -> str:
     for key in keys:
         entries = [column.get(key) for column in columns]
         title = next(e.measure for e in entries if e is not None)
-        lines.append(f"| {title} | " + " | ".join(map(_cell, entries)) + " |")
+        lines.append(f"| {title} | " + " | ".join(map(cell, entries)) + " |")
     return "\n".join(lines)
 
 
@@ -67,7 +67,8 @@ def _diagnosed(campaign: Path) -> dict[str, dict[Key, Scored]]:
     return by_law
 
 
-def _cell(entry: Row | None) -> str:
+def cell(entry: Row | None) -> str:
+    """A measure with its interval and number of cases."""
     if entry is None or math.isnan(entry.value):
         return "-"
     interval = f"{entry.low:.2f} to {entry.high:.2f}"

@@ -1,0 +1,203 @@
+"""How well can anybody name what acts on the second generator, the noise law unknown?
+
+    python -m benchmarks.second.naming run --seed 20261126 --cases 80 --out out/naming.jsonl
+    python -m benchmarks.second.naming table out/naming.jsonl
+
+The first command draws the cases of four machines again, as `python -m benchmarks.second
+generate` does with the same seed and number, and lets the observer of `names.py` name
+what acts in those that the measures of names count. The second prints how often it is right.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
+
+import argparse
+import json
+import sys
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from benchmarks.blind import row
+from benchmarks.exit_code import exit_code
+from benchmarks.second import cases as case_files
+from benchmarks.second import names, noise_laws, observers
+from benchmarks.second.adapter import MACHINES
+from benchmarks.second.ideal import GAUSSIAN, SIZES, recorded
+from benchmarks.second.names import Frequencies, Names
+from benchmarks.second.replay import Generator, Replay
+from benchmarks.second.score import SIX, UNKNOWN, Scored
+from benchmarks.second.table import cell
+
+#: kinds of cases, and what is counted of each
+MEASURES = {
+    "single": "right class",
+    "pair": "both of two",
+    "unknown": "unknown flagged",
+}
+#: what the observer knows of the noise laws
+GENERATORS, USUAL = "the generator's laws", "usual laws"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Exit code: 0 done or no generator, 2 bad input."""
+    return exit_code(_parser(), arguments)
+
+
+def _run(options: argparse.Namespace) -> int:
+    if options.cases < 1:
+        raise ValueError(f"--cases {options.cases}: give at least 1")
+    try:
+        generator = Generator(options.generator)
+    except ModuleNotFoundError as missing:
+        print(f"skipped: the second generator is not there ({missing})")
+        return 0
+    done = {(r["machine"], r["case"]) for r in recorded(options.out)}
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    plans = {m: generator.kinds(options.seed, m, options.cases) for m in MACHINES}
+    for number in range(options.cases):
+        for machine in MACHINES:
+            name, kind = f"case_{number:03d}", plans[machine][number]
+            if (machine, name) in done or kind[0] not in MEASURES or kind[2] < SIX:
+                continue
+            replay = generator.replay(options.seed, machine, number, kind)
+            if not counts(Scored(replay.label, {})):
+                continue
+            key = zlib.crc32(f"{options.seed}/{machine}/{name}".encode())
+            rng = np.random.default_rng(key)
+            record = _record(generator, replay, machine, rng)
+            with options.out.open("a", encoding="utf-8") as file:
+                line = {"machine": machine, "case": name} | record
+                file.write(json.dumps(line) + "\n")
+    return 0
+
+
+def counts(case: Scored) -> bool:
+    """Whether the measures of names count a case, as `score` has it."""
+    if case.kind == "pair":
+        return all(e.get("given_other", 0.0) >= SIX for e in case.effects)
+    if case.kind == "unknown":
+        return bool(case.effects[0]["out_of_span"] >= 6.0)
+    return case.is_clear
+
+
+def _record(
+    generator: Generator, replay: Replay, machine: str, rng: np.random.Generator
+) -> dict[str, Any]:
+    """The likeliest names under each prior of laws, and whether they are right."""
+    itself = (replay.readings - replay.case.y) / replay.sigma
+    itself += replay.slopes @ rng.standard_normal(replay.slopes.shape[1])
+    drawn = observers.draw_effects(generator, replay, machine, rng)
+    often = frequencies(generator, machine)
+    case = Scored(replay.label, {})
+    record: dict[str, Any] = {
+        "kind": case.kind,
+        "law": replay.label["law"]["law"],
+        "effects": [e["effect"] for e in case.effects],
+    }
+    grids = {GENERATORS: noise_laws.laws()}
+    if record["law"] in GAUSSIAN:
+        grids[USUAL] = noise_laws.usual_laws()
+    for words, grid in grids.items():
+        (posterior,) = names.log_posterior(
+            replay, itself[:, None], drawn, often, SIZES, grid
+        )
+        likeliest, probability = _likeliest(posterior, often)
+        record[words] = {
+            "names": sorted(likeliest),
+            "probability": round(probability, 4),
+            "right": is_right(case, likeliest),
+        }
+    return record
+
+
+def frequencies(generator: Generator, machine: str) -> Frequencies:
+    """How often the generator draws each set of names for a machine."""
+    mix: Mapping[str, float] = generator.make.MIX
+    total = mix["null"] + sum(mix[kind] for kind in MEASURES)
+    listed = tuple(
+        name
+        for name, (_, machines) in generator.effects.LISTED.items()
+        if machine in machines
+    )
+    gaps = (mix["single"] + mix["unknown"]) / total
+    single = {name: gaps * p for name, p in generator.names(machine).items()}
+    pairs = 0.5 * len(listed) * (len(listed) - 1)
+    return Frequencies(mix["null"] / total, single, mix["pair"] / total / pairs, listed)
+
+
+def _likeliest(
+    posterior: Mapping[Names, float], often: Frequencies
+) -> tuple[Names, float]:
+    """The likeliest set, of which whatever is not listed is one name, and its share."""
+    norm = special.logsumexp(list(posterior.values()))
+    shares: dict[Names, float] = {}
+    for acting, value in posterior.items():
+        key = frozenset(n if n in often.listed else UNKNOWN for n in acting)
+        shares[key] = shares.get(key, 0.0) + float(np.exp(value - norm))
+    best = max(shares, key=lambda key: shares[key])
+    return best, shares[best]
+
+
+def is_right(case: Scored, likeliest: Names) -> bool:
+    """As the measures of names count."""
+    if case.kind == "unknown":
+        return UNKNOWN in likeliest
+    if case.kind == "pair":
+        return case.names_are_right(likeliest)
+    return bool(likeliest) and likeliest <= case.classes[0]
+
+
+def _table(options: argparse.Namespace) -> int:
+    records = recorded(options.file)
+    if not records:
+        raise ValueError(f"{options.file}: no cases; run the command `run` first")
+    print("\n".join(table(records)))
+    return 0
+
+
+def table(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Share of right answers by kind: of all cases, and of those with Gaussian noise."""
+    gaussian = [r for r in records if r["law"] in GAUSSIAN]
+    columns = (
+        (GENERATORS, GENERATORS, records),
+        (f"{GENERATORS}, Gaussian noise", GENERATORS, gaussian),
+        (f"{USUAL}, Gaussian noise", USUAL, gaussian),
+    )
+    header = " | ".join(["measure", *(words for words, _, _ in columns)])
+    lines = [f"| {header} |", "|---" * (1 + len(columns)) + "|"]
+    for kind, measure in MEASURES.items():
+        cells = [measure]
+        for _, prior, part in columns:
+            right = [bool(r[prior]["right"]) for r in part if r["kind"] == kind]
+            cells.append(cell(row.share(measure, measure, right)))
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.second.naming", description=__doc__
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("run", help="name what acts in each case")
+    run.add_argument("--seed", type=int, required=True)
+    run.add_argument("--cases", type=int, default=20, help="of each machine")
+    run.add_argument("--out", type=Path, default=Path("out/naming.jsonl"))
+    run.add_argument("--generator", type=Path, default=case_files.GENERATOR)
+    run.set_defaults(run=_run)
+    results = commands.add_parser("table", help="print the share of right answers")
+    results.add_argument("file", type=Path)
+    results.set_defaults(run=_table)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
