@@ -252,12 +252,8 @@ def test_cases_of_a_function_have_their_rows_and_means(
     # The first seeds only, from what is there already.
     assert run(own, out, "--seeds", "2") == 0
     assert len(pd.read_csv(out / "cases.csv")) == 4
-    # More than there are is no silent "all".
     assert run(own, out, "--seeds", "7") == 2
-    message = capsys.readouterr().err
-    assert "seeds" in message
-    assert "--seeds 7" in message
-    assert len(pd.read_csv(out / "cases.csv")) == 4
+    assert "--seeds 7" in capsys.readouterr().err
 
 
 def test_a_summary_of_a_user_s_own(own: Path, tmp_path: Path) -> None:

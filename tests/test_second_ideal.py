@@ -45,25 +45,27 @@ def test_usual_laws_are_a_distribution_of_variance_one() -> None:
 
 
 def test_density_of_a_free_level_is_the_integral_over_it() -> None:
-    """By quadrature over the inverse gamma prior of the squared level."""
+    """By quadrature over the inverse gamma prior of the squared level.
+
+    The change is as large whatever the level is.
+    """
     case, rng = replay(12, 2), np.random.default_rng(8)
     data = noise_laws.draw_noise(case, USUAL, 2, rng)
     covariance = noise_laws.noise_covariance(case, USUAL)
     covariance = covariance + case.slopes @ case.slopes.T
     norm = np.sqrt(case.change @ np.linalg.solve(covariance, case.change))
     along = LawModel(case, USUAL).along(data, case.change, np.array([0.0, 5.0]))
+
+    def density(log_level: float, residual: np.ndarray) -> float:
+        square = np.exp(2.0 * log_level)
+        normal = stats.multivariate_normal(np.zeros(12), square * covariance)
+        prior = stats.invgamma(2.0, scale=2.0).pdf(square) * 2.0 * square
+        return float(normal.pdf(residual) * prior)
+
     for size, row in zip((0.0, 5.0), along, strict=True):
         for column, value in zip(data.T, row, strict=True):
-
-            def density(log_level: float) -> float:
-                square = np.exp(2.0 * log_level)
-                # the change is as large whatever the level is
-                residual = column - size * case.change / norm
-                normal = stats.multivariate_normal(np.zeros(12), square * covariance)
-                prior = stats.invgamma(2.0, scale=2.0).pdf(square) * 2.0 * square
-                return float(normal.pdf(residual) * prior)
-
-            wanted = integrate.quad(density, -4.0, 4.0, epsabs=0.0)[0]
+            residual = column - size * case.change / norm
+            wanted = integrate.quad(density, -4.0, 4.0, (residual,), epsabs=0.0)[0]
             assert value == pytest.approx(np.log(wanted), abs=1e-6)
 
 
