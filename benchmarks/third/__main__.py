@@ -1,9 +1,9 @@
 """The diagnosis in a third world: its cases, and the table of their diagnoses.
 
-    python -m benchmarks.third --seeds 0 200 --out out/third.jsonl
+    python -m benchmarks.third --seeds 300 500 --out out/third.jsonl
     python -m benchmarks.third --table out/third.jsonl
 
-diagnoses the cases of seeds 0 to 199 under the estimated noise law, a line of JSON
+diagnoses the cases of seeds 300 to 499 under the estimated noise law, a line of JSON
 each, and writes the figures into the page docs/benchmarks/third.md. A run that was
 interrupted goes on where it stopped.
 """

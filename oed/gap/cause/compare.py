@@ -10,8 +10,9 @@ too, is lambda_{k|j}. Where its root is below 5 the readings cannot distinguish 
 and both belong to the answer. Where nearly all of y_k is absorbed, no readings of this
 kind could. Effects of one family (backlash and friction, scale and pitch) differ by their
 form alone. Real ones depart from their textbook form: as much as these departures can
-make, in lambda_{k|j} and in the evidence, does not distinguish two of a family, where the
-rival is of a usual size: no departure of form makes up for one that is implausible.
+make, in lambda_{k|j} and in the evidence, does not distinguish two of a family, nor do the
+priors of their forms and sizes, where the rival is of a usual size: no departure of form
+makes up for one that is implausible.
 
 Where effects are large, hypotheses are compared about the points at which they act. The
 search is linear about the calibration without effects. Where an effect is so large that
@@ -134,14 +135,15 @@ def _class_of(
         distinct, whole, size = _distinct_energy(search, grams, h, i, rival)
         exact = distinct < EXACT * whole and log_odds(rival) > -PLAINER
         score = scores.get((frozenset({rival, *beside}), h.unknown), -np.inf)
-        of_form = 0.0
+        of_form, behind = 0.0, alive
         is_usual = size < USUAL * RIVAL
         if is_usual and search.library.differ_by_form(effect, rival):
-            # what a form can make that departs from its textbook
+            # what a form can make that departs from its textbook, and its prior
             of_form = DEPARTURE**2 * whole
+            behind = max(PLAINER, 0.5 * of_form)
             if not h.unknown:
                 score = max(score, h.score + log_odds(rival))
-        near = score > h.score - max(alive, 0.5 * of_form)
+        near = score > h.score - behind
         if exact or (distinct < max(DISTINCT**2, of_form) and near):
             members.append(rival)
     return tuple(members)

@@ -189,13 +189,17 @@ def test_a_class_is_what_the_dense_formula_says(
             assert (r in others) == same, (r, lam, whole)
 
 
-@pytest.mark.parametrize("behind", [2.0, 20.0, 1e4])
+@pytest.mark.parametrize("behind", [2.0, 10.0, 20.0, 1e4])
+@pytest.mark.parametrize("size", [8.0, 60.0])
 def test_a_rival_of_its_family_is_in_a_class_as_far_as_forms_depart(
-    behind: float,
+    size: float, behind: float
 ) -> None:
-    """Half of sqrt(lambda): a quarter of lambda, and an eighth of it in nats."""
+    """Half of sqrt(lambda): a quarter of lambda, and an eighth of it in nats.
+
+    No less in nats than priors of forms and sizes can set two of a family apart.
+    """
     p = readings(TOOLS)
-    search, h = searched(p, "encoder_scale", 60.0)
+    search, h = searched(p, "encoder_scale", size)
     rivals = [e.name for e in EFFECTS if e.name != "encoder_scale"]
     scores = {(frozenset({r}), False): h.score - behind for r in rivals}
     alone = compare.equivalent_effects(search, h, scores, 3.0)[0]
@@ -207,7 +211,7 @@ def test_a_rival_of_its_family_is_in_a_class_as_far_as_forms_depart(
         odds = (
             search.fit((r,), (search.library.atoms_of(r)[0],), (1.0,)).score - h.score
         )
-        near = min(behind, -odds) < max(3.0, whole / 8.0)
+        near = min(behind, -odds) < max(compare.PLAINER, whole / 8.0)
         by_form = near and lam < max(compare.DISTINCT**2, 0.25 * whole)
         assert (r in members) == (r in alone or by_form), (r, lam, whole)
 
