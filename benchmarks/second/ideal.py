@@ -16,20 +16,15 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
 import argparse
-import json
 import sys
-import zlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import special
 
 from benchmarks.exit_code import exit_code
-from benchmarks.second import cases as case_files
-from benchmarks.second import noise_laws, observers
-from benchmarks.second.adapter import MACHINES
+from benchmarks.second import noise_laws, observers, recorded
 from benchmarks.second.replay import Generator, Replay
 from benchmarks.second.score import SIX, TEN
 
@@ -41,7 +36,7 @@ SIZES = np.array([2.0, 4.0, 6.0, 10.0, 20.0])
 ALARMS = (0.05, 0.01)
 #: prior probability of a gap that shows, and the probability of none from which no gap
 #: is reported, as the toolkit has them
-GAP, NO_GAP = 0.47, 0.65
+GAP, NO_GAP = 0.47, 0.75
 KINDS = ("single", "pair", "unknown")
 #: what is added to an observer's name where it knows no more of the laws than the toolkit
 USUAL = ", usual laws"
@@ -51,32 +46,11 @@ GAUSSIAN = ("white", "repeat", "ar1", "mix")
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done or no generator, 2 bad input."""
-    return exit_code(_parser(), arguments)
+    return exit_code(recorded.parser("ideal", __doc__, _run, _table), arguments)
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.cases < 1:
-        raise ValueError(f"--cases {options.cases}: give at least 1")
-    try:
-        generator = Generator(options.generator)
-    except ModuleNotFoundError as missing:
-        print(f"skipped: the second generator is not there ({missing})")
-        return 0
-    done = {(r["machine"], r["case"]) for r in recorded(options.out)}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    plans = {m: generator.kinds(options.seed, m, options.cases) for m in MACHINES}
-    for number in range(options.cases):
-        for machine in MACHINES:
-            name, kind = f"case_{number:03d}", plans[machine][number]
-            if (machine, name) in done or kind[0] not in KINDS or kind[2] < SIX:
-                continue
-            replay = generator.replay(options.seed, machine, number, kind)
-            key = zlib.crc32(f"{options.seed}/{machine}/{name}".encode())
-            rng = np.random.default_rng(key)
-            row = _row(generator, replay, machine, rng)
-            with options.out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps({"machine": machine, "case": name} | row) + "\n")
-    return 0
+    return recorded.record_cases(options, KINDS, _row)
 
 
 def _row(
@@ -116,11 +90,7 @@ def _row(
 
 
 def _table(options: argparse.Namespace) -> int:
-    rows = recorded(options.file)
-    if not rows:
-        raise ValueError(f"{options.file}: no cases; run the command `run` first")
-    print("\n".join(table(rows)))
-    return 0
+    return recorded.print_table(options, table)
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -191,30 +161,6 @@ def _share(rows: Sequence[Mapping[str, Any]], observer: str, limit: float) -> fl
 def _line(observer: str, words: str, count: int, values: Sequence[float]) -> str:
     cells = " | ".join(f"{v:.2f}" for v in values)
     return f"| {observer} | {words} | {count} | {cells} |"
-
-
-def recorded(path: Path) -> list[dict[str, Any]]:
-    """Records of a file, a line each; none without it."""
-    if not path.is_file():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.second.ideal", description=__doc__
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
-    run = commands.add_parser("run", help="compute the observers' Bayes factors")
-    run.add_argument("--seed", type=int, required=True)
-    run.add_argument("--cases", type=int, default=20, help="of each machine")
-    run.add_argument("--out", type=Path, default=Path("out/ideal.jsonl"))
-    run.add_argument("--generator", type=Path, default=case_files.GENERATOR)
-    run.set_defaults(run=_run)
-    results = commands.add_parser("table", help="print the share detected")
-    results.add_argument("file", type=Path)
-    results.set_defaults(run=_table)
-    return parser
 
 
 if __name__ == "__main__":

@@ -15,11 +15,8 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
 import argparse
-import json
 import sys
-import zlib
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,10 +24,8 @@ from scipy import special
 
 from benchmarks.blind import row
 from benchmarks.exit_code import exit_code
-from benchmarks.second import cases as case_files
-from benchmarks.second import names, noise_laws, observers
-from benchmarks.second.adapter import MACHINES
-from benchmarks.second.ideal import GAUSSIAN, SIZES, recorded
+from benchmarks.second import names, noise_laws, observers, recorded
+from benchmarks.second.ideal import GAUSSIAN, SIZES
 from benchmarks.second.names import Frequencies, Names
 from benchmarks.second.replay import Generator, Replay
 from benchmarks.second.score import SIX, UNKNOWN, Scored
@@ -48,35 +43,11 @@ GENERATORS, USUAL = "the generator's laws", "usual laws"
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0 done or no generator, 2 bad input."""
-    return exit_code(_parser(), arguments)
+    return exit_code(recorded.parser("naming", __doc__, _run, _table), arguments)
 
 
 def _run(options: argparse.Namespace) -> int:
-    if options.cases < 1:
-        raise ValueError(f"--cases {options.cases}: give at least 1")
-    try:
-        generator = Generator(options.generator)
-    except ModuleNotFoundError as missing:
-        print(f"skipped: the second generator is not there ({missing})")
-        return 0
-    done = {(r["machine"], r["case"]) for r in recorded(options.out)}
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    plans = {m: generator.kinds(options.seed, m, options.cases) for m in MACHINES}
-    for number in range(options.cases):
-        for machine in MACHINES:
-            name, kind = f"case_{number:03d}", plans[machine][number]
-            if (machine, name) in done or kind[0] not in MEASURES or kind[2] < SIX:
-                continue
-            replay = generator.replay(options.seed, machine, number, kind)
-            if not counts(Scored(replay.label, {})):
-                continue
-            key = zlib.crc32(f"{options.seed}/{machine}/{name}".encode())
-            rng = np.random.default_rng(key)
-            record = _record(generator, replay, machine, rng)
-            with options.out.open("a", encoding="utf-8") as file:
-                line = {"machine": machine, "case": name} | record
-                file.write(json.dumps(line) + "\n")
-    return 0
+    return recorded.record_cases(options, MEASURES, _record)
 
 
 def counts(case: Scored) -> bool:
@@ -90,13 +61,15 @@ def counts(case: Scored) -> bool:
 
 def _record(
     generator: Generator, replay: Replay, machine: str, rng: np.random.Generator
-) -> dict[str, Any]:
+) -> dict[str, Any] | None:
     """The likeliest names under each prior of laws, and whether they are right."""
+    case = Scored(replay.label, {})
+    if not counts(case):
+        return None
     itself = (replay.readings - replay.case.y) / replay.sigma
     itself += replay.slopes @ rng.standard_normal(replay.slopes.shape[1])
     drawn = observers.draw_effects(generator, replay, machine, rng)
     often = frequencies(generator, machine)
-    case = Scored(replay.label, {})
     record: dict[str, Any] = {
         "kind": case.kind,
         "law": replay.label["law"]["law"],
@@ -156,11 +129,7 @@ def is_right(case: Scored, likeliest: Names) -> bool:
 
 
 def _table(options: argparse.Namespace) -> int:
-    records = recorded(options.file)
-    if not records:
-        raise ValueError(f"{options.file}: no cases; run the command `run` first")
-    print("\n".join(table(records)))
-    return 0
+    return recorded.print_table(options, table)
 
 
 def table(records: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -180,23 +149,6 @@ def table(records: Sequence[Mapping[str, Any]]) -> list[str]:
             cells.append(cell(row.share(measure, measure, right)))
         lines.append("| " + " | ".join(cells) + " |")
     return lines
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.second.naming", description=__doc__
-    )
-    commands = parser.add_subparsers(dest="command", required=True)
-    run = commands.add_parser("run", help="name what acts in each case")
-    run.add_argument("--seed", type=int, required=True)
-    run.add_argument("--cases", type=int, default=20, help="of each machine")
-    run.add_argument("--out", type=Path, default=Path("out/naming.jsonl"))
-    run.add_argument("--generator", type=Path, default=case_files.GENERATOR)
-    run.set_defaults(run=_run)
-    results = commands.add_parser("table", help="print the share of right answers")
-    results.add_argument("file", type=Path)
-    results.set_defaults(run=_table)
-    return parser
 
 
 if __name__ == "__main__":
