@@ -36,7 +36,7 @@ SIZES = np.array([2.0, 4.0, 6.0, 10.0, 20.0])
 ALARMS = (0.05, 0.01)
 #: prior probability of a gap that shows, and the probability of none from which no gap
 #: is reported, as the toolkit has them
-GAP, NO_GAP = 0.47, 0.75
+GAP, NO_GAP = 0.47, 0.71
 KINDS = ("single", "pair", "unknown")
 #: what is added to an observer's name where it knows no more of the laws than the toolkit
 USUAL = ", usual laws"

@@ -27,9 +27,9 @@ REPORTED = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 5.5
 #: cost of a missed gap over that of one further test in vain: no gap is reported where
-#: the odds for it are larger. A healthy machine has a gap reported in at most one case of 20
+#: the odds for it are larger. Of 204 healthy machines one in twenty has a gap reported
 #: (docs/benchmarks/second.md)
-MISSED = 3.0
+MISSED = 2.5
 #: members from which on a class with a named effect is reported as unknown
 VAGUE = 6
 #: probability that the credible set has
