@@ -38,10 +38,10 @@ def named_rows(covariates: pd.DataFrame) -> Array:
     rows = covariates["row"].to_numpy()
     if FILE not in covariates:
         return np.asarray(rows)
-    files = covariates[FILE]
+    files = pd.Categorical(covariates[FILE])
     named = [
-        FileRow(place, int(row), str(file))
-        for place, row, file in zip(files.cat.codes, rows, files, strict=True)
+        FileRow(int(place), int(row), str(file))
+        for place, row, file in zip(files.codes, rows, files, strict=True)
     ]
     return np.array(named, dtype=object)
 
