@@ -23,9 +23,11 @@ def diagnose(
     study: StudyPath,
     out: OutFolder,
     readings: Annotated[
-        Path | None,
+        list[Path] | None,
         typer.Option(
-            metavar="CSV", help="The readings [those of the study].", show_default=False
+            metavar="CSV",
+            help="The readings [those of the study]; again for a further file.",
+            show_default=False,
         ),
     ] = None,
     after: Annotated[
@@ -47,9 +49,8 @@ def diagnose(
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline
 
-    given = None if readings is None else [readings]
     with display.progress(quiet=quiet) as progress:
         result = pipeline.diagnose(
-            loaded, given, folder, after=after, seed=seed, progress=progress
+            loaded, readings or None, folder, after=after, seed=seed, progress=progress
         )
     return report_outcome(result, folder, quiet, verbose=verbose)

@@ -22,7 +22,12 @@ from pkm_studies.stages.outcome import report_outcome
 def identify(
     study: StudyPath,
     readings: Annotated[
-        Path, typer.Option(metavar="CSV", help="The readings.", show_default=False)
+        list[Path],
+        typer.Option(
+            metavar="CSV",
+            help="The readings; again for a further file.",
+            show_default=False,
+        ),
     ],
     out: OutFolder,
     effects: Annotated[
@@ -50,7 +55,7 @@ def identify(
             folder,
             seed=seed,
             progress=progress,
-            readings=[readings],
+            readings=readings,
             effects=effects.replace(",", " ").split() if effects else (),
         )
     return report_outcome(result, folder, quiet, verbose=verbose)

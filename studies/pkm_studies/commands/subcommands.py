@@ -10,8 +10,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
+
+from pkm_studies.base.errors import InputError
 
 #: module of this package and function in it, by subcommand, in the order of the help
 FUNCTIONS = {
@@ -39,6 +41,25 @@ FUNCTIONS = {
 }
 
 
+class Subcommand(TyperCommand):
+    """A command that refuses an option of one value that is given twice."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As typer does, which keeps the last value alone. Raises InputError."""
+        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        for option in given:
+            takes_one = option.param_type_name == "option" and not (
+                getattr(option, "multiple", False) or getattr(option, "is_flag", False)
+            )
+            if takes_one and given.count(option) > 1:
+                raise InputError(
+                    f"it is given {given.count(option)} times, and holds one value",
+                    "give it once",
+                    field=option.opts[0],
+                )
+        return super().parse_args(ctx, args)
+
+
 class Subcommands(Mapping[str, Any]):
     """typer's command by name. Raises KeyError for a name that is none."""
 
@@ -48,7 +69,7 @@ class Subcommands(Mapping[str, Any]):
         single = typer.Typer(
             add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
         )
-        single.command(name=name)(getattr(module, function_name))
+        single.command(name=name, cls=Subcommand)(getattr(module, function_name))
         return get_command(single)
 
     def __iter__(self) -> Iterator[str]:
