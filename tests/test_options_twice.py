@@ -12,28 +12,36 @@ from pkm_studies.commands import cli
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    "call",
     [
-        ["run", "a3_ball_bar", "--seed", "1", "--seed", "2"],
-        ["compensate", "out", "--to", "csv", "--to", "json"],
-        ["campaign", "my.toml", "--out=a", "--out=b"],
+        "verify out --readings a.csv --readings=b.csv",
+        "diagnose a3_ball_bar --out c --after a --after b",
     ],
 )
-def test_an_option_of_one_value_is_given_once(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
+def test_a_second_file_of_an_option_that_takes_one_is_refused(
+    call: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert cli.main(arguments) == 2
-    message = capsys.readouterr().err
-    name = next(a for a in arguments if a.startswith("--")).partition("=")[0]
-    assert (
-        message
-        == f"oed: {name}: it is given 2 times, and holds one value; give it once.\n"
-    )
+    """Else the first would be left out without a word."""
+    assert cli.main(call.split()) == 2
+    option = "--readings" if "--readings" in call else "--after"
+    wanted = f"oed: {option}: it is given 2 times, and takes one file; give it once.\n"
+    assert capsys.readouterr().err == wanted
 
 
-def test_flags_may_be_repeated(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["compensate", "out", "--to", "csv", "--force", "--force"]) == 2
-    assert "times" not in capsys.readouterr().err
+def test_of_other_values_the_last_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    """As where a call changes a script's default."""
+    call = [
+        "compensate",
+        "gone",
+        "--to",
+        "csv",
+        "--to",
+        "no_format",
+        "--force",
+        "--force",
+    ]
+    assert cli.main(call) == 2
+    assert "no_format" in capsys.readouterr().err
 
 
 def test_readings_of_all_files_count(tmp_path: Path) -> None:

@@ -15,6 +15,8 @@ from typer.main import get_command
 
 from pkm_studies.base.errors import InputError
 
+#: options that name readings, of which none may be left out without a word
+READINGS = {"--readings", "--after"}
 #: module of this package and function in it, by subcommand, in the order of the help
 FUNCTIONS = {
     "run": ("run", "run"),
@@ -42,20 +44,23 @@ FUNCTIONS = {
 
 
 class Subcommand(TyperCommand):
-    """A command that refuses an option of one value that is given twice."""
+    """A command that refuses further readings where an option takes one file."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """As typer does, which keeps the last value alone. Raises InputError."""
+        """As typer does, which keeps the last value alone. Raises InputError.
+
+        Other options may be given again: the last one counts, as in a call that changes
+        a default of a script.
+        """
         _, _, given = self.make_parser(ctx).parse_args(args=list(args))
-        for option in given:
-            takes_one = option.param_type_name == "option" and not (
-                getattr(option, "multiple", False) or getattr(option, "is_flag", False)
-            )
-            if takes_one and given.count(option) > 1:
+        for parameter in given:
+            takes_one = not getattr(parameter, "multiple", True)
+            holds_readings = bool(READINGS & {*parameter.opts})
+            if takes_one and holds_readings and given.count(parameter) > 1:
                 raise InputError(
-                    f"it is given {given.count(option)} times, and holds one value",
+                    f"it is given {given.count(parameter)} times, and takes one file",
                     "give it once",
-                    field=option.opts[0],
+                    field=parameter.opts[0],
                 )
         return super().parse_args(ctx, args)
 
