@@ -27,6 +27,8 @@ from benchmarks.exit_code import exit_code
 from benchmarks.second import noise_laws, observers, recorded
 from benchmarks.second.replay import Generator, Replay
 from benchmarks.second.score import SIX, TEN
+from oed.gap.cause.answers import NO_GAP
+from oed.gap.cause.hypothesis import PRIOR
 
 #: realizations of noise without the effect of a case, and with it
 HEALTHY, WITH_EFFECT = 60, 40
@@ -34,9 +36,8 @@ HEALTHY, WITH_EFFECT = 60, 40
 SIZES = np.array([2.0, 4.0, 6.0, 10.0, 20.0])
 #: shares of false alarms
 ALARMS = (0.05, 0.01)
-#: prior probability of a gap that shows, and the probability of none from which no gap
-#: is reported, as the toolkit has them
-GAP, NO_GAP = 0.47, 0.71
+#: prior probability of a gap that shows, as the toolkit has it
+GAP = 1.0 - PRIOR["none"] - PRIOR["unseen"]
 KINDS = ("single", "pair", "unknown")
 #: what is added to an observer's name where it knows no more of the laws than the toolkit
 USUAL = ", usual laws"

@@ -7,6 +7,8 @@ residuals are in the fine unit of their channel. A number that is not known is n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 
 from oed.result.gap_before import ChosenRun, SeparationRecord
@@ -247,5 +249,9 @@ class GapSection(Record, frozen=True):
 
         One that is less likely is a reason to read again, and none to correct it.
         """
-        visible = sum(answer.visible for answer in self.answers if answer.effects)
-        return self.effect_reported and visible > EVEN
+        return self.effect_reported and visible_probability(self.answers) > EVEN
+
+
+def visible_probability(answers: Sequence[AnswerRecord]) -> float:
+    """That an effect acts at a size that the readings show."""
+    return sum(answer.visible for answer in answers if answer.effects)

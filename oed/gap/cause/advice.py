@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, UNKNOWN, ExcessScatter
 from oed.gap.data.signature import LACKS
 from oed.model.effect import Effect
-from oed.result.gap import AnswerRecord
+from oed.result.gap import AnswerRecord, visible_probability
 
 #: probability of the leading answer below which the advice considers its rival too
 SURE = 0.8
@@ -184,11 +184,6 @@ def _without_effect(
 def probability_of(effect: str, answers: Sequence[AnswerRecord]) -> float:
     """That an effect acts, whatever is beside it."""
     return sum(answer.visible for answer in answers if effect in answer.effects)
-
-
-def visible_probability(answers: Sequence[AnswerRecord]) -> float:
-    """That an effect acts at a size that the readings show."""
-    return sum(answer.visible for answer in answers if answer.effects)
 
 
 def _for_class(members: Sequence[str], known: Mapping[str, Effect]) -> str:

@@ -30,6 +30,8 @@ ALIVE = 5.5
 #: the odds for it are larger. Of 204 healthy machines one in twenty has a gap reported
 #: (docs/benchmarks/second.md)
 MISSED = 2.5
+#: probability of no gap that shows from which none is reported
+NO_GAP = MISSED / (MISSED + 1.0)
 #: members from which on a class with a named effect is reported as unknown
 VAGUE = 6
 #: probability that the credible set has

@@ -85,7 +85,7 @@ def _answers(gap: GapSection) -> Table:
 
 def _decision() -> str:
     """When no gap is reported, by the costs of missing one and of a test in vain."""
-    sure = text.percent(answers.MISSED / (answers.MISSED + 1.0))
+    sure = text.percent(answers.NO_GAP)
     return (
         f"A missed gap is taken to cost {text.number(answers.MISSED)} times a further"
         " test in vain: no gap is reported where noise, with or without what is too"

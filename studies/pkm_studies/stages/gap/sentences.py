@@ -14,12 +14,17 @@ from oed.gap.cause.advice import (
     MOST_NAMES,
     SURE,
     probability_of,
-    visible_probability,
 )
 from oed.gap.data import signature
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
-from oed.result.gap import AnswerRecord, GapSection, SizeRecord
+from oed.result.gap import (
+    EVEN,
+    AnswerRecord,
+    GapSection,
+    SizeRecord,
+    visible_probability,
+)
 from pkm_studies.stages.gap import closures, implausible, scatter
 from pkm_studies.stages.gap.explanations import (
     CONSIDERABLE,
@@ -35,8 +40,6 @@ from pkm_studies.stages.gap.words import (
     plain_name,
 )
 
-#: probability from which a cause is stated as a fact
-EVEN = 0.5
 #: how readings that are taken for it come into the answer
 SECOND_SESSION = (
     "Diagnose such readings together with these: `oed diagnose STUDY --readings NEW.csv"
