@@ -207,10 +207,10 @@ def test_right_names_are_those_of_the_label() -> None:
     assert naming.is_right(single, frozenset({"mount_drift"}))
     assert not naming.is_right(single, frozenset({"gravity"}))
     assert not naming.is_right(single, frozenset())
-    assert naming.counts(single)
+    assert single.names_count
     never = Scored(
         {"kind": "unknown", "effects": [{"effect": "hose", "out_of_span": 7.0}]}, {}
     )
     assert naming.is_right(never, frozenset({"unknown"}))
-    assert naming.counts(never)
-    assert not naming.counts(pair)
+    assert never.names_count
+    assert not pair.names_count

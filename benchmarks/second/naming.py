@@ -28,7 +28,7 @@ from benchmarks.second import names, noise_laws, observers, recorded
 from benchmarks.second.ideal import GAUSSIAN, SIZES
 from benchmarks.second.names import Frequencies, Names
 from benchmarks.second.replay import Generator, Replay
-from benchmarks.second.score import SIX, UNKNOWN, Scored
+from benchmarks.second.score import UNKNOWN, Scored
 from benchmarks.second.table import cell
 
 #: kinds of cases, and what is counted of each
@@ -50,21 +50,12 @@ def _run(options: argparse.Namespace) -> int:
     return recorded.record_cases(options, MEASURES, _record)
 
 
-def counts(case: Scored) -> bool:
-    """Whether the measures of names count a case, as `score` has it."""
-    if case.kind == "pair":
-        return all(e.get("given_other", 0.0) >= SIX for e in case.effects)
-    if case.kind == "unknown":
-        return bool(case.effects[0]["out_of_span"] >= 6.0)
-    return case.is_clear
-
-
 def _record(
     generator: Generator, replay: Replay, machine: str, rng: np.random.Generator
 ) -> dict[str, Any] | None:
     """The likeliest names under each prior of laws, and whether they are right."""
     case = Scored(replay.label, {})
-    if not counts(case):
+    if not case.names_count:
         return None
     itself = (replay.readings - replay.case.y) / replay.sigma
     itself += replay.slopes @ rng.standard_normal(replay.slopes.shape[1])

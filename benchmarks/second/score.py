@@ -62,6 +62,15 @@ class Scored:
         effect = self.effects[0]
         return bool(effect["classes"] and (effect["outside"] or 0.0) >= 6.0)
 
+    @property
+    def names_count(self) -> bool:
+        """Whether the measures of names count the case: what acts shows, and apart."""
+        if self.kind == "pair":
+            return all(e.get("given_other", 0.0) >= SIX for e in self.effects)
+        if self.kind == "unknown":
+            return bool(self.effects[0]["out_of_span"] >= 6.0)
+        return self.is_clear
+
     def names_are_right(self, names: frozenset[str]) -> bool:
         """Whether names stand for the acting effects, one each."""
         return len(names) == len(self.effects) and all(
@@ -117,10 +126,8 @@ def _detection(full: Sequence[Scored]) -> list[Row]:
 
 def _names(full: Sequence[Scored]) -> list[Row]:
     clear = [s for s in full if s.is_clear]
-    pairs = [s for s in full if s.kind == "pair" and _both_visible(s)]
-    outside = [
-        s for s in full if s.kind == "unknown" and s.effects[0]["out_of_span"] >= 6.0
-    ]
+    pairs = [s for s in full if s.kind == "pair" and s.names_count]
+    outside = [s for s in full if s.kind == "unknown" and s.names_count]
     return [
         _share("right class", clear, _right_class),
         *_by_machine("right class", clear, _right_class),
@@ -133,10 +140,6 @@ def _names(full: Sequence[Scored]) -> list[Row]:
         _share("unknown flagged", outside, lambda s: UNKNOWN in s.first),
         _share("known called unknown", clear, lambda s: s.verdict == UNKNOWN),
     ]
-
-
-def _both_visible(s: Scored) -> bool:
-    return all(e.get("given_other", 0.0) >= SIX for e in s.effects)
 
 
 def _right_class(s: Scored) -> bool:
