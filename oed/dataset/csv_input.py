@@ -28,7 +28,7 @@ from oed.dataset.columns import (
     tension_columns,
 )
 from oed.dataset.data import Dataset, column_layouts
-from oed.dataset.file_rows import short_names
+from oed.dataset.file_rows import FILE_COLUMN, short_names
 from oed.dataset.readings_file import FILE, ROW, ReadingsError, ReadingsFile
 from oed.dataset.table_checks import ORDER_REMEDY
 from oed.measurement.measurement import Measurement, Series
@@ -223,11 +223,11 @@ def _covariates(rows: pd.DataFrame, files: pd.Series) -> pd.DataFrame:
     columns = ["setup", "run", "order"]
     columns += [c for c in rows.columns if is_covariate(str(c))]
     selected = rows[[*columns, ROW]].rename(columns={ROW: "row"})
-    every = list(dict.fromkeys(map(str, files)))
+    every = list(map(str, files.unique()))
     if len(every) > 1:
         names = dict(zip(every, short_names(every), strict=True))
         of_rows = rows[FILE].astype(str).map(names)
-        selected["file"] = pd.Categorical(of_rows, categories=list(names.values()))
+        selected[FILE_COLUMN] = pd.Categorical(of_rows, categories=list(names.values()))
     return selected.reset_index(drop=True)
 
 

@@ -11,7 +11,7 @@ import pandas as pd
 from oed.base.arrays import Array
 
 #: column of the covariates that states the file of each reading, where there are several
-FILE = "file"
+FILE_COLUMN = "file"
 
 
 @dataclasses.dataclass(frozen=True, order=True, slots=True)
@@ -36,9 +36,9 @@ Row = int | FileRow
 def named_rows(covariates: pd.DataFrame) -> Array:
     """The row (n,) of each reading, with its file where covariates state several."""
     rows = covariates["row"].to_numpy()
-    if FILE not in covariates:
+    if FILE_COLUMN not in covariates:
         return np.asarray(rows)
-    files = pd.Categorical(covariates[FILE])
+    files = pd.Categorical(covariates[FILE_COLUMN])
     named = [
         FileRow(int(place), int(row), str(file))
         for place, row, file in zip(files.codes, rows, files, strict=True)
