@@ -242,6 +242,14 @@ def test_smallest_singular_values() -> None:
     assert both / least[5] == pytest.approx(19.0, rel=0.02)
 
 
+def test_indices_over_the_six_columns_of_eq_16() -> None:
+    """The paper drops the column of z2 before Eq. (17)."""
+    six = [0, 1, 3, 4, 5, 6]
+    h3, h5 = (oracle.identification_rows(k)[:, six] for k in (3, 5))
+    assert amplification(h3, 33) == pytest.approx(0.0186, abs=5e-5)
+    assert np.linalg.svd(h5, compute_uv=False)[-1] == pytest.approx(0.0112, abs=5e-5)
+
+
 def test_singular_values_are_the_oracle_s() -> None:
     for k in RM:
         expected = np.linalg.svd(oracle.identification_rows(k), compute_uv=False)

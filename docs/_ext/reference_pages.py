@@ -81,7 +81,7 @@ def section(name: str, entry: dict[str, Any]) -> list[str]:
     rows = []
     for field, about in properties.items():
         default = default_of(field, about, entry.get("required", []))
-        meaning = plain_docstrings.inline(meanings.get(field, ""))
+        meaning = plain_docstrings.inline(about.get("description", ""))
         rows.append([f"``{field}``", kind_of(about), default, meaning])
     for field in sorted(meanings.keys() - properties.keys()):
         rows.append([field, "", "", plain_docstrings.inline(meanings[field])])

@@ -43,8 +43,8 @@ PROVEN = 1e-7
 class Choice:
     """Chosen candidates and their certificate.
 
-    Value and bound are the criterion's conventional values (log det, least eigenvalue,
-    kappa). No plan under the same rules is better than the bound. Without a bound,
+    Value and bound are log det, least eigenvalue or kappa, and variances (A, c, I, G)
+    with a minus sign. No plan under the same rules is better than the bound. Without a bound,
     `bound`, `duality_gap` and `efficiency` are None.
 
     indices      chosen candidates, ascending

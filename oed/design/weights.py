@@ -32,8 +32,8 @@ class Weights:
     """Optimal weights of candidates.
 
     weights      (C,) from 0 to 1, with the number of readings as their sum
-    value        of the criterion at the weights, conventional
-    bound        of the criterion for all plans, conventional
+    value        of the criterion at the weights, as in `Choice`
+    bound        of the criterion for all plans, likewise
     duality_gap  how much better than the value the bound is, in log phi
     choice       the readings of largest weight
     """

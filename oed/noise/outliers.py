@@ -111,7 +111,7 @@ STATED_WILD = (*WILD, 30.0, 100.0)
 
 
 def stated_densities(statement: NoiseStatement) -> tuple[ErrorDensity, ...] | None:
-    """The densities that a statement leaves; none where no reading is far off.
+    """The densities that a statement leaves: () where no reading is far off.
 
     None where nothing is stated of the tails.
     """

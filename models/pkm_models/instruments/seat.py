@@ -42,7 +42,7 @@ def _unfit(machine: Machine) -> str | None:
 
 
 def _seat(home: Sequence[float | None]) -> Instrument:
-    """The seat near a place (3,), m; None where a set-up has to state it."""
+    """The seat near a point (3,), m; a set-up has to state what is None there."""
     return Instrument(
         name="seat",
         source="Rugbani and Schreve, section VI: constrained calibration; ISO 230-7",

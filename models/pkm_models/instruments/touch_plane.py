@@ -43,7 +43,7 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
 
 
 def _plane(at: float | None) -> Instrument:
-    """The plane at a distance along its normal, m; None where a set-up states it."""
+    """The plane at a distance along its normal, m; a set-up has to state None."""
     return Instrument(
         name="touch_plane",
         source="Rugbani and Schreve, section VI: constrained calibration",

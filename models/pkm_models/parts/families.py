@@ -23,7 +23,7 @@ JOINT_MARGIN = 0.5
 
 
 def completed(dimensions: Sequence[Dimension], geometry: Geometry) -> dict[str, Any]:
-    """The table with defaults in place of what is not given; None where derived."""
+    """The table with defaults in place of what is not given, None if derived."""
     return {d.name: geometry.get(d.name, d.default) for d in dimensions}
 
 

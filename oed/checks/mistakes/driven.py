@@ -21,7 +21,7 @@ Change = Callable[[Array], Array]
 def commanded(
     measurement: Measurement, change: Change, *, rows: str = "file", slack: float = 0.0
 ) -> Moved:
-    """Series whose commands (n, n_dof) are changed; None where they were not recorded.
+    """Change the commands (n, n_dof) of a series that recorded them.
 
     rows   `file` for those in the file's rows, `teach` for the teach pose, `all`
     slack  share of a coordinate's range by which it may be exceeded; commands outside

@@ -160,7 +160,7 @@ def _reordering(
 ) -> Iterator[MistakeTrial]:
     """The session with its readings in another order, poses in place.
 
-    None where readings of other channels would meet, or nothing changes.
+    Nothing where readings of other channels would meet, or nothing changes.
     """
     session = given.session
     taken = members(session, order)

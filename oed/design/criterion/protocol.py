@@ -75,7 +75,10 @@ class Criterion(Protocol):
         ...
 
     def conventional_value(self, value: float, readings: int) -> float:
-        """The criterion as usually stated (log det M, -trace, kappa), from log phi."""
+        """The criterion from log phi, as tables state it: log det M, kappa.
+
+        Variances (A, c, I, G) have a minus sign: more is better.
+        """
         ...
 
     def restrict(self, basis: Array) -> Criterion:

@@ -252,7 +252,10 @@ def pace(times: Array) -> float | None:
 
 
 def remaining(advice: Advice) -> int | None:
-    """Readings until the session ends, as the advice counts; None where it cannot."""
+    """Readings until the session ends, as the advice counts: 0 at its end.
+
+    None where the advice cannot say.
+    """
     if advice.is_reached:
         return 0
     if np.isfinite(advice.limits).any():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -13,6 +15,8 @@ from pkm_studies.study.tables import StudyFile, StudyTable
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]
+#: the first line of a field in a docstring: its name, or several, and what it is
+FIELD = re.compile(r"^(\w+(?:, \w+)*) +(\S.*)$")
 
 
 def study() -> Schema:
@@ -20,6 +24,7 @@ def study() -> Schema:
     schema = _schema(StudyFile, "A planning study")
     definitions = schema["$defs"]
     for table in _subclasses(StudyTable):
+        _inherit(definitions, table)
         if table.free_keys is not None and table.__name__ in definitions:
             _open(definitions[table.__name__], table.free_keys)
     return schema
@@ -71,13 +76,45 @@ SCHEMAS: dict[str, Callable[[], Schema]] = {
 
 
 def _schema(kind: type, title: str) -> Schema:
-    return {"$schema": DIALECT, "title": title, **msgspec.json.schema(kind)}
+    """Schema of a kind of record, with the meaning of each field."""
+    schema = {"$schema": DIALECT, "title": title, **msgspec.json.schema(kind)}
+    for definition in schema["$defs"].values():
+        properties = definition.get("properties", {})
+        meanings = _meanings(definition.get("description", ""), set(properties))
+        for name, meaning in meanings.items():
+            properties[name]["description"] = meaning
+    return schema
+
+
+def _meanings(docstring: str, names: set[str]) -> dict[str, str]:
+    """Meaning of each field that a docstring lists, by its name."""
+    meanings: dict[str, str] = {}
+    fields: list[str] = []
+    for line in inspect.cleandoc(docstring).splitlines():
+        match = FIELD.match(line)
+        if match and names.issuperset(match[1].split(", ")):
+            fields = match[1].split(", ")
+            meanings |= dict.fromkeys(fields, match[2])
+        elif line.startswith(" "):
+            meanings |= {name: f"{meanings[name]} {line.strip()}" for name in fields}
+        else:
+            fields = []
+    return meanings
 
 
 def _subclasses(base: type[StudyTable]) -> Iterator[type[StudyTable]]:
     for table in base.__subclasses__():
         yield table
         yield from _subclasses(table)
+
+
+def _inherit(definitions: Schema, table: type[StudyTable]) -> None:
+    """Describe fields that a table has from another one as they are described there."""
+    names = [kind.__name__ for kind in table.__mro__ if kind.__name__ in definitions]
+    for name in names[1:]:
+        for field, inherited in definitions[name]["properties"].items():
+            own = definitions[names[0]]["properties"][field]
+            own.setdefault("description", inherited["description"])
 
 
 def _open(schema: Schema, free_keys: str) -> None:

@@ -29,7 +29,7 @@ def recorded_states(covariates: pd.DataFrame | None) -> dict[str, Array]:
     """States of use that readings recorded, by covariate, SI.
 
     Both directions and all payloads, where several were recorded, and each body of the
-    machine as cold and as warm as it was. None where nothing is recorded.
+    machine as cold and as warm as it was. Empty where nothing is recorded.
     """
     if covariates is None:
         return {}

@@ -80,7 +80,7 @@ class ForecastTask:
     def predicted_errors(self, command: Array) -> Array:
         """Errors (n, k) of the nodes that the parameters predict, SI.
 
-        None where the controller compensates what was identified.
+        Zero where the controller compensates what was identified.
         """
         has_estimate = self.table.compensated and self.kinematics.controller is None
         if self.knowledge is None or has_estimate:

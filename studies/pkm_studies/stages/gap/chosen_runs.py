@@ -94,7 +94,7 @@ def _pool(
 def _with_earlier(
     pairs: Sequence[SeparationRecord], planned: GapProblem, design: GapDesignRequest
 ) -> list[SeparationRecord]:
-    """Pairs with their separation in other planned readings; None where untestable."""
+    """Pairs with their separation in other planned readings, where these test it."""
     try:
         pool = _pool(planned, planned.members, design)
     except ValueError:

@@ -65,6 +65,7 @@ class ClaimTable(StudyTable, frozen=True, kw_only=True):
 class StudyFile(StudyTable, frozen=True, kw_only=True):
     """A study file, schema 1.
 
+    schema     version of this format: 1
     name       of the study and of its folder of results
     title      of the report
     question   that the study answers

@@ -11,7 +11,11 @@ from pkm_studies.study.tables.gap_design import GapDesignTable
 
 
 class WarmingTable(StudyTable, frozen=True, kw_only=True):
-    """A body that warms by `rise_C` above time 0, with time constant `after_min`."""
+    """A body that warms exponentially.
+
+    rise_C     final temperature above that at time 0
+    after_min  time constant
+    """
 
     rise: float = msgspec.field(name="rise_C")
     after_min: Positive

@@ -14,6 +14,11 @@ class Span(StudyTable, frozen=True, kw_only=True):
     """Evenly spaced values in the unit of the field.
 
     As in `{ from = 0, to = 360, count = 12, endpoint = false }`.
+
+    from      first value
+    to        last value, or the end that is left out
+    count     number of values
+    endpoint  whether `to` is one of them
     """
 
     from_: float = msgspec.field(name="from")
@@ -23,7 +28,11 @@ class Span(StudyTable, frozen=True, kw_only=True):
 
 
 class Range(StudyTable, frozen=True, kw_only=True):
-    """Lowest and highest value, in the unit of the field."""
+    """Lowest and highest value, in the unit of the field.
+
+    from  lowest value
+    to    highest value
+    """
 
     from_: float = msgspec.field(name="from")
     to: float
@@ -84,7 +93,7 @@ class GridTable(StudyTable, frozen=True, kw_only=True):
 class ReferenceTable(GridTable, frozen=True, kw_only=True):
     """[[design.reference]]: a plan to compare with, in the fields of candidates.
 
-    Tables of one name make one plan.
+    name  of the plan; tables of one name make one plan
     """
 
     free_keys = "coordinates"

@@ -7,21 +7,34 @@ from pkm_studies.study.tables.grids import Range
 
 
 class ConeTable(StudyTable, frozen=True, kw_only=True):
-    """Directions within `half_angle_deg` of `axis`, which may have any length."""
+    """Directions within a cone.
+
+    axis            of the cone, of any length
+    half_angle_deg  largest angle from the axis
+    """
 
     axis: Triple
     half_angle_deg: Positive
 
 
 class SphereTable(StudyTable, frozen=True, kw_only=True):
-    """An obstacle: a sphere in the base frame."""
+    """An obstacle: a sphere.
+
+    at_mm      centre, base frame
+    radius_mm  of the sphere
+    """
 
     at_mm: Triple
     radius_mm: Positive
 
 
 class RodTable(StudyTable, frozen=True, kw_only=True):
-    """An obstacle: all points within `radius_mm` of a line segment in the base frame."""
+    """An obstacle: all points near a line segment.
+
+    from_mm    one end of the segment, base frame
+    to_mm      the other end
+    radius_mm  distance from the segment within which the obstacle is
+    """
 
     from_mm: Triple
     to_mm: Triple
