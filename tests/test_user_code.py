@@ -185,6 +185,31 @@ def test_a_study_names_files_of_its_folder_alone(
     assert runs(parent) == runs(folder) == 0
 
 
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other permissions")
+def test_others_cannot_allow_a_file(folder: Path, call: Run) -> None:
+    """Whoever can write into these files, or above them, could allow any file."""
+    path = folder / "s.study.toml"
+    assert call("check", path, "--allow-code")[0] == 0
+    assert call("check", path)[0] == 0
+    allowed = permissions.allowed_file()
+    assert allowed.stat().st_mode & 0o777 == 0o600
+    allowed.parent.chmod(0o777)
+    assert call("check", path)[0] == 2
+    allowed.parent.chmod(0o700)
+    allowed.chmod(0o666)
+    assert call("check", path)[0] == 2
+
+    settings = permissions.settings_file()
+    settings.parent.mkdir(parents=True)
+    settings.write_text(f"trusted_folders = [{str(folder)!r}]\n", "utf-8")
+    assert call("check", path)[0] == 0
+    settings.chmod(0o666)
+    code, _, err = call("check", path)
+    assert code == 2
+    assert str(settings) in err
+    assert "other users can change this file" in err
+
+
 def test_folders_that_share_a_machine_are_both_trusted(
     folder: Path, call: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

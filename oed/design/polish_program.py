@@ -34,6 +34,7 @@ IPOPT: dict[str, Any] = {
     "limited_memory_max_history": 30,
     "print_level": 0,
     "sb": "yes",
+    "option_file_name": "",  # otherwise ipopt.opt of the current folder
     "tol": 1e-7,
     "constr_viol_tol": 1e-10,
     # a flat optimum ends once ten steps changed nothing

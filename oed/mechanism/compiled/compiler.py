@@ -22,6 +22,8 @@ from pathlib import Path
 
 import platformdirs
 
+from oed.base import child_process
+from oed.base.private_folder import make_private
 from oed.base.whole_file import whole_file
 
 #: names of compilers that know the vectors of lanes.h
@@ -70,12 +72,14 @@ def cache_folder() -> Path:
 def find_compiler(search_path: str) -> Compiler | None:
     """The first compiler on the search path; None on Windows, or where there is none.
 
-    GCC on Windows does not align vectors on the stack.
+    Relative folders of the path are passed over: they would be anybody's. GCC on Windows
+    does not align vectors on the stack.
     """
     if os.name != "posix":
         return None
+    folders = os.pathsep.join(filter(os.path.isabs, search_path.split(os.pathsep)))
     for name in COMPILERS:
-        program = shutil.which(name, path=search_path)
+        program = shutil.which(name, path=folders)
         if program is not None and not _asks_to_install(program):
             file = Path(program).resolve()
             with contextlib.suppress(OSError):
@@ -89,7 +93,7 @@ def _asks_to_install(program: str) -> bool:
     """Whether a program opens a window in place of compiling: on a Mac without tools."""
     if sys.platform != "darwin" or not program.startswith("/usr/bin/"):
         return False
-    asked = subprocess.run(["xcode-select", "-p"], capture_output=True, check=False)
+    asked = child_process.run(["/usr/bin/xcode-select", "-p"], Path("/"), LONGEST)
     return asked.returncode != 0
 
 
@@ -110,8 +114,7 @@ def _load(text: str, compiler: Compiler, folder: Path) -> ctypes.CDLL | None:
     parts = "\n".join([text, *FLAGS, str(PROCESSORS), compiler.identity])
     digest = hashlib.sha256(parts.encode()).hexdigest()[:DIGITS]
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not _is_private(folder):
+        if not make_private(folder):
             return None
         for file in sorted(folder.glob(f"{digest}-*.so")):
             if _is_whole(file):
@@ -131,15 +134,6 @@ def _opened(file: Path) -> ctypes.CDLL:
         raise
 
 
-def _is_private(folder: Path) -> bool:
-    """Whether nobody else can write there what this process would run."""
-    user = getattr(os, "getuid", None)  # Windows has no such thing
-    if user is None:
-        return False
-    status = folder.stat()
-    return status.st_uid == user() and not status.st_mode & 0o022
-
-
 def _is_whole(file: Path) -> bool:
     """Whether a file has the content that its name states."""
     return file.stem.partition("-")[2] == _content_digest(file.read_bytes())
@@ -156,14 +150,8 @@ def _compile(text: str, compiler: Compiler, folder: Path, digest: str) -> Path:
         source.write_text(text, encoding="utf-8")
         files = ("-o", str(library), str(source), "-lm")
         for processor in PROCESSORS:
-            done = subprocess.run(
-                [compiler.path, *FLAGS, *processor, *files],
-                check=False,
-                timeout=LONGEST,
-                stdin=subprocess.DEVNULL,
-                capture_output=True,
-                cwd=scratch,
-            )
+            command = [compiler.path, *FLAGS, *processor, *files]
+            done = child_process.run(command, Path(scratch), LONGEST)
             if done.returncode == 0:
                 break
         content = library.read_bytes()

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import platformdirs
 
+from oed.base.private_folder import is_private, make_private
 from pkm_studies.base import files
 from pkm_studies.base.errors import Place, shorten
 
@@ -51,7 +52,8 @@ def allow(path: Path, digest: str) -> None:
         return
     file = allowed_file()
     with contextlib.suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
+        make_private(file.parent)
+        file.touch(mode=0o600)
         with file.open("a", encoding="utf-8") as lines:
             lines.write(f"{digest}  {shorten(str(path.resolve()), 400)}\n")
 
@@ -77,6 +79,9 @@ def trusted_folders() -> Iterator[Path]:
     if not file.is_file():
         return
     place = Place(str(file))
+    if not _is_own(file):
+        problem = "other users can change this file, or the path to it"
+        raise place.error(problem, "take their permission to write away, or remove it")
     try:
         table = tomllib.loads(files.read_text(file, limit=LIMIT, what="settings file"))
     except ValueError as error:
@@ -87,6 +92,11 @@ def trusted_folders() -> Iterator[Path]:
         remedy = f'write {FIELD} = ["/path/of/a/folder"]'
         raise place.key(FIELD).error("a list of folders is wanted", remedy, names)
     yield from _absolute(names, place.key(FIELD))
+
+
+def _is_own(file: Path) -> bool:
+    """Whether what a file allows comes from this user; Windows itself sees to that."""
+    return os.name != "posix" or is_private(file)
 
 
 def _absolute(names: Iterable[str], place: Place) -> Iterator[Path]:
@@ -103,8 +113,11 @@ def _lies_in(path: Path, folders: Iterable[Path]) -> bool:
 
 
 def _allowed_digests() -> set[str]:
+    file = allowed_file()
     try:
-        text = allowed_file().read_text(encoding="utf-8", errors="replace")
+        text = file.read_text(encoding="utf-8", errors="replace")
+        if not _is_own(file):
+            return set()
     except OSError:
         return set()
     return {line.split(maxsplit=1)[0] for line in text.splitlines() if line.strip()}

@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent import futures
 from typing import Any, Generic, TypeVar
 
+from oed.base import child_process
 from pkm_studies.base.errors import InputError
 
 #: parameters of mallopt, and bytes
@@ -67,10 +68,7 @@ def _on_processes(
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
         os.environ[variable] = "1"  # inherited: a core each
     shares: Shares[int, Item] = Shares(items, range(count))
-    context = multiprocessing.get_context("spawn")
-    processes = [
-        futures.ProcessPoolExecutor(1, context, _end_with_parent) for _ in range(count)
-    ]
+    processes = [child_process.worker(_end_with_parent) for _ in range(count)]
     waiting: dict[futures.Future[Outcome], tuple[int, Item]] = {}
 
     def submit(number: int) -> None:

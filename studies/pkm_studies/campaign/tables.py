@@ -12,6 +12,7 @@ import msgspec
 from oed.mechanism.kinematics import AssemblyError
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, Place, shorten
+from pkm_studies.base.names import Name
 from pkm_studies.base.user_code import Consent, Origin
 from pkm_studies.campaign.case import COLUMNS, Figures
 from pkm_studies.campaign.case_function import CaseFunction, UserFunction
@@ -25,8 +26,6 @@ SUFFIX = ".campaign.toml"
 LIMIT = 200_000
 #: cases of the largest campaign
 MOST_CASES = 1_000_000
-
-Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 
 
 class CampaignFile(

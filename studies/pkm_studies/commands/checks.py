@@ -134,7 +134,7 @@ def _unseen(study: ResolvedStudy) -> list[str]:
 
 
 def _rng(study: ResolvedStudy) -> np.random.Generator:
-    return np.random.default_rng([study.study.seed, int(Stream.CHECKS)])
+    return Stream.CHECKS.rng(study.study.seed)
 
 
 def _content(study: Study, resolved: ResolvedStudy) -> str:

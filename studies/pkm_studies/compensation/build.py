@@ -12,7 +12,7 @@ from oed.base.arrays import Array
 from oed.compensate.command_grid import GridAxis
 from oed.model.machine import Machine
 from oed.result import StudyResult
-from pkm_studies.base.errors import InputError
+from pkm_studies.base.errors import InputError, shorten
 from pkm_studies.catalogue.controller_format import (
     Compensation,
     ControllerFormat,
@@ -24,6 +24,9 @@ from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.workspace import workspace_axes, workspace_commands
 from pkm_studies.stages.corrected import table_grid
 from pkm_studies.study import Study
+
+#: characters of a comment, which holds text of results
+COMMENT = 1000
 
 
 def compensation(
@@ -127,6 +130,7 @@ def _command(displayed: dict[str, float], machine: Machine) -> Array:
 
 
 def sentences_of(compensation: Compensation) -> list[str]:
-    """The comments that open every file."""
+    """The comments that open every file, a line each: what follows would be a command."""
     title = f"pkm-oed {compensation.version}, study {compensation.study}"
-    return [title, f"machine {compensation.machine.name}", *compensation.notes]
+    machine = f"machine {compensation.machine.name}"
+    return [shorten(line, COMMENT) for line in (title, machine, *compensation.notes)]

@@ -26,10 +26,17 @@ from pkm_studies.page import typed
 
 #: time between two looks at a file, and before a lost line is opened again, s
 PAUSE, AGAIN = 0.3, 2.0
-#: characters of a line, and bytes of a file of a folder
-LONGEST: Final = 2000
+#: bytes of a line, and of what is read at a time
+LONGEST: Final = 4000
 MOST_BYTES: Final = 4_000_000
+#: what ends a line
+END: Final = re.compile(rb"\r\n|\r|\n")
 BAUD: Final = 9600
+BYTE_ORDER_MARK: Final = b"\xef\xbb\xbf"
+#: said until a whole line came: a connection may join in the midst of one
+JOINED: Final = (
+    "The first line after a connection does not count: its beginning was not seen"
+)
 #: beginnings of sources that are no files
 TCP, SERIAL = "tcp://", "serial:"
 
@@ -66,6 +73,7 @@ class Feed:
                 value=source,
             )
         self._lines = _opener(source, self.pattern is None)
+        self._first = JOINED if is_line else ""
         self.number = 0
         self.problem = ""
 
@@ -75,23 +83,27 @@ class Feed:
 
     def _run(self) -> None:
         while True:
+            self.problem = self.problem or self._first
             try:
                 for line in self._lines():
                     self.problem = ""
                     self.take_line(line)
             except OSError as error:
-                self.problem = f"{self.source}: {error.strerror or error}"
+                self.problem = f"{self.source}: {error.strerror or error}: tried again"
             time.sleep(AGAIN)
 
     def take_line(self, line: str) -> None:
         """Offer the numbers of a line, if it has all of them."""
+        if any(len(part) > LONGEST for part in line.split("\n")):
+            self.problem = f"A line of more than {LONGEST} bytes is passed over"
+            return
         values = _row_values(line) if self.pattern is None else self._match(line)
         if values:
             self.number += 1
             self.arrived(Offer(self.number, values))
 
     def _match(self, line: str) -> dict[str, float]:
-        match = None if self.pattern is None else self.pattern.search(line[:LONGEST])
+        match = None if self.pattern is None else self.pattern.search(line)
         return {} if match is None else _in_si(match.groupdict())
 
 
@@ -167,7 +179,7 @@ def _existing(source: str) -> Path:
 
 
 def _file_lines(path: Path, is_table: bool) -> Iterator[str]:
-    """Lines that are added to a file, or that files new in a folder hold.
+    """Lines that begin and end in a file from now on, or in files new in a folder.
 
     Of a table, each row with its header above it.
     """
@@ -178,18 +190,49 @@ def _file_lines(path: Path, is_table: bool) -> Iterator[str]:
             before = lengths.get(file, 0)
             if size == before:
                 continue
-            with file.open("rb") as stream:
-                data = stream.read(MOST_BYTES)
-            start = before if size > before else 0
-            whole = data.rfind(b"\n") + 1
-            lengths[file] = max(whole, start)
-            header = data.decode("utf-8", "replace").partition("\n")[0].lstrip("\ufeff")
-            for line in data[start:whole].decode("utf-8", "replace").splitlines():
-                if not is_table:
-                    yield line
-                elif line.strip() and line.strip() != header.strip():
-                    yield f"{header.strip()}\n{line}"
+            lines, lengths[file] = _new_lines(file, before if size > before else 0)
+            header = _new_lines(file, 0)[0][:1] if is_table and lines else []
+            for line in lines:
+                if line not in header:
+                    yield "\n".join([*header, line])
         time.sleep(PAUSE)
+
+
+def _new_lines(file: Path, start: int) -> tuple[list[str], int]:
+    """Whole lines of a file from a position on, and the position after them.
+
+    The byte before tells whether the position is in the midst of a line, which then does
+    not count: it was begun before anybody looked, or the file is another one by now.
+    """
+    before = max(start - 1, 0)
+    with file.open("rb") as stream:
+        stream.seek(before)
+        data = stream.read(MOST_BYTES)
+    ends = [match.end() for match in END.finditer(data)]
+    if not ends and len(data) == MOST_BYTES:  # one line, too long to be kept
+        return [data[: LONGEST + 1].decode("latin-1")], start + len(data)
+    lines = LineBuffer(begins=start == 0).add(data.removeprefix(BYTE_ORDER_MARK))
+    return list(lines), max(start, before + max(ends, default=0))
+
+
+class LineBuffer:
+    """The lines of bytes that arrive in parts: those whose beginning and end were seen.
+
+    begins  whether the first byte begins a line
+    """
+
+    def __init__(self, *, begins: bool) -> None:
+        self._part, self._begins = b"", begins
+
+    def add(self, data: bytes) -> Iterator[str]:
+        """The lines that end here, without blanks around; of longer ones the beginning."""
+        *ended, part = END.split(self._part + data)
+        for line in ended:
+            text = line[: LONGEST + 1].decode("utf-8", "replace").strip()
+            if self._begins and text:
+                yield text
+            self._begins = True
+        self._part = part[: LONGEST + 1]
 
 
 def _files(path: Path) -> list[Path]:
@@ -210,9 +253,9 @@ def _tcp_address(source: str) -> tuple[str, int]:
 def _tcp_lines(address: tuple[str, int]) -> Iterator[str]:
     with socket.create_connection(address, timeout=10.0) as connection:
         connection.settimeout(None)
-        with connection.makefile("rb") as stream:
-            while data := stream.readline(LONGEST):
-                yield data.decode("utf-8", "replace").strip()
+        lines = LineBuffer(begins=False)
+        while data := connection.recv(LONGEST):
+            yield from lines.add(data)
 
 
 def _serial_port(source: str) -> tuple[str, int]:
@@ -237,5 +280,6 @@ def _serial_lines(device: str, baud: int) -> Iterator[str]:
     import serial
 
     with serial.Serial(device, baud) as port:
-        while data := port.read_until(b"\n", LONGEST):
-            yield data.decode("utf-8", "replace").strip()
+        lines = LineBuffer(begins=False)
+        while data := port.read(port.in_waiting or 1):
+            yield from lines.add(data)

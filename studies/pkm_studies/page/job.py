@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Final
+from typing import IO, TYPE_CHECKING, Final
 
+from oed.base.child_process import start_python
 from pkm_studies.base.errors import InputError
+
+if TYPE_CHECKING:
+    from subprocess import Popen
+
+#: module of the command
+OED: Final = "pkm_studies.commands.cli"
 
 #: lines of output that are kept
 MOST_LINES: Final = 200
@@ -43,7 +48,7 @@ class BackgroundCommand:
 
     def __init__(self) -> None:
         self.state = CommandState()
-        self._process: subprocess.Popen[str] | None = None
+        self._process: Popen[str] | None = None
         self._lock = threading.Lock()
 
     def start(self, name: str, arguments: Sequence[str | Path]) -> None:
@@ -51,21 +56,7 @@ class BackgroundCommand:
         with self._lock:
             if self.state.runs:
                 raise InputError(f"{self.state.name} is at work", "wait for its end")
-            command = [
-                sys.executable,
-                "-m",
-                "pkm_studies.commands.cli",
-                *map(str, arguments),
-            ]
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                encoding="utf-8",
-                errors="replace",
-            )
+            self._process = start_python(OED, arguments)
             self.state = CommandState(name, "starts")
         follow = threading.Thread(
             target=self._follow, args=(self._process,), daemon=True
@@ -79,7 +70,7 @@ class BackgroundCommand:
             process.terminate()
             process.wait()
 
-    def _follow(self, process: subprocess.Popen[str]) -> None:
+    def _follow(self, process: Popen[str]) -> None:
         """Take up stages as they are printed, then what the command says."""
         errors: list[str] = []
         listen = threading.Thread(target=_collect, args=(process.stderr, errors))

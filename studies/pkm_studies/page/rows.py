@@ -18,6 +18,7 @@ from oed.dataset import dialect
 from oed.dataset.columns import column_name, parse_column
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Coordinate
+from pkm_studies.base.errors import InputError
 from pkm_studies.page.readings_log import REMARK, UNDONE, FileContent
 from pkm_studies.resolve.conditions import PASS_SUFFIX
 from pkm_studies.sessions.skipped_poses import SKIPPED, is_skipped
@@ -189,9 +190,13 @@ def without_skip(content: FileContent, row: int) -> FileContent:
 
 
 def clean_remark(text: str) -> str:
-    """A remark on one line, printable, of limited length."""
+    """A remark on one line, printable. Raises InputError where it is too long."""
     printable = "".join(c if c.isprintable() else " " for c in text)
-    return " ".join(printable.split())[:LONGEST_REMARK]
+    line = " ".join(printable.split())
+    if len(line) > LONGEST_REMARK:
+        problem = f"{len(line)} characters are too many for a remark"
+        raise InputError(problem, f"write {LONGEST_REMARK} at most", field=REMARK)
+    return line
 
 
 def with_clock(content: FileContent, measurement: Measurement) -> FileContent:

@@ -199,9 +199,11 @@ class ResultAddresses:
 
     def show(self, _: Request) -> Response:
         """All results as cards."""
+        cards = self.shelf.cards()
         html, headers = render.document(
             "results",
-            cards=self.shelf.cards(),
+            cards=cards,
+            left_out=self.shelf.found - len(cards),
             folder=self.shelf.root.resolve().name,
             formats=machine_page.format_names(),
             studies=self._studies(),

@@ -48,10 +48,14 @@ class Card:
 
 
 class Shelf:
-    """Folders with results below one folder; links to places outside are left out."""
+    """Folders with results below one folder; links to places outside are left out.
+
+    found  results at the last look, those that are not shown included
+    """
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self.found = 0
         self._cards: dict[tuple[str, int], Card] = {}
 
     def folders(self) -> dict[str, Path]:
@@ -61,6 +65,7 @@ class Shelf:
             key=lambda folder: (folder / RESULT).stat().st_mtime,
             reverse=True,
         )
+        self.found = len(ordered)
         return {self._key(folder): folder for folder in ordered[:MOST]}
 
     def folder(self, key: str) -> Path:

@@ -10,6 +10,7 @@ import msgspec
 from oed.result import StudyResult, relations
 from pkm_studies.base import files
 from pkm_studies.base.errors import Place
+from pkm_studies.base.names import check_name
 
 #: bytes of the largest result that is read
 LIMIT = 1 << 28
@@ -33,13 +34,15 @@ def load_result(folder: Path) -> StudyResult:
 
 def read_result(path: Path) -> StudyResult:
     """The result in a file, as it stands there. Raises InputError as `load_result`."""
-    text = files.read_text(path, limit=LIMIT, what="result")
+    text, place = files.read_text(path, limit=LIMIT, what="result"), Place(str(path))
     try:
-        return msgspec.json.decode(text, type=StudyResult)
+        result = msgspec.json.decode(text, type=StudyResult)
     except msgspec.DecodeError as error:
-        raise Place(str(path)).error(
+        raise place.error(
             f"this is no result: {error}", "make it again with `oed run`"
         ) from error
+    check_name(result.study, place.key("study"))
+    return result
 
 
 def write_report(

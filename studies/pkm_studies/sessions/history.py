@@ -246,7 +246,7 @@ def _due(
     sessions: Sessions, errors: Sequence[_Error], drifted: SessionDrift
 ) -> Iterator[str]:
     """When the rms error of each component reaches its limit."""
-    rng = np.random.default_rng([sessions.results[-1].seed, int(Stream.HISTORY)])
+    rng = Stream.HISTORY.rng(sessions.results[-1].seed)
     for error in errors:
         due = session_drift.next_calibration(
             error.maps, drifted, error.after, error.limit, rng
@@ -270,7 +270,7 @@ def _provable(
     count = len(sessions.folders)
     spacing = float(np.ptp(sessions.times)) / (count - 1)
     more = (count + 1, 2 * count, 4 * count)
-    rng = np.random.default_rng([sessions.results[-1].seed, int(Stream.HISTORY)])
+    rng = Stream.HISTORY.rng(sessions.results[-1].seed)
     every = "" if sessions.unit == "session" else f", one every {spacing:.0f} days,"
     yield (
         f"There is no date for the next calibration. Sessions like these{every} prove with"

@@ -31,7 +31,7 @@ from pkm_studies.resolve.planned_effects import (
     named_effects,
     pose_error_slopes,
 )
-from pkm_studies.stages.run_state import RunState
+from pkm_studies.stages.run_state import RunState, Stream
 
 #: share of a wanted accuracy that no reading reaches
 OUT_OF_REACH = 1e-9
@@ -85,7 +85,7 @@ def effects_at(
         named_effects(request, names, place),
         request,
         resolved.prediction,
-        np.random.default_rng(state.study.seed),
+        Stream.PLANNED_COURSES.rng(state.study.seed),
         UNKNOWNS,
     )
 

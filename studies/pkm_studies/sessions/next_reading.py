@@ -34,7 +34,7 @@ from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, sentences
 from pkm_studies.sessions.skipped_poses import SkippedPose, allowed, skipped_in_file
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.fit.estimate import estimate_section
-from pkm_studies.stages.run_state import Measured, RunState, start
+from pkm_studies.stages.run_state import Measured, RunState, Stream, start
 from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.fit import with_finding
@@ -308,8 +308,7 @@ def _more(belief: Belief, blocks: Array, plan: list[int], limits: Array) -> int 
 
 def _planned_candidates(state: RunState) -> list[int]:
     """The candidates of the study's plan. Raises InputError where it chooses none."""
-    rng = np.random.default_rng(state.study.seed)
-    chosen = select_design(state.resolved, rng)
+    chosen = select_design(state.resolved, Stream.DESIGN.rng(state.study.seed))
     if chosen is None:
         raise InputError(
             "the study chooses no plan to compare with",

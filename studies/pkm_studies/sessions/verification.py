@@ -67,7 +67,7 @@ def plan_folder(
         component_values(promised, "--promise", machine),
         component_values(uncertainty, "--uncertainty", machine),
     )
-    rng = np.random.default_rng([result.seed, int(Stream.ACCEPTANCE)])
+    rng = Stream.ACCEPTANCE.rng(result.seed)
     section = plan.plan_section(result, accuracy, rng, power=power, most=most)
     healthy = healthy_accuracy(result, planned, section.components)
     section = msgspec.structs.replace(section, healthy=healthy)

@@ -41,8 +41,13 @@ if TYPE_CHECKING:
     from pkm_studies.stages.plan.section import PlanOutcome
 
 
+@enum.unique
 class Stream(enum.IntEnum):
-    """Independent random streams: more draws in one leave the others as they are."""
+    """Independent random streams: more draws in one leave the others as they are.
+
+    A seed alone gives the numbers of stream 0, for NumPy takes (seed,) and (seed, 0) as
+    one: so whatever draws has a stream of its own.
+    """
 
     DESIGN = 0
     TRUTH = 1
@@ -65,10 +70,21 @@ class Stream(enum.IntEnum):
     REFERENCES = 18
     TOOLS = 19
     VISIT = 20
-    LAPLACE = 20
     SIZES = 21
     FORECAST = 22
     MIXTURE = 23
+    LAPLACE = 24
+    MIXTURE_ACCURACY = 25
+    PLANNED_COURSES = 26
+    HOW_MANY = 27
+
+    def key(self, seed: int) -> list[int]:
+        """What determines the random numbers of this stream."""
+        return [seed, int(self)]
+
+    def rng(self, seed: int) -> np.random.Generator:
+        """Random numbers of this stream."""
+        return np.random.default_rng(self.key(seed))
 
 
 class HeldOut(NamedTuple):
@@ -147,7 +163,7 @@ class RunState:
 
     def rng(self, stream: Stream) -> np.random.Generator:
         """Random numbers of one stream."""
-        return np.random.default_rng([self.seed, int(stream)])
+        return stream.rng(self.seed)
 
     def replace(self, **changes: Any) -> Self:
         """The state with other values of some fields."""

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from pkm_studies.base.errors import InputError, Place, suggest
+from pkm_studies.base.names import PATTERN as NAME_PATTERN
 
 T = TypeVar("T")
 #: msgspec's names of types, as words
@@ -32,7 +33,7 @@ TYPES = {
 #: patterns of the tables, as words
 #: what a pattern stands for
 PATTERNS = {
-    "^[A-Za-z0-9][A-Za-z0-9_-]*$": "letters, digits, _ and - only",
+    NAME_PATTERN: "letters, digits, _ and - only",
     "^([A-Z][A-Z])?$": "two capitals, such as DE,",
 }
 

@@ -9,7 +9,8 @@ from importlib import resources
 from pathlib import Path
 
 from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, suggest
+from pkm_studies.base.errors import InputError, Place, suggest
+from pkm_studies.base.names import check_name
 from pkm_studies.study import SUFFIX
 
 NAME_LINE = re.compile(r'^name = ".*"$', re.MULTILINE)
@@ -81,13 +82,7 @@ def copy(name: str, source: str, out: Path) -> Path:
 def new_path(name: str, out: Path) -> Path:
     """The file of a new study. Raises InputError for a bad name or an existing file."""
     name = name.removesuffix(SUFFIX)
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
-        raise InputError(
-            "this is no name for a study",
-            "use letters, digits, _ and -",
-            field="NAME",
-            value=name,
-        )
+    check_name(name, Place("", "NAME"))
     path = out / f"{name}{SUFFIX}"
     if path.exists():
         raise InputError(

@@ -1,7 +1,9 @@
 """Polished readings of a gantry and of a bar, against the oracles and differences."""
 
 import dataclasses
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
@@ -9,7 +11,7 @@ from oracles import planar_geometry
 
 from kernel import a3_plans
 from oed.design.polish import polish_readings
-from oed.design.polish_program import PolishProgram
+from oed.design.polish_program import IPOPT, PolishProgram
 from oed.design.reading_plan import (
     ReadingPlan,
     at_commands,
@@ -163,3 +165,15 @@ def test_a_programme_begins_at_its_start() -> None:
     (series,) = program.plan(values).series
     assert series.command == pytest.approx(COMMAND)
     assert series.q == pytest.approx(planar_geometry.inverse(COMMAND), abs=1e-9)
+
+
+def test_a_file_of_the_current_folder_does_not_steer_the_solver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """IPOPT reads `ipopt.opt` of that folder, unless it is told not to."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "ipopt.opt").write_text("max_iter 0\n", encoding="utf-8")
+    x = ca.SX.sym("x")
+    options = {"ipopt": {**IPOPT, "max_iter": 50}, "print_time": False}
+    solver = ca.nlpsol("s", "ipopt", {"x": x, "f": (x - 1.0) ** 2}, options)
+    assert float(solver(x0=0.0)["x"]) == pytest.approx(1.0)

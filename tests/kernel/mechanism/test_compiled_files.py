@@ -188,6 +188,26 @@ def test_a_folder_where_others_write_is_not_used(folder: Path) -> None:
     assert not [*folder.iterdir()]
 
 
+def test_a_folder_in_which_others_can_replace_it_is_not_used(folder: Path) -> None:
+    folder.mkdir()
+    folder.parent.chmod(0o777)
+    assert not runs_compiled()
+    assert not [*folder.iterdir()]
+
+
+def test_a_compiler_of_the_current_folder_is_not_called(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    forget()
+    script = tmp_path / "cc"
+    script.write_text("#!/bin/sh\n", encoding="utf-8")
+    script.chmod(0o755)
+    monkeypatch.chdir(tmp_path)
+    assert compiler.find_compiler(f".{os.pathsep}") is None
+    assert compiler.find_compiler(str(tmp_path)) is not None
+    forget()
+
+
 def test_the_folder_stays_small(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler, "MOST_FILES", 2)
     for number in range(4):

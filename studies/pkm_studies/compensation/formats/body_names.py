@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Mapping
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -31,6 +32,13 @@ def unfit(machine: Machine) -> str | None:
     """Machines that struts alone describe can be written."""
     skeleton = platform_on_limbs(Kinematics(machine), machine.nominal)
     return NEEDS if skeleton is None else None
+
+
+def commented(root: ET.Element, lines: Iterable[str]) -> str:
+    """XML of a model, below comments, in which no two dashes may follow each other."""
+    ET.indent(root)
+    comment = "\n".join(lines).replace("--", "- -").replace("--", "- -")
+    return f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
 
 
 def skeleton_of(content: Compensation, values: Array) -> PlatformOnLimbs:

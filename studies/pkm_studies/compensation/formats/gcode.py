@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from oed.base import units
 from oed.model.machine import Machine
-from pkm_studies.base.errors import InputError
+from pkm_studies.base.errors import InputError, shorten
 from pkm_studies.catalogue.controller_format import (
     Compensation,
     ControllerFormat,
     MeasuringPose,
     Texts,
 )
-from pkm_studies.compensation.build import sentences_of
+from pkm_studies.compensation.build import COMMENT, sentences_of
 from pkm_studies.resolve.quantities import display_unit
 
 #: seconds of rest before a reading, and feed, mm/min
@@ -71,8 +71,8 @@ def _reading(
 
 
 def _plain(text: str) -> str:
-    """Text inside a comment, which ends at the first closing bracket."""
-    return text.replace("(", "[").replace(")", "]")
+    """Text inside a comment, which ends with the line or at the first closing bracket."""
+    return shorten(text, COMMENT).replace("(", "[").replace(")", "]")
 
 
 def unfit(machine: Machine) -> str | None:

@@ -28,15 +28,13 @@ def write(compensation: Compensation) -> Texts:
     """The model, and its numbers for each draw of the posterior."""
     values = compensation.identified.values
     root = _model(compensation, values)
-    ET.indent(root)
     lines = [
         *sentences_of(compensation),
         "SI units: m, rad; driven joints read as those of the study",
         body_names.TRANSLATION,
         body_names.MASSES,
     ]
-    comment = "\n".join(line.replace("--", "- -") for line in lines)
-    text = f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
+    text = body_names.commented(root, lines)
     texts = {".mjcf.xml": text}
     table = body_names.draws_table(
         compensation, lambda draw: geometry(_model(compensation, draw))

@@ -40,7 +40,6 @@ EFFORT = {"effort": "1e6", "velocity": "1e3"}
 def write(compensation: Compensation) -> Texts:
     """The tree, its loops, and the numbers of the tree for each draw of the posterior."""
     root, loops = _model(compensation, compensation.identified.values)
-    ET.indent(root)
     lines = [
         *sentences_of(compensation),
         "driven joints read as those of the study, in m and rad; passive joints are 0 at home",
@@ -48,8 +47,7 @@ def write(compensation: Compensation) -> Texts:
         body_names.TRANSLATION,
         body_names.MASSES,
     ]
-    comment = "\n".join(line.replace("--", "- -") for line in lines)
-    text = f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
+    text = body_names.commented(root, lines)
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows([LOOP_HEAD, *loops])
     texts = {".urdf": text, "_loops.csv": out.getvalue()}

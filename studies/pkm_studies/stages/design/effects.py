@@ -29,6 +29,7 @@ from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.stages.recording import PlanToRecord, recording_section
+from pkm_studies.stages.run_state import Stream
 from pkm_studies.study.tables import DesignTable
 
 
@@ -161,7 +162,7 @@ def recording(
             prediction=resolved.prediction,
             information=prior_information(measurement),
             seconds=SESSION,
-            seed=[resolved.study.seed],
+            seed=Stream.PLANNED_COURSES.key(resolved.study.seed),
             further={},
         )
     )

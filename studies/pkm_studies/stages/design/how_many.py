@@ -19,6 +19,7 @@ from pkm_studies.base.errors import Place
 from pkm_studies.resolve import quantities
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
+from pkm_studies.stages.run_state import Stream
 from pkm_studies.study.tables import HowManyTable
 
 
@@ -45,7 +46,7 @@ def accuracy_by_size(
         c.blocks[pool] @ basis,
         basis.T @ c.prior_information @ basis,
         AccuracyGoal(names, factors @ basis),
-        (seed,),
+        tuple(Stream.HOW_MANY.key(seed)),
         rules=_without_costs(problem, pool),
     )
     points = size_curve.curve([n for n in table.readings if n <= len(pool)])

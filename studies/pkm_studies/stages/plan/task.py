@@ -89,8 +89,11 @@ class PlanTask:
         )
 
     def stage_generator(self, stage: int) -> np.random.Generator:
-        """Random numbers about one stage of a plan, counted from 0."""
-        return np.random.default_rng([*self.seed, stage])
+        """Random numbers about one stage of a plan, counted from 0.
+
+        Stage 0 has not those of the search, whose key is this one without an end.
+        """
+        return np.random.default_rng([*self.seed, 1 + stage])
 
     def accuracy(self, covariance: Array) -> dict[str, float]:
         """Root mean square of each component over the workspace, in its fine unit."""

@@ -63,7 +63,7 @@ def plan_measurements(
     outcome = compute_plan(
         state.resolved,
         request,
-        [state.seed, int(Stream.PLAN)],
+        Stream.PLAN.key(state.seed),
         state.rng(Stream.CAMPAIGN),
         state.progress,
         earlier,

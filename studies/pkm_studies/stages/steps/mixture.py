@@ -64,7 +64,7 @@ def mix_answers(state: Fitted) -> Fitted:
         mixture,
         sections.BestAnswer(theta, corrected),
         use,
-        [state.seed, int(Stream.MIXTURE)],
+        Stream.MIXTURE_ACCURACY.key(state.seed),
     )
     return state.with_sections(gap=msgspec.structs.replace(gap, mixture=section))
 

@@ -6,7 +6,6 @@ from typing import Annotated, ClassVar, Literal
 
 import msgspec
 
-Name = Annotated[str, msgspec.Meta(pattern="^[A-Za-z0-9][A-Za-z0-9_-]*$")]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 RunCount = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
 Whole = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]

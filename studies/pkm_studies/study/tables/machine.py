@@ -6,9 +6,9 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
+from pkm_studies.base.names import Name
 from pkm_studies.study.tables.base import (
     Count,
-    Name,
     Numbers,
     Pair,
     Positive,

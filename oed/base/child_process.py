@@ -1,0 +1,58 @@
+"""Child processes: all start here, and Python ones import nothing of the current folder.
+
+That folder is the first on the path of `python -m` and of the `python -c` by which workers
+are spawned: a file `numpy.py` that lies beside a study would run, unasked.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from concurrent import futures
+from pathlib import Path
+from typing import Final
+
+#: with any value as the option -P of Python; processes of multiprocessing inherit it
+SAFE_PATH: Final = "PYTHONSAFEPATH"
+
+
+def run(
+    command: Sequence[str], folder: Path, longest: float
+) -> subprocess.CompletedProcess[bytes]:
+    """Run another program in a folder, without input; its output is kept.
+
+    longest  time that it has, s
+
+    Raises OSError, subprocess.SubprocessError.
+    """
+    return subprocess.run(
+        command,
+        cwd=folder,
+        timeout=longest,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        check=False,
+    )
+
+
+def start_python(module: str, arguments: Sequence[str | Path]) -> subprocess.Popen[str]:
+    """Start a module of this Python, as `python -m` does, with pipes for its output."""
+    return subprocess.Popen(
+        [sys.executable, "-P", "-m", module, *map(str, arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+    )
+
+
+def worker(initializer: Callable[[], None]) -> futures.ProcessPoolExecutor:
+    """A process for functions of this one, spawned as on every system."""
+    os.environ[SAFE_PATH] = "1"
+    context = multiprocessing.get_context("spawn")
+    return futures.ProcessPoolExecutor(1, context, initializer)
