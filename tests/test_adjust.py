@@ -120,7 +120,8 @@ def test_the_files_say_the_same(folder: Path, oed: Run) -> None:
         assert float(row["total"]) == pytest.approx(record["total"], rel=1e-5)
         assert line["without"] > 1.05 * section["accuracy"][-1]["total"]
         assert f"{line['by']}: {line['amount']:+.6g} mm" in out
-        assert f"whole list without this line: total {line['without']:.4g}" in out
+        assert f"whole list without this line: total {line['without']:.4g} um" in out
+        assert row["total_unit"] == section["total_unit"] == "um"
     assert (folder / "adjustment.pdf").read_bytes().startswith(b"%PDF")
 
 
@@ -216,16 +217,39 @@ def test_what_is_wanted_counts_and_a_thread_has_no_steps(
     text = (folder.parent / "out" / "result.json").read_text("utf-8")
     study = folder.parent / "wanted.study.toml"
     words = json.loads(text)["study_text"].replace("step_mm = 0.02\n", "")
-    wanted = "[prediction]\nwanted = { gamma_arcsec = 5.0 }"
-    study.write_text(words.replace("[prediction]", wanted), encoding="utf-8")
-    assert oed("adjust", folder, "--study", study)[0] == 0
+    study.write_text(words, encoding="utf-8")
+    call = ("adjust", folder, "--study", study, "--wanted", "gamma_arcsec=5")
+    code, out, _ = oed(*call)
+    assert code == 0
+    assert (
+        "over the wanted ones (gamma_arcsec=5); x, y, z, alpha, beta count for" in out
+    )
     section = json.loads((folder / "result.json").read_text("utf-8"))["adjustment"]
     for record in section["accuracy"]:
         assert record["total"] == pytest.approx(record["corrected"]["gamma"] / 5.0)
+        assert f"total {record['total']:.4g} times what is wanted" in out
     assert section["lines"]
     for line in section["lines"]:
         assert (line["steps"], line["sd"]) == (None, 0.0)
         assert line["amount"] == pytest.approx(round(line["amount"], 3), abs=1e-9)
+
+
+def test_the_reports_limits_do_not_change_the_adjustment(
+    adjusted: Path, tmp_path: Path, oed: Run
+) -> None:
+    """[prediction] wanted is for a verdict: lines and total stay as without it."""
+    path = adjusted / "result.json"
+    result = json.loads(path.read_text("utf-8"))
+    before = result["adjustment"]
+    study = tmp_path / "limits.study.toml"
+    limits = "[prediction]\nwanted = { gamma_arcsec = 5.0 }"
+    text = result["study_text"].replace("[prediction]", limits)
+    study.write_text(text, encoding="utf-8")
+    code, out, _ = oed("adjust", adjusted, "--study", study)
+    assert code == 0
+    assert json.loads(path.read_text("utf-8"))["adjustment"] == before
+    total = before["accuracy"][0]["total"]
+    assert f"As it is: total {total:.4g} um (x " in out
 
 
 def test_the_posterior_of_the_folder_counts(adjusted: Path, oed: Run) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,12 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
         assert not list(tmp_path.iterdir())
         return
     path = template.write("fresh", machine, instrument, Origin(tmp_path))
+    drafted = path.read_text(encoding="utf-8")
+    filled = drafted.replace('"to be measured"', "0.0")
+    if filled != drafted:
+        with pytest.raises(InputError, match=r"setup\[1\]\.at\w+ .*measure it"):
+            study.load(path)
+        path.write_text(filled, encoding="utf-8")
     resolved = resolve(study.load(path))
     assert 20 <= len(resolved.candidates[0]) <= 1000
     assert resolved.prediction is not None
@@ -154,6 +161,55 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     sample.resolved(uncommented(text), tmp_path)
     with pytest.raises(InputError, match="of this name"):
         template.write("fresh", machine, instrument, Origin(tmp_path))
+
+
+def test_what_a_draft_leaves_open_is_refused_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A gimbal that nobody measured stands nowhere: not at the base frame's origin."""
+    monkeypatch.chdir(tmp_path)
+    new = ["new", "open", "--machine", "a3_head", "--instrument", "laser_ball_bar"]
+    assert main(new) == 0
+    assert 'where it says "to be measured"' in capsys.readouterr().out
+    path = Path("open.study.toml")
+    text = path.read_text(encoding="utf-8")
+    names = ["at_x_mm", "at_y_mm", "at_z_mm"]
+    assert re.findall(r'^(\w+) = "to be measured"', text, re.M) == names
+    for name in names:
+        for command in (["check", path.name], ["run", path.name, "--out", "o"]):
+            assert main(command) == 2
+            error = capsys.readouterr().err
+            assert f"open.study.toml: setup[1].{name}" in error
+            assert "measure it at your machine" in error
+        text = text.replace(f'{name} = "to be measured"', f"{name} = 900.0")
+        path.write_text(text, encoding="utf-8")
+    assert not Path("o").exists()
+    assert main(["check", path.name]) == 0
+
+
+def test_a_draft_states_the_noise_once(tmp_path: Path) -> None:
+    """Of a laser ball bar by its range and angles; of others by channel."""
+    noise = {}
+    for tool in ("laser_ball_bar", "ball_bar"):
+        path = template.write(tool, "a3_head", tool, Origin(tmp_path))
+        noise[tool] = tomllib.loads(path.read_text(encoding="utf-8"))
+    assert "noise" not in noise["laser_ball_bar"]
+    assert noise["laser_ball_bar"]["setup"][0]["range_noise_mm"] == 0.0003
+    assert noise["ball_bar"]["noise"] == {"length_um": 0.5}
+
+
+def test_any_number_of_a_study_may_be_open(tmp_path: Path) -> None:
+    """The mark of a draft is refused wherever it stands, with its place."""
+    for old, place in (
+        ("length_um = ", "noise.length_um"),
+        ("length_mm = ", "setup[1].length_mm"),
+    ):
+        line = re.search(rf"^{old}.*$", sample.STUDY, re.M)
+        assert line is not None
+        opened = (line[0], f'{old}"to be measured"')
+        error = sample.refused(sample.STUDY, opened, folder=tmp_path)
+        assert f": {place} = " in str(error)
+        assert "leaves this number open" in str(error)
 
 
 @pytest.mark.parametrize("family", ["delta", "hexapod_pus", "cables_spatial"])

@@ -11,6 +11,7 @@ import report_fixture
 from page_server import Client, served
 
 from oed.result import acceptance
+from pkm_studies.base.errors import InputError
 from pkm_studies.page import serve
 from pkm_studies.page.new_study import FieldError, NewStudy, StudyForm
 from pkm_studies.study import load
@@ -36,6 +37,14 @@ def test_the_file_has_what_the_form_says(tmp_path: Path) -> None:
     assert study.design.size is not None
     shown = {field.key: field.value for field in page.sizes("delta")}
     assert float(shown["arm_mm"]) == pytest.approx(345.0)
+
+
+def test_the_forms_file_waits_for_what_must_be_measured(tmp_path: Path) -> None:
+    path = StudyForm(tmp_path).write(
+        NewStudy(machine="a3_head", instrument="laser_ball_bar")
+    )
+    with pytest.raises(InputError, match=r"at_x_mm .*measure it at your machine"):
+        load(path)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pandas as pd
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
 from oed.checks.law import CheckedLaw
-from oed.dataset.columns import ReadingsColumn, column_name, parse_column
+from oed.dataset.columns import ReadingsColumn, column_name, parse_column, written
 from oed.dataset.data import consecutive
 from oed.dataset.file_rows import Row, named_rows
 from oed.measurement.measurement import Measurement, Series
@@ -155,8 +155,8 @@ class SessionReadings:
         number = units.number(value, units.FINE[si])
         if abs(number) < LARGE:
             return f"{number:.3g} {units.FINE[si]}"
-        unit = column_name(channel, si).rpartition("_")[2]
-        return f"{units.number(value, unit):.4g} {unit}"
+        number, unit = written(value, si)
+        return f"{number:.4g} {unit}"
 
 
 def session(

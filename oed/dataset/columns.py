@@ -71,9 +71,14 @@ def cell(value: float, si: str) -> str:
     """An SI value as it is written in a file; empty where it is not finite."""
     if not math.isfinite(value):
         return ""
+    return f"{written(value, si)[0]:.15g}"
+
+
+def written(value: float, si: str) -> tuple[float, str]:
+    """An SI value as it is written in a file, and its unit."""
     unit = _WRITTEN.get(si, si)
     factor = units.MM_PER_MIN if unit == FEED_UNIT else units.factor(unit)
-    return f"{value / factor:.15g}"
+    return value / factor, unit
 
 
 def column_names(stem: str, si: str) -> list[str]:

@@ -311,14 +311,13 @@ class Machine:
 
         Each is (row, coordinate, value, lower, upper), coordinate by coordinate.
         """
-        outside = []
-        for k, coordinate in enumerate(self.workspace(tool)):
-            values = command[:, k]
-            for row in np.flatnonzero(_exceeds(values, coordinate)):
-                value = float(values[row])
-                limits = (coordinate.lower, coordinate.upper)
-                outside.append((int(row), coordinate.name, value, *limits))
-        return outside
+        return _outside(command, self.workspace(tool))
+
+    def joints_out_of_range(
+        self, q: Array
+    ) -> list[tuple[int, str, float, float, float]]:
+        """Joint values (n, nq) outside their ranges, each as `out_of_range` has it."""
+        return _outside(q, self.joints)
 
     def workspace(self, tool: Tool = (0.0, 0.0, 0.0)) -> tuple[Coordinate, ...]:
         """Command coordinates with the ranges for a tool, which moves x, y and z."""
@@ -330,6 +329,17 @@ class Machine:
         shift = dict(zip("xyz", tool.tolist(), strict=True))
         by_coordinate = [shift.get(c.name, 0.0) for c in self.command]
         return np.asarray(command + np.array(by_coordinate))
+
+
+def _outside(
+    values: Array, coordinates: tuple[Coordinate, ...]
+) -> list[tuple[int, str, float, float, float]]:
+    """Values (n, k) outside the ranges of coordinates: row, name, value, ends."""
+    return [
+        (int(row), c.name, float(values[row, k]), c.lower, c.upper)
+        for k, c in enumerate(coordinates)
+        for row in np.flatnonzero(_exceeds(values[:, k], c))
+    ]
 
 
 def _exceeds(values: Array, coordinate: Coordinate) -> Mask:

@@ -11,7 +11,8 @@ class AdjustmentLine(Record, frozen=True):
     by       what moves it
     steps    amount in steps of what moves it; None where it is turned continuously
     sd       standard deviation of the fitter's error
-    without  total error of the list without this line, with the others chosen anew
+    without  total error of the list without this line, with the others chosen anew, in
+             the unit of the total
     """
 
     parameter: str
@@ -43,7 +44,8 @@ class AdjustmentSection(Record, frozen=True):
     reference   against which errors are stated
     poses       of the workspace
     unit        of each component
-    about       what the total error is, with its unit
+    about       what the total error is, and what does not count in it
+    total_unit  of the total error: um, or 1 where it is over what is wanted
     lines       in order
     accuracy    before the first line, and after each
     conditions  what the figures rest on
@@ -56,3 +58,4 @@ class AdjustmentSection(Record, frozen=True):
     lines: list[AdjustmentLine]
     accuracy: list[AdjustedRecord]
     conditions: list[str] = []
+    total_unit: str = "1"

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from oed import dataset
+from oed.base.arrays import Array
 from oed.dataset import Dataset
 from oed.dataset.digests import digests
 from oed.result import StudyResult
@@ -120,11 +121,22 @@ def diagnose(
             "there are no readings to diagnose", "give --readings FILE.csv"
         )
     result_folder.prepare(out)
-    measured = _measure(state, data)
-    measured, _ = analyse_identifiability(check_readings(measured))
-    fitted = diagnose_always(fit_parameters(measured))
-    fitted = draw_machine(mix_answers(correct_for_effects(fitted)))
-    return _finish(fitted, out, report=True, sections=DIAGNOSIS_SECTIONS)
+    fitted = with_diagnosis(fit_checked(_measure(state, data)))
+    return _finish(draw_machine(fitted), out, report=True, sections=DIAGNOSIS_SECTIONS)
+
+
+def fit_checked(state: Measured, theta: Array | None = None) -> Fitted:
+    """Check readings and what they identify, then fit them. Raises IdentificationError.
+
+    theta  (n,) parameters where the fit begins, SI; nominal by default
+    """
+    checked, _ = analyse_identifiability(check_readings(state))
+    return fit_parameters(checked, theta)
+
+
+def with_diagnosis(state: Fitted) -> Fitted:
+    """The diagnosis of what a fit leaves, and what follows from it."""
+    return mix_answers(correct_for_effects(diagnose_always(state)))
 
 
 def plan(

@@ -34,8 +34,6 @@ AGAIN = " again"
 SELDOM = -3.0
 #: tolerances to which that of a number is widened which may be wrong
 WIDER = 50.0
-#: units of sizes in sentences, by SI unit
-SHOWN = {"m": "mm", "rad": "mrad"}
 #: words of a reading that is below and above what it should be, by SI unit
 WAYS = {"m": ("short", "long"), "rad": ("small", "large")}
 
@@ -349,7 +347,7 @@ def _off(
 
 
 def _words(scope: Scope, inner: InnerReading) -> Words:
-    unit = SHOWN[inner.unit]
+    unit = units.display(inner.unit)
     cause = f"{inner.zero} is wrong"
     if scope.level in ("run", "rows"):
         cause = "the instrument was zeroed again"

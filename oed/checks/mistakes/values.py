@@ -14,8 +14,6 @@ from oed.checks.mistakes.trial import MistakeTrial, value_trial
 
 #: units that a file's readings may be in, beside those of a column
 OTHERS = {"m": {"inch": units.INCH}, "rad": {}, "1": {}}
-#: fine units in which deviations are written, by SI unit
-FINE = {"m": ("um", units.UM), "rad": ("arcsec", units.ARCSEC)}
 #: standard deviations of a prediction from zero from which on its sign is known
 SURE = 3.0
 #: what readings are of what they should be
@@ -133,9 +131,9 @@ def _fine_factors(given: Given, values: Mask) -> dict[str, Array]:
     fine, names = ones.copy(), []
     for channel in dict.fromkeys(given.channel[values]):
         column = given.session.column(str(channel))
-        name, factor = FINE.get(column.unit, ("", column.factor))
-        if factor != column.factor:
-            fine[given.channel == channel] = factor / column.factor
+        name = units.FINE[column.unit]
+        if column.unit != "1" and units.factor(name) != column.factor:
+            fine[given.channel == channel] = units.factor(name) / column.factor
             names.append(name)
     factors = {"": ones}
     if names:

@@ -30,7 +30,7 @@ def blocks(result: StudyResult) -> list[Block]:
     if section is None:
         return []
     if not section.lines:
-        return [Paragraph(NOTHING), _accuracy(section)]
+        return [Paragraph(f"{NOTHING} Total: {section.about}."), _accuracy(section)]
     return [
         Paragraph(_about(section)),
         _lines(section),
@@ -49,10 +49,11 @@ def page_blocks(section: AdjustmentSection) -> list[Block]:
 
 
 def _about(section: AdjustmentSection) -> str:
-    first, last = section.accuracy[0].total, section.accuracy[-1].total
+    ends = [section.accuracy[k].total for k in (0, -1)]
+    first, last = (text.quantity(total, section.total_unit) for total in ends)
     return (
         f"{text.count(len(section.lines), 'adjustment')} bring the total error after"
-        f" compensation by software from {text.number(first)} to {text.number(last)}."
+        f" compensation by software from {first} to {last}."
         f" Total: {section.about}. Without any one of the lines it is more than 5 %"
         " larger. Give the controller the parameters after the adjustment (oed compensate"
         " --adjusted), then measure again."
@@ -69,7 +70,7 @@ def _lines(section: AdjustmentSection, further: tuple[str, ...] = ()) -> Table:
         *(TableColumn(title) for title in further),
     ]
     rows = [
-        [str(k), *_line(line), *[""] * len(further)]
+        [str(k), *_line(line, section.total_unit), *[""] * len(further)]
         for k, line in enumerate(section.lines, start=1)
     ]
     caption = (
@@ -79,13 +80,13 @@ def _lines(section: AdjustmentSection, further: tuple[str, ...] = ()) -> Table:
     return Table(columns, rows, caption)
 
 
-def _line(line: AdjustmentLine) -> list[str]:
+def _line(line: AdjustmentLine, total_unit: str) -> list[str]:
     return [
         line.by,
         signed(line),
         "" if line.steps is None else f"{line.steps:+d}".replace("-", "−"),
         f"{line.about} ({line.parameter})",
-        text.number(line.without),
+        text.quantity(line.without, total_unit),
     ]
 
 
@@ -109,7 +110,8 @@ def _accuracy(section: AdjustmentSection) -> Table:
         plain = [text.number(v) for v in record.plain.values()]
         corrected = [text.number(v) for v in record.corrected.values()]
         rows.append([after, "as it is", "", *plain])
-        rows.append(["", "compensated", text.number(record.total), *corrected])
+        total = text.quantity(record.total, section.total_unit)
+        rows.append(["", "compensated", total, *corrected])
     caption = (
         f"Predicted rms errors over {section.poses} poses, reference"
         f" {section.reference}, after each line: with the nominal numbers in the"

@@ -148,7 +148,7 @@ def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
     except ValueError as error:
         problem = f"this is no TOML: {shorten(str(error), 100)}"
         raise place.error(problem, "mend it there") from None
-    decode.check_finite(table, place)
+    decode.check_values(table, place)
     tables = decode.decode(CampaignFile, table, place)
     if tables.schema != SCHEMA:
         remedy = "this program reads schema = 1"

@@ -21,6 +21,13 @@ def adjust(
             metavar="DIR", help="Folder with a result.json.", show_default=False
         ),
     ],
+    wanted: Annotated[
+        str,
+        typer.Option(
+            metavar="z_um=30,...",
+            help="Rms errors by which components count, and only these [by length].",
+        ),
+    ] = "",
     study: MachineStudy = None,
     allow_code: AllowCode = False,
 ) -> int:
@@ -31,7 +38,7 @@ def adjust(
     given = consent(allow_code=allow_code)
     try:
         section, paths = adjustment.adjust_folder(
-            folder, study_file=study, consent=given
+            folder, wanted=wanted, study_file=study, consent=given
         )
     except BadFitError as error:
         console.print_error(str(error))

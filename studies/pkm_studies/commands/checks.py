@@ -12,12 +12,17 @@ import numpy as np
 from oed import checks
 from oed.checks import Severity, blind
 from oed.dataset import Dataset
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism.kinematics import AssemblyError, Kinematics
 from pkm_studies.base.errors import InputError, Place, SourceAbsentError
 from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent, Origin
 from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve.machine import has_own_numbers, unreachable
+from pkm_studies.resolve.machine import (
+    check_home,
+    doubtful_lengths,
+    has_own_numbers,
+    unreachable,
+)
 from pkm_studies.resolve.planned_effects import check_effect_names
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
 from pkm_studies.stages.fit.goodness import check_dataset
@@ -70,11 +75,21 @@ def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
 
 def _check_machine(path: Path, consent: Consent) -> Verdict:
     """A machine's file: its functions fit one another, and its home pose assembles."""
-    machine = catalogue.machine(str(path), Origin.command(consent), Place(str(path)))
+    place = Place(str(path))
+    machine = catalogue.machine(str(path), Origin.command(consent), place)
+    kinematics = Kinematics(machine)
+    check_home(kinematics, place)
     return Verdict(
         f"sound: {machine.name} has {len(machine.joints)} joints and"
-        f" {len(machine.parameters)} parameters, and closes at its home pose"
+        f" {len(machine.parameters)} parameters, and closes at its home pose",
+        remarks=_doubts(kinematics),
     )
+
+
+def _doubts(kinematics: Kinematics) -> list[str]:
+    """Sentences on a machine whose ranges or lengths do not fit one another."""
+    sentences = doubtful_lengths(kinematics.machine), unreachable(kinematics)
+    return [sentence for sentence in sentences if sentence]
 
 
 def _check_study(
@@ -147,8 +162,7 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
     parts = [f"{n} {what}{'s' if n > 1 else ''}" for what, n in counts.items() if n]
     sentences = [f"sound: {', '.join(parts)}", *resolved.warnings]
     if has_own_numbers(study.machine):
-        sentence = unreachable(resolved.measurement.kinematics)
-        sentences += [sentence] if sentence else []
+        sentences += _doubts(resolved.measurement.kinematics)
     return "; ".join(sentences)
 
 

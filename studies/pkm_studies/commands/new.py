@@ -53,7 +53,12 @@ def new(
     # The study will name the files: they lie where a study's files may lie.
     origin = Origin(Path(), consent(allow_code=allow_code))
     path = _new_study(name, machine, loops, instrument, source, origin)
-    print(f"Study: {path}; edit it, then: oed run {shlex.quote(str(path))}")
+    from pkm_studies.study import decode
+
+    first = "edit it"
+    if decode.TO_MEASURE in path.read_text(encoding="utf-8"):
+        first = f'write your numbers where it says "{decode.TO_MEASURE}"'
+    print(f"Study: {path}; {first}, then: oed run {shlex.quote(str(path))}")
     return 0
 
 

@@ -59,7 +59,7 @@ def load(request: ImportRequest) -> tuple[ColumnMap, Place]:
     except ValueError as error:
         problem = f"this is no TOML: {shorten(str(error), 100)}"
         raise place.error(problem, "mend it there") from None
-    decode.check_finite(table, place)
+    decode.check_values(table, place)
     return column_sources.expanded(decode.decode(ColumnMap, table, place), place), place
 
 

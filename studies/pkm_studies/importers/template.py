@@ -30,6 +30,7 @@ from pkm_studies.importers.template_grid import (
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import SUFFIX, parse, shipped
+from pkm_studies.study.decode import TO_MEASURE
 from pkm_studies.study.tables.fit import PredictionReference
 
 
@@ -48,6 +49,8 @@ class StartingModel:
     sentences: tuple[str, ...] = ()
 
 
+#: a number that only the user can know, as TOML
+OPEN = f'"{TO_MEASURE}"'
 #: readings of the design, where the grid has as many
 READINGS = 30
 #: instruments to draft a study with, the most informative first
@@ -156,7 +159,9 @@ def first_sound(drafts: Iterable[str], path: Path, origin: Origin) -> str:
     problems: list[InputError] = []
     for draft in drafts:
         try:
-            resolve(parse(draft, path, origin.consent), readings=())
+            # any number will do to check the others
+            whole = draft.replace(OPEN, "0.0")
+            resolve(parse(whole, path, origin.consent), readings=())
         except (InputError, AssemblyError) as error:
             problems.append(_as_input(error))
             continue
@@ -257,12 +262,8 @@ def _setup(reference: str, machine: Machine, instrument: Instrument) -> str:
     lines += _channels(machine, instrument)
     lines += ["# tool_mm = [0.0, 0.0, 0.0]  # tool point, from the reference tool's"]
     for s in instrument.settings:
-        value, remark = s.default, s.about
-        if value is None:
-            value, remark = 0.0, f"{s.about}: measure it"
-        lines.append(
-            f"{column(s.name, s.unit)} = {format_number(value, s.unit)}  # {remark}"
-        )
+        value = OPEN if s.default is None else format_number(s.default, s.unit)
+        lines.append(f"{column(s.name, s.unit)} = {value}  # {s.about}")
     if instrument.reference == "teach":
         pose = format_pose(machine.command, machine.home_command)
         lines.append(f"teach = {pose}  # the pose at which it was taught")
@@ -286,9 +287,13 @@ def _channels(machine: Machine, instrument: Instrument) -> list[str]:
 
 def _noise(instrument: Instrument) -> str:
     lines = ["[noise]  # standard deviation of one reading"]
+    sign = ""
+    if instrument.inner:
+        lines = [f"# {lines[0]}, in place of what the set-up's numbers give"]
+        sign = "# "
     for channel in instrument.channels:
         unit = units.FINE[channel.unit]
-        lines.append(f"{channel.name}_{unit} = {in_unit(channel.sigma, unit)}")
+        lines.append(f"{sign}{channel.name}_{unit} = {in_unit(channel.sigma, unit)}")
     if instrument.renewed:
         lines.append(
             "# seating_um = 0.3  # of a cup that each run seats anew, if known"
@@ -357,7 +362,7 @@ reference = "{errors}"  # home, absolute or best_fit
 def _plan(machine: Machine, instrument: Instrument, share: float) -> str:
     """A plan with one measurement.
 
-    Only a pointer where a setting is a placeholder: its readings say nothing.
+    Only a pointer where a setting is open: its readings say nothing.
     """
     about = (
         "# Which measurement at which stage, within a time: see [plan] in `oed schema"

@@ -39,7 +39,6 @@ from pkm_studies.stages.run_state import (
 )
 from pkm_studies.stages.steps import design as design_steps
 from pkm_studies.stages.steps import fit as fit_steps
-from pkm_studies.stages.steps import gap as gap_steps
 from pkm_studies.stages.steps import prediction as prediction_steps
 from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.study import Study, load, loader, shipped
@@ -200,7 +199,7 @@ def identify(
         resolved = dataclasses.replace(state.resolved, identification_stages=patterns)
         state = state.replace(resolved=resolved)
     theta = None if start is None else _start_of(state.measurement, start)
-    return EstimateView(fit_steps.fit_parameters(state, theta))
+    return EstimateView(pipeline.fit_checked(state, theta))
 
 
 def _effects_value(
@@ -231,6 +230,8 @@ def _start_of(measurement: Measurement, start: Mapping[str, float]) -> Array:
 def sample(estimate: EstimateView) -> PosteriorView:
     """Sample the posterior about an estimate, as [posterior] says.
 
+    Raises WithheldError where [posterior] is off, or the fit allows for effects.
+
     >>> import oed
     >>> study = oed.load_study("planar_step_calibration")
     >>> posterior = oed.sample(oed.identify(oed.simulate(study)))
@@ -246,7 +247,8 @@ def predict(
     """Predict the residual accuracy over the workspace of [prediction].
 
     `virtual_machines` are read, identified and compensated to check the prediction.
-    Raises InputError where the study has no such table.
+    Raises InputError where the study has no such table, and WithheldError where the fit
+    is bad.
 
     >>> import oed
     >>> study = oed.load_study("planar_step_calibration")
@@ -271,6 +273,9 @@ def predict(
 def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
     """Find which effects cause what calibration leaves of the readings.
 
+    The same as `oed diagnose`, with `corrected` and the mixture of the section. Raises
+    WithheldError where a mistake in the readings explains their misfit.
+
     >>> import oed
     >>> study = oed.load_study("planar_step_calibration")
     >>> diagnosis = oed.diagnose(oed.simulate(study))
@@ -279,8 +284,8 @@ def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
     """
     state = source.state
     if not isinstance(state, Fitted):
-        state = fit_steps.fit_parameters(state)
-    return DiagnosisView(gap_steps.diagnose_always(state))
+        state = pipeline.fit_checked(state)
+    return DiagnosisView(pipeline.with_diagnosis(state))
 
 
 def run(

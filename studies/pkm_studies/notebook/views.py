@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from oed.estimation import Estimate
     from oed.posterior import Posterior
 
+T = TypeVar("T")
 StageT = TypeVar("StageT", bound=Scheduled)
 
 #: rows that a notebook shows of a table
@@ -33,10 +34,17 @@ class View(Generic[StageT]):
 
     state: StageT
 
+    def __post_init__(self) -> None:
+        """Raises WithheldError where the step left out what the view shows."""
+        str(self.title)
+
     @property
     def title(self) -> str:
         """What is shown, in one line."""
         raise NotImplementedError
+
+    def _written(self, section: T | None, name: str) -> T:
+        return written(section, name, self.state.withheld)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -72,7 +80,7 @@ class DesignView(View[Scheduled]):
     @property
     def section(self) -> result.DesignSection:
         """The `design` section of the result."""
-        return written(self.state.result.design, "design")
+        return self._written(self.state.result.design, "design")
 
     @property
     def title(self) -> str:
@@ -104,7 +112,7 @@ class PlanView(View[Scheduled]):
     @property
     def section(self) -> result.PlanSection:
         """The `plan` section of the result."""
-        return written(self.state.result.plan, "plan")
+        return self._written(self.state.result.plan, "plan")
 
     @property
     def title(self) -> str:
@@ -195,7 +203,7 @@ class EstimateView(_ParametersView):
     @property
     def section(self) -> result.EstimateSection:
         """The `estimate` section of the result."""
-        return written(self.state.result.estimate, "estimate")
+        return self._written(self.state.result.estimate, "estimate")
 
     @property
     def title(self) -> str:
@@ -228,12 +236,12 @@ class PosteriorView(_ParametersView):
 
     @property
     def _parameters_si(self) -> Posterior:
-        return written(self.state.posterior, "posterior")
+        return self._written(self.state.posterior, "posterior")
 
     @property
     def section(self) -> result.PosteriorSection:
         """The `posterior` section of the result."""
-        return written(self.state.result.posterior, "posterior")
+        return self._written(self.state.result.posterior, "posterior")
 
     @property
     def title(self) -> str:
@@ -278,7 +286,7 @@ class AccuracyView(View[Scheduled]):
     @property
     def section(self) -> result.PredictionSection:
         """The `prediction` section of the result."""
-        return written(self.state.result.prediction, "prediction")
+        return self._written(self.state.result.prediction, "prediction")
 
     @property
     def title(self) -> str:
@@ -315,7 +323,12 @@ class DiagnosisView(View[Fitted]):
     @property
     def section(self) -> result.GapSection:
         """The `gap` section of the result."""
-        return written(self.state.result.gap, "gap")
+        return self._written(self.state.result.gap, "gap")
+
+    @property
+    def corrected(self) -> result.CorrectedSection | None:
+        """Parameters and likely effects, estimated together; None without such effects."""
+        return self.state.result.corrected
 
     @property
     def title(self) -> str:

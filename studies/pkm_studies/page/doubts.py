@@ -12,12 +12,11 @@ from oed import checks
 from oed.base.arrays import Array
 from oed.checks import CheckFinding, Severity
 from oed.checks.ranges import predict_ranges
+from oed.dataset.columns import written
 from oed.measurement.measurement import Measurement, Series
 from oed.result import trust
 from pkm_studies.page import typed
-from pkm_studies.resolve.quantities import display_unit
 from pkm_studies.sessions.next_reading import Adviser, FittedReadings
-from pkm_studies.stages import describe
 from pkm_studies.stages.run_state import Stream
 
 #: half width of an interval in standard deviations: one good reading in ten thousand
@@ -81,9 +80,8 @@ def of_values(
     for k in expected.outside(y):
         channel = channels[k]
         middle, half = float(expected.middle[k]), float(expected.half[k])
-        low = describe.displayed(middle - half, channel.unit)
-        high = describe.displayed(middle + half, channel.unit)
-        unit = display_unit(channel.unit)
+        low, unit = written(middle - half, channel.unit)
+        high, _ = written(middle + half, channel.unit)
         words = f"{channel.name} should lie between {low:.7g} and {high:.7g} {unit}"
         if len(entries) == len(channels):
             slip = typed.slip(entries[k], low, high)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from oed.base import units
-from oed.dataset.columns import column_name
+from oed.dataset.columns import column_name, written
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import Setup
 from pkm_reports.page import text
@@ -116,10 +116,7 @@ def _fields(
     names = [text.split_unit(column_name(c.name, c.unit)) for c in columns]
     if measurement.setups[series.setup].instrument.implied is not None:
         q = series.q[series.index[row, 0]]
-        shown = [
-            describe.displayed(float(v), c.unit)
-            for v, c in zip(q, columns, strict=True)
-        ]
+        shown = [written(float(v), c.unit)[0] for v, c in zip(q, columns, strict=True)]
         return [
             EntryField(stem, unit, f"{value:.7g}", "", "")
             for (stem, unit), value in zip(names, shown, strict=True)
@@ -128,7 +125,7 @@ def _fields(
     fields = []
     for k, ((stem, unit), c) in enumerate(zip(names, columns, strict=True)):
         middle, half = float(expected.middle[k]), float(expected.half[k])
-        ends = [describe.displayed(middle + side * half, c.unit) for side in (-1, 0, 1)]
+        ends = [written(middle + side * half, c.unit)[0] for side in (-1, 0, 1)]
         low, now, high = text.aligned(ends, most=4)
         fields.append(EntryField(stem, unit, now, low, high))
     return fields

@@ -27,7 +27,6 @@ from pkm_studies.study.tables import Axis, GridTable, Span
 #: most poses of one grid
 MAX_POSES = 200_000
 #: how far beyond its range (m, rad) a joint may be before a pose is refused
-SLACK = 1e-9
 FULL_TURN = 2.0 * math.pi
 
 
@@ -275,7 +274,7 @@ def planned_series(
             "every run is one point: its reference, and no reading",
             "add poses along the run, or choose another runs_by",
         )
-    check_joint_range(measurement.machine, series, place)
+    check_joint_range(measurement.machine, series.command, series.q, place)
     return series.expand_passes(measurement.setups[setup].protocol)
 
 
@@ -286,22 +285,28 @@ REACH_REMEDY = (
 )
 
 
-def check_joint_range(machine: Machine, series: Series, place: Place) -> None:
-    """Raises InputError where the joints of a series leave their range."""
-    for k, joint in enumerate(machine.joints):
-        low, high = float(series.q[:, k].min()), float(series.q[:, k].max())
-        too_low = low < joint.lower - SLACK
-        if not too_low and high <= joint.upper + SLACK:
-            continue
-        value = format_value(low if too_low else high, joint.unit)
-        lower, upper = (format_value(v, joint.unit) for v in (joint.lower, joint.upper))
-        q = series.q[:, k]
-        worst = int(q.argmin() if too_low else q.argmax())
-        pose = pose_words(machine, series.command[worst])
-        raise place.error(
-            f"the pose {pose} needs {joint.name} = {value}, outside the joint's range",
-            f"{joint.name} goes from {lower} to {upper}: keep to poses within",
-        )
+def check_joint_range(
+    machine: Machine,
+    command: Array,
+    q: Array,
+    place: Place,
+    remedy: str = "keep to poses within",
+) -> None:
+    """Raises InputError where joints (n, nq) at commands (n, n_dof) leave their range."""
+    outside = machine.joints_out_of_range(q)
+    if not outside:
+        return
+    first = [entry for entry in outside if entry[1] == outside[0][1]]
+    row, name, value, lower, upper = max(
+        first, key=lambda entry: max(entry[3] - entry[2], entry[2] - entry[4])
+    )
+    unit = next(joint.unit for joint in machine.joints if joint.name == name)
+    needed, low, high = (format_value(v, unit) for v in (value, lower, upper))
+    pose = pose_words(machine, command[row])
+    raise place.error(
+        f"the pose {pose} needs {name} = {needed}, outside the joint's range",
+        f"{name} goes from {low} to {high}: {remedy}",
+    )
 
 
 def pose_words(machine: Machine, command: Array) -> str:

@@ -12,16 +12,20 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Coordinate, Dimension, Machine
+from pkm_studies.base import user_code
 from pkm_studies.base.errors import Place
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve import quantities
+from pkm_studies.resolve import grids, quantities
 from pkm_studies.resolve.adjustments import with_adjustments
 from pkm_studies.study import Study
 from pkm_studies.study.tables import MachineTable
 
 #: values of each coordinate at which the workspace is tried
 TRIED = 3
+#: times what a machine moves by beyond which a length is in doubt: a long arm has ten
+#: times its stroke, and mm in place of m a thousand
+VERY_LONG = 100.0
 #: most poses that are tried
 MOST_TRIED = 729
 REACH_REMEDY = (
@@ -36,7 +40,7 @@ def study_kinematics(study: Study) -> Kinematics:
     machine, changed = _described(study.machine, study.origin, place, assembled=True)
     kinematics = Kinematics(machine)
     if changed:
-        _check_home(kinematics, place)
+        check_home(kinematics, place)
     return kinematics
 
 
@@ -60,32 +64,49 @@ def described_machine(
     """
     machine, changed = _described(table, origin, place, assembled=assembled)
     if assembled and changed:
-        _check_home(Kinematics(machine), place)
+        check_home(Kinematics(machine), place)
     return machine
 
 
 def _described(
     table: MachineTable, origin: Origin, place: Place, *, assembled: bool
 ) -> tuple[Machine, bool]:
-    """The machine of a table, and whether its geometry is another than the model's."""
+    """The machine of a table, and whether it is another than one of the catalogue."""
     at = place.key("model")
     model: Machine = catalogue.machine(table.model, origin, at, assembled=assembled)
     machine = _of_family(table, model, place)
     machine = _with_nominal(table, machine, place)
     machine = _with_ranges(table, machine, place)
-    changed = machine is not model
+    changed = machine is not model or user_code.is_file(table.model)
     if table.drive is not None:
         machine = dataclasses.replace(machine, drive=table.drive)
     return with_adjustments(table, machine, place), changed
 
 
 def has_own_numbers(table: MachineTable) -> bool:
-    """Whether the study states another machine than the model."""
-    return bool(table.geometry or table.nominal or table.workspace or table.travel)
+    """Whether the study states another machine than one of the catalogue."""
+    numbers = table.geometry or table.nominal or table.workspace or table.travel
+    return bool(numbers) or user_code.is_file(table.model)
+
+
+def doubtful_lengths(machine: Machine) -> str | None:
+    """A sentence on a parameter that is very long beside the machine; None without."""
+    moved = [c for c in (*machine.command, *machine.joints) if c.unit == "m"]
+    ends = np.abs([(c.lower, c.upper) for c in moved]).ravel()
+    size = max([*ends[np.isfinite(ends)], machine.lever])
+    lengths = [p for p in machine.parameters if p.unit == "m"]
+    longest = max(lengths, key=lambda p: abs(p.nominal), default=None)
+    if longest is None or abs(longest.nominal) < VERY_LONG * size:
+        return None
+    length, whole = (quantities.format_value(v, "m") for v in (longest.nominal, size))
+    return (
+        f"{longest.name} is {length}, and nothing of the machine moves beyond {whole}:"
+        " lengths of a machine's file are in m"
+    )
 
 
 def unreachable(kinematics: Kinematics) -> str | None:
-    """A sentence on poses of the workspace that cannot be assembled; None without.
+    """A sentence on poses of the workspace that joints do not reach; None without.
 
     Corners, middles of sides and centre are tried.
     """
@@ -94,19 +115,21 @@ def unreachable(kinematics: Kinematics) -> str | None:
     count = TRIED if TRIED ** len(ends) <= MOST_TRIED else TRIED - 1
     axes = [np.linspace(low, high, count) for low, high in ends]
     command = np.array(list(itertools.product(*axes)))
+    why = "cannot be reached"
     try:
-        kinematics.inverse(command)
+        _, q = kinematics.inverse(command)
     except AssemblyError as error:
-        values = zip(machine.command, command[error.indices[0]], strict=True)
-        first = ", ".join(
-            f"{c.name} = {quantities.format_value(value, c.unit)}"
-            for c, value in values
-        )
-        return (
-            f"{error.indices.size} of {len(command)} poses at the ends and middles of"
-            f" the workspace cannot be reached, the first at {first}"
-        )
-    return None
+        rows = error.indices
+    else:
+        outside = machine.joints_out_of_range(q)
+        rows = np.unique([row for row, *_ in outside])
+        why = "need joints beyond their ranges"
+    if not rows.size:
+        return None
+    return (
+        f"{rows.size} of {len(command)} poses at the ends and middles of the workspace"
+        f" {why}, the first at {grids.pose_words(machine, command[rows[0]])}"
+    )
 
 
 def _of_family(table: MachineTable, model: Machine, place: Place) -> Machine:
@@ -222,10 +245,16 @@ def _ranges(
     )
 
 
-def _check_home(kinematics: Kinematics, place: Place) -> None:
-    """Raises InputError where the home pose does not assemble in the model's mode."""
+def check_home(kinematics: Kinematics, place: Place) -> None:
+    """Raises InputError where the machine does not close at home in the model's mode.
+
+    Also where it closes with a joint beyond its range.
+    """
+    machine = kinematics.machine
+    home = machine.home_command[None]
     try:
-        kinematics.inverse(kinematics.machine.home_command)
+        _, q = kinematics.inverse(home)
     except AssemblyError as error:
         problem = f"the home pose fails: {error}"
         raise place.error(problem, REACH_REMEDY) from error
+    grids.check_joint_range(machine, home, q, place, REACH_REMEDY)

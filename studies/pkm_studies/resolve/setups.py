@@ -144,4 +144,4 @@ def _check_teach_pose(kinematics: Kinematics, setup: Setup, place: Place) -> Non
     except AssemblyError as error:
         problem = grids.reach_problem(error, machine)
         raise place.error(problem, "give a pose the machine can reach") from error
-    grids.check_joint_range(machine, series, place)
+    grids.check_joint_range(machine, series.command, series.q, place)

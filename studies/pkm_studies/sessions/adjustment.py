@@ -29,8 +29,8 @@ from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve import earlier_result
+from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_kinematics
-from pkm_studies.resolve.prediction import wanted_accuracy
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.sessions.acceptance.promise import covariances
 from pkm_studies.sessions.verification import refuse_bad_fit
@@ -43,11 +43,14 @@ CSV, NOMINAL = "adjust.csv", "adjusted.toml"
 def adjust_folder(
     folder: Path,
     *,
+    wanted: str = "",
     study_file: Path | None = None,
     consent: Consent = Consent.RECORDED,
 ) -> tuple[AdjustmentSection, tuple[Path, ...]]:
     """Choose adjustments for the machine of a result; the section and written files.
 
+    wanted      `z_um=30,theta_arcsec=20`: rms errors by which the components count, and
+                the only ones that do; all by their lengths where it is empty
     study_file  study, where it names a machine in a file of its own
     consent     to run that file
 
@@ -57,8 +60,8 @@ def adjust_folder(
     result = result_folder.load_result(folder)
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
-    machine = adjustable_machine(result, study, folder)
-    section = _section(result, study, machine, machine.plan())
+    machine = adjustable_machine(result, study, folder, wanted)
+    section = _section(result, machine, wanted)
     result = msgspec.structs.replace(result, adjustment=section)
     known = list(result.written.values())
     written, paths = dict(result.written), []
@@ -77,9 +80,12 @@ def adjust_folder(
 
 
 def adjustable_machine(
-    result: StudyResult, study: Study, folder: Path
+    result: StudyResult, study: Study, folder: Path, wanted: str
 ) -> AdjustableMachine:
-    """What the result in a folder knows of its machine. Raises InputError."""
+    """What the result in a folder knows of its machine. Raises InputError.
+
+    wanted  rms errors by which the components count; by their lengths where it is empty
+    """
     section, file = result.final_estimate, str(folder / "result.json")
     if section is None or not section.covariance:
         raise InputError(
@@ -110,7 +116,7 @@ def adjustable_machine(
         reference=reference,
         identified=identified,
         covariance=_covariance(result, machine, identified, section, folder),
-        weights=_weights(study, machine),
+        weights=_weights(machine, wanted),
     )
 
 
@@ -167,35 +173,42 @@ def _covariance(
     return covariance
 
 
-def _weights(study: Study, machine: Machine) -> Array:
+def _weights(machine: Machine, wanted: str) -> Array:
     """Weights (k,) of the components: one over what is wanted, else lengths, SI."""
-    wanted = wanted_accuracy(study, machine)
-    if wanted:
-        return np.array([1.0 / wanted.get(c.name, np.inf) for c in machine.components])
+    errors = component_values(wanted, "--wanted", machine)
+    if errors:
+        return np.array([1.0 / errors.get(c.name, np.inf) for c in machine.components])
     return np.array(
         [machine.lever if c.unit == "rad" else 1.0 for c in machine.components]
     )
 
 
-def _total(study: Study, machine: Machine) -> tuple[str, float]:
-    """What the total error is, and the SI size of its unit."""
-    if wanted_accuracy(study, machine):
-        return "root of the sum of squares of rms errors over the wanted ones", 1.0
-    return (
-        "root of the sum of squares of the components' rms errors in um, angles at a"
-        f" lever of {units.number(machine.lever, 'mm'):.4g} mm",
-        units.UM,
-    )
+def _total(known: AdjustableMachine, wanted: str) -> tuple[str, str]:
+    """What the total error is and which components do not count; its unit."""
+    machine = known.kinematics.machine
+    if not wanted:
+        return (
+            "root of the sum of squares of the components' rms errors in um, angles at a"
+            f" lever of {units.number(machine.lever, 'mm'):.4g} mm",
+            "um",
+        )
+    about = f"root of the sum of squares of rms errors over the wanted ones ({wanted})"
+    aside = [
+        c.name for c, w in zip(machine.components, known.weights, strict=True) if not w
+    ]
+    if aside:
+        about += f"; {', '.join(aside)} count for nothing"
+    return about, "1"
 
 
 # -- the section -----------------------------------------------------------------------
 
 
 def _section(
-    result: StudyResult, study: Study, known: AdjustableMachine, plan: AdjustmentPlan
+    result: StudyResult, known: AdjustableMachine, wanted: str
 ) -> AdjustmentSection:
-    machine = known.kinematics.machine
-    about, size = _total(study, machine)
+    machine, plan = known.kinematics.machine, known.plan()
+    about, total_unit = _total(known, wanted)
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
 
     def by_component(values: Array) -> dict[str, float]:
@@ -207,10 +220,13 @@ def _section(
         poses=len(known.command),
         unit=fine,
         about=about,
-        lines=list(_lines(machine, plan, size)),
+        total_unit=total_unit,
+        lines=list(_lines(machine, plan, total_unit)),
         accuracy=[
             AdjustedRecord(
-                a.total / size, by_component(a.corrected), by_component(a.plain)
+                units.number(a.total, total_unit),
+                by_component(a.corrected),
+                by_component(a.plain),
             )
             for a in plan.accuracy
         ],
@@ -219,7 +235,7 @@ def _section(
 
 
 def _lines(
-    machine: Machine, plan: AdjustmentPlan, size: float
+    machine: Machine, plan: AdjustmentPlan, total_unit: str
 ) -> Iterator[AdjustmentLine]:
     for number, amount, without in zip(
         plan.parameters, plan.amounts, plan.without, strict=True
@@ -235,7 +251,7 @@ def _lines(
             amount=round(units.number(amount, unit), 9),
             unit=unit,
             sd=units.number(adjust.error, unit),
-            without=float(without / size),
+            without=units.number(without, total_unit),
             steps=round(amount / adjust.step) if adjust.step else None,
         )
 
@@ -255,7 +271,8 @@ def _to_csv(section: AdjustmentSection) -> str:
         "steps",
         "fitter_sd",
     ]
-    header += ["total_without_it", "total", *columns, *[f"plain_{c}" for c in columns]]
+    header += ["total_without_it", "total", "total_unit"]
+    header += [*columns, *[f"plain_{c}" for c in columns]]
     rows: list[list[object]] = [header]
     for k, record in enumerate(section.accuracy):
         cells: list[object] = [k, *[""] * 7]
@@ -265,7 +282,8 @@ def _to_csv(section: AdjustmentSection) -> str:
             amount = f"{a.amount:.9g}"
             cells = [k, a.parameter, a.by, amount, a.unit, steps]
             cells += [f"{a.sd:.3g}", f"{a.without:.6g}"]
-        figures = [record.total, *record.corrected.values(), *record.plain.values()]
+        figures = [*record.corrected.values(), *record.plain.values()]
+        cells += [f"{record.total:.6g}", section.total_unit]
         rows.append([*cells, *[f"{value:.6g}" for value in figures]])
     return csv_text.of_rows(rows)
 
@@ -293,11 +311,11 @@ def sentences(section: AdjustmentSection) -> Iterator[str]:
     if not section.lines:
         yield (
             "No adjustment is worth its work: software corrects what the adjustments"
-            f" would. Total error after compensation: {start.total:.4g}."
+            " would."
         )
-        return
     yield f"Total: {section.about}, over {section.poses} poses, after compensation."
-    yield f"As it is: total {start.total:.4g} ({_components(section, start)})"
+    total = _in_total(section, start.total)
+    yield f"As it is: total {total} ({_components(section, start)})"
     for k, line in enumerate(section.lines, start=1):
         record = section.accuracy[k]
         steps = "" if line.steps is None else f", {line.steps:+d} steps"
@@ -306,11 +324,18 @@ def sentences(section: AdjustmentSection) -> Iterator[str]:
             f" ({line.parameter})"
         )
         yield (
-            f"   then total {record.total:.4g} ({_components(section, record)}); the"
-            f" whole list without this line: total {line.without:.4g}"
+            f"   then total {_in_total(section, record.total)}"
+            f" ({_components(section, record)}); the whole list without this line:"
+            f" total {_in_total(section, line.without)}"
         )
     for condition in section.conditions:
         yield f"The figures rest on: {condition}."
+
+
+def _in_total(section: AdjustmentSection, value: float) -> str:
+    """A total error with its unit."""
+    unit = " times what is wanted" if section.total_unit == "1" else " um"
+    return f"{value:.4g}{unit}"
 
 
 def _components(section: AdjustmentSection, record: AdjustedRecord) -> str:

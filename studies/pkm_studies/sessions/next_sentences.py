@@ -10,6 +10,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.measurement.measurement import Series
+from pkm_studies.resolve import quantities
 from pkm_studies.sessions.next_effects import Outlook
 from pkm_studies.stages import describe
 from pkm_studies.stages.rounding import format_number
@@ -111,8 +112,7 @@ def _next(adviser: Adviser, advice: Advice) -> list[str]:
     joints = describe.displayed_joints(machine, series.q[series.index[row, 0]])
     setup = adviser.base.resolved.setups[series.setup]
     expected = [
-        f"{channel.name} {describe.displayed(float(value), channel.unit):.6g}"
-        f" {units.display(channel.unit)}"
+        f"{channel.name} {quantities.format_value(float(value), channel.unit)}"
         for channel, value in zip(
             setup.instrument.channels, advice.expected, strict=True
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import msgspec
 import numpy as np
@@ -15,11 +15,10 @@ from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_noise import reading_sigma
-from oed.model.instrument import Setup
-from oed.model.machine import Machine
+from oed.model.instrument import Channel, Setup
+from oed.model.machine import Coordinate, Machine
 from oed.result import Drawing, MachineInfo, Polyline, SetupInfo, StudyResult
 from pkm_studies.resolve import quantities
-from pkm_studies.resolve.quantities import column
 from pkm_studies.stages.drawing_labels import parameter_labels
 from pkm_studies.study import Study
 
@@ -116,9 +115,7 @@ def setup_info(
     for channel, value in channel_noise:
         unit = units.FINE[channel.unit]
         sigma[f"{channel.name}_{unit}"] = _in_unit(value, unit)
-    unknowns = {
-        column(n.name, n.unit): displayed(n.tolerance, n.unit) for n in setup.nuisances
-    }
+    unknowns = dict(field(n.name, n.tolerance, n.unit) for n in setup.nuisances)
     return SetupInfo(
         name=setup.name,
         instrument=instrument.name,
@@ -132,15 +129,12 @@ def setup_info(
 def _numbers(machine: Machine, setup: Setup) -> dict[str, float]:
     """Settings, tool point and teach pose, by column."""
     unit = {s.name: s.unit for s in setup.instrument.settings}
-    numbers = {
-        column(name, unit[name]): displayed(value, unit[name])
-        for name, value in setup.settings.items()
-    }
+    numbers = dict(field(k, value, unit[k]) for k, value in setup.settings.items())
     for axis, value in zip("xyz", setup.tool, strict=True):
         numbers[f"tool_{axis}_mm"] = _in_unit(value, "mm")
     if setup.teach is not None:
-        for c, value in zip(machine.command, setup.teach, strict=True):
-            numbers[f"teach_{column(c.name, c.unit)}"] = displayed(value, c.unit)
+        taught = displayed_command(machine, np.array(setup.teach))
+        numbers |= {f"teach_{key}": value for key, value in taught.items()}
     return numbers
 
 
@@ -158,25 +152,28 @@ def package_versions() -> dict[str, str]:
     return {"python": platform.python_version()} | versions
 
 
-def displayed(value: float, si: str) -> float:
-    """An SI value in the unit of its column (see `quantities.column`)."""
-    return _in_unit(value, quantities.display_unit(si))
+def field(name: str, value: float, si: str) -> tuple[str, float]:
+    """The key of an SI value, and the value in the unit of that key: `theta_deg`, 30."""
+    unit = quantities.display_unit(si)
+    return f"{name}_{unit}", _in_unit(value, unit)
 
 
-def displayed_command(machine: Machine, command: np.ndarray) -> dict[str, float]:
+def displayed_values(
+    coordinates: Iterable[Coordinate | Channel], values: Array
+) -> dict[str, float]:
+    """Values (n,) of coordinates by column; without those that are not known."""
+    pairs = zip(coordinates, values, strict=True)
+    return dict(field(c.name, float(v), c.unit) for c, v in pairs if np.isfinite(v))
+
+
+def displayed_command(machine: Machine, command: Array) -> dict[str, float]:
     """A command (n_dof,) by column; empty where only joints are known."""
-    pairs = zip(machine.command, command, strict=True)
-    return {
-        column(c.name, c.unit): displayed(float(value), c.unit)
-        for c, value in pairs
-        if np.isfinite(value)
-    }
+    return displayed_values(machine.command, command)
 
 
-def displayed_joints(machine: Machine, q: np.ndarray) -> dict[str, float]:
+def displayed_joints(machine: Machine, q: Array) -> dict[str, float]:
     """Joint values (nq,) by column."""
-    pairs = zip(machine.joints, q, strict=True)
-    return {column(c.name, c.unit): displayed(float(v), c.unit) for c, v in pairs}
+    return displayed_values(machine.joints, q)
 
 
 def drawing(measurement: Measurement, series: Sequence[Series]) -> Drawing:

@@ -140,6 +140,7 @@ class RunState:
     with_effects     names of effects to estimate together with the parameters
     checkpoint       where an unfinished chain of draws is saved, if anywhere
     warnings         sentences that a user must know
+    withheld         why steps left out sections of the result, by the section's name
     """
 
     study: Study
@@ -160,6 +161,7 @@ class RunState:
     with_effects: tuple[str, ...] = ()
     checkpoint: Checkpoint | None = None
     warnings: tuple[str, ...] = ()
+    withheld: Mapping[str, str] = dataclasses.field(default_factory=dict)
 
     def rng(self, stream: Stream) -> np.random.Generator:
         """Random numbers of one stream."""
@@ -176,6 +178,10 @@ class RunState:
     def with_warnings(self, *warnings: str) -> Self:
         """The state with further warnings."""
         return self.replace(warnings=(*self.warnings, *warnings))
+
+    def without_section(self, name: str, reason: str) -> Self:
+        """The state after a step that leaves out a section of the result, for a reason."""
+        return self.replace(withheld={**self.withheld, name: reason})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -268,10 +274,20 @@ StateT = TypeVar("StateT", bound=RunState)
 ScheduledT = TypeVar("ScheduledT", bound=Scheduled)
 
 
-def written(section: T | None, name: str) -> T:
-    """A section of the result. Raises LookupError where no step has written it."""
+class WithheldError(LookupError):
+    """A section of the result that a step left out, and why."""
+
+
+def written(
+    section: T | None, name: str, withheld: Mapping[str, str] | None = None
+) -> T:
+    """A section of the result. Raises WithheldError where no step has written it.
+
+    withheld  why steps left out sections, by their names
+    """
     if section is None:
-        raise LookupError(f"the result has no section {name}: its step has not run")
+        reason = (withheld or {}).get(name, "its step has not run")
+        raise WithheldError(f"the result has no section {name}: {reason}")
     return section
 
 

@@ -12,7 +12,7 @@ import re
 import types
 import typing
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 
@@ -20,6 +20,8 @@ from pkm_studies.base.errors import InputError, Place, suggest
 from pkm_studies.base.names import PATTERN as NAME_PATTERN
 
 T = TypeVar("T")
+#: what a draft has in place of a number that nobody but its user knows
+TO_MEASURE: Final = "to be measured"
 #: msgspec's names of types, as words
 TYPES = {
     "float": "a number",
@@ -104,14 +106,20 @@ def _converted_table(
     return converted
 
 
-def check_finite(data: object, place: Place) -> None:
-    """Raises InputError for nan, inf and numbers beyond floating point, at any depth."""
+def check_values(data: object, place: Place) -> None:
+    """Raises InputError for values, at any depth, that are no finite number or no value yet."""
     if isinstance(data, Mapping):
         for key, value in data.items():
-            check_finite(value, place.key(key))
+            check_values(value, place.key(key))
     elif isinstance(data, list):
         for i, value in enumerate(data):
-            check_finite(value, place.item(i))
+            check_values(value, place.item(i))
+    elif data == TO_MEASURE:
+        raise place.error(
+            "a draft leaves this number open, and nothing can stand in for it",
+            "measure it at your machine, and write the number in place of the words",
+            data,
+        )
     elif isinstance(data, int | float) and not _is_finite(data):
         raise place.error(
             "not a finite number",

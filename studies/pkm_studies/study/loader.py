@@ -67,7 +67,7 @@ def parse(text: str, path: Path, consent: Consent = Consent.RECORDED) -> Study:
     place = Place(str(path))
     try:
         table = _toml(text, place)
-        decode.check_finite(table, place)
+        decode.check_values(table, place)
     except RecursionError:
         raise place.error(
             "tables or lists are nested too deeply", "see `oed schema study`"

@@ -161,7 +161,7 @@ def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
         table = tomllib.loads(text)
     except ValueError as error:
         raise place.error(f"this is no TOML: {error}", "mend it there") from None
-    decode.check_finite(table, place)
+    decode.check_values(table, place)
     file = decode.decode(HeadFile, table, place)
     _check(file, place)
     return _head(file), file.tolerance

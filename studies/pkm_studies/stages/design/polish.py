@@ -13,8 +13,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.result import PolishSummary
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve.design import Ranges
-from pkm_studies.resolve.quantities import column
-from pkm_studies.stages.describe import displayed
+from pkm_studies.stages.describe import field
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.study.tables import PolishTable
 
@@ -149,5 +148,6 @@ def _moved_settings(
         moved[name] = {}
         for setting in limits:
             si = unit.get(setting, "m")
-            moved[name][column(setting, si)] = displayed(values[setting], si)
+            key, value = field(setting, values[setting], si)
+            moved[name][key] = value
     return moved

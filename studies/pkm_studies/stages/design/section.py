@@ -11,9 +11,12 @@ import numpy as np
 from oed.identifiability.assessment import Assessment
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, DesignSection, PlannedReading, RobustSummary
-from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.describe import displayed, displayed_command, displayed_joints
+from pkm_studies.stages.describe import (
+    displayed_command,
+    displayed_joints,
+    displayed_values,
+)
 from pkm_studies.stages.design import effects
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.plan_scores import plan_scores
@@ -99,12 +102,8 @@ def planned_readings(
         number: Counter[str] = Counter()
         for k, run in enumerate(s.run):
             number[run] += 1
-            values = zip(channels, y[k], strict=True)
             sent = displayed_joints(measurement.machine, joints[k])
-            read = {
-                column(c.name, c.unit): displayed(float(value), c.unit)
-                for c, value in values
-            }
+            read = displayed_values(channels, y[k])
             reading = PlannedReading(
                 setup=s.setup,
                 run=str(run),

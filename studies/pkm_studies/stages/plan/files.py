@@ -9,10 +9,7 @@ import msgspec
 
 from oed import result
 from oed.base import csv_text
-from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
-from oed.model.machine import Machine
-from pkm_studies.resolve import quantities
 from pkm_studies.stages import describe
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.plan.section import PlanOutcome
@@ -82,16 +79,7 @@ def _poses(measurement: Measurement, series: Sequence[Series]) -> list[dict[str,
     poses = planned_readings(measurement, series)
     joints = [row for s in series for row in s.q[s.index[:, 0]]]
     return [
-        msgspec.to_builtins(pose) | {"joints": _joints(measurement.machine, row)}
+        msgspec.to_builtins(pose)
+        | {"joints": describe.displayed_joints(measurement.machine, row)}
         for pose, row in zip(poses, joints, strict=True)
     ]
-
-
-def _joints(machine: Machine, values: Array) -> dict[str, float]:
-    """Joint values by name and unit, in user units."""
-    return {
-        quantities.column(joint.name, joint.unit): describe.displayed(
-            float(value), joint.unit
-        )
-        for joint, value in zip(machine.joints, values, strict=True)
-    }

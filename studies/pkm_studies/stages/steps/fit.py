@@ -32,6 +32,12 @@ from pkm_studies.stages.fit.posterior import (
 )
 from pkm_studies.stages.run_state import Fitted, Measured, Stream, promote
 
+#: why there are no draws of the posterior after a fit with effects beside the geometry
+DRAWN = (
+    "the fit draws geometry and effects together, and its intervals hold both; with"
+    ' effects = "none" the posterior is that of the geometry alone'
+)
+
 
 def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     """Identify the parameters by least squares with tolerance priors.
@@ -139,8 +145,10 @@ def sample_posterior(state: Fitted) -> Fitted:
     With effects beside the geometry the fit has drawn it already.
     """
     table = state.study.posterior
-    if not table.enabled or state.estimate.effects is not None:
-        return state
+    if not table.enabled:
+        return state.without_section("posterior", "[posterior] enabled is false")
+    if state.estimate.effects is not None:
+        return state.without_section("posterior", DRAWN)
     posterior.import_samplers(table.sampler)
     state.progress.stage("posterior")
     draws = posterior.sample(

@@ -84,9 +84,10 @@ def diagnose_always(state: Fitted) -> Fitted:
 def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     readings = state.readings
     if state.checked is not None and state.checked.mistaken:
-        return state.with_warnings(
+        reason = (
             "There is no diagnosis: a mistake in the readings explains their misfit"
         )
+        return state.with_warnings(reason).without_section("gap", reason)
     state.progress.stage("diagnosis")
     covariates = covariates_of(
         state.measurement, readings.series, readings.covariates, request

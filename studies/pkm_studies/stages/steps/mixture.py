@@ -31,8 +31,10 @@ def mix_answers(state: Fitted) -> Fitted:
     given = readings_with_covariates(state, request)
     try:
         without_effects = _without_effects(state)
-    except IdentificationError:
-        return state
+    except IdentificationError as error:
+        return state.with_warnings(
+            f"there are no parameters over all answers: with the geometry alone {error}"
+        )
     problem = given.problem(without_effects.theta)
     testable = [e for e in request.effects if untestable(e, problem.states) is None]
     rng = state.rng(Stream.MIXTURE)

@@ -58,7 +58,8 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         return state
     table, command = request.table, request.command
     if _is_untrusted(state):
-        return state.with_warnings(_withheld(state))
+        reason = _withheld(state)
+        return state.with_warnings(reason).without_section("prediction", reason)
     state.progress.stage("prediction")
     realised = _realised(state, table, command)
     rng = state.rng(Stream.PREDICT)
