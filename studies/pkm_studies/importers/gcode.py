@@ -20,7 +20,7 @@ NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 ENDS = r"(?![\w.]|,\d)"
 #: what follows a letter: a text in quotes, an expression, or anything up to a blank; a
 #: letter with the rest of an English word is none
-VALUE = r'(?:"[^"]*"|\{[^}]*\}|(?![a-z]+(?:\s|$))[^\s"{A-Z]*)'
+VALUE = r'(?:"[^"]*"|\{[^{}]*\}|(?![a-z]+(?:\s|$))[^\s"{A-Z]*)'
 #: letters of words; G and M start the next command of a line
 LETTER = "[A-FH-LN-Z]"
 COMMAND = re.compile(

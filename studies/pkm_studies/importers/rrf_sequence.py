@@ -21,7 +21,7 @@ from pkm_studies.importers.words import Use, WordTable, cost_sentence
 CODE = re.compile(r"\s*(?:[Nn]\d+\s+)?[GgMm]\d")
 TYPED = re.compile(r"\s*[GgMm]\d+(?:\s+[A-Za-z][-+.:\d]*)*\s*")
 #: texts and expressions, whose letters stay
-VERBATIM = re.compile(r'("[^"]*"|\{[^}]*\})')
+VERBATIM = re.compile(r'("[^"]*"|\{[^{}]*\})')
 #: the letter of an exponent, which is no word
 EXPONENT = re.compile(r"(?<=[\d.])E(?=[-+]?\d)")
 #: conditions and loops: the lines further in are executed or not
