@@ -23,7 +23,6 @@ from oed.dataset.columns import (
 from oed.dataset.table_cells import LARGEST
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place, suggest
 from pkm_studies.importers import column_map, column_sources, orientations
@@ -32,6 +31,7 @@ from pkm_studies.importers.base import (
     ImportRequest,
     Row,
 )
+from pkm_studies.importers.line_times import read_tables
 from pkm_studies.resolve.quantities import column as usual_column
 from pkm_studies.resolve.quantities import read_values
 from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
@@ -53,7 +53,7 @@ class ColumnsImporter:
         given, place = column_map.load(request)
         model = column_map.model(request, given, place)
         tool, reference = column_map.instrument(request, given, place, model.machine)
-        table = joined([csv_table.read(path) for path in request.files])
+        table = joined(read_tables(request.files))
         columns = mapped_columns(given, table, model.machine, tool, place)
         complete = msgspec.structs.replace(
             given, machine=model.described, instrument=reference, columns=columns

@@ -15,7 +15,6 @@ import numpy as np
 
 from oed.base.arrays import Array
 from pkm_models.machines import cable_robot
-from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.base.user_code import Origin
@@ -23,6 +22,7 @@ from pkm_studies.importers import gcode, words
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.column_map import Model, imported_study
 from pkm_studies.importers.gcode import Command
+from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.motor_angles import check_unit
 from pkm_studies.importers.rrf_sequence import execution_order
 from pkm_studies.importers.words import (
@@ -86,13 +86,17 @@ class HangprinterImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry, motors and places. Raises InputError."""
-        tables = [csv_table.read(path) for path in request.files if _is_csv(path)]
+        tables = read_tables([path for path in request.files if _is_csv(path)])
         texts = gcode.read([path for path in request.files if not _is_csv(path)])
         order = execution_order(texts, WORDS)
         lines = order.lines
         anchors = gcode.merged(lines, "M669", "give config.g with M669 and M666")
         spools = gcode.merged(lines, "M666", "give config.g with M669 and M666")
-        accounts = [*order.notes, *gcode.account_of(lines, WORDS).sentences()]
+        accounts = [
+            *order.notes,
+            *gcode.about_order(texts),
+            *gcode.account_of(lines, WORDS).sentences(),
+        ]
         _check_built_in(spools)
         _check_tables(tables, request.files)
         motors, places = _motors(tables), _places(tables)

@@ -103,6 +103,7 @@ class MaslowImporter:
         accounts = account(written, _other_keys(lines), WORDS).sentences()
         anchors = _anchors(written, lines)
         belts, notes = _belts(lines)
+        notes += gcode.about_order(lines)
         _check_closing(belts, anchors, lines)
         table = MachineTable(
             model=MODEL,

@@ -60,7 +60,8 @@ class RrfImporter:
         """Geometry and probed points. Raises InputError."""
         maps = [path for path in request.files if is_height_map(path)]
         others = [path for path in request.files if path not in maps]
-        order = execution_order(as_commands(gcode.read(others)))
+        texts = gcode.read(others)
+        order = execution_order(as_commands(texts))
         lines = order.lines
         _check_kinematics(lines)
         given = facts.numbers(lines)
@@ -88,7 +89,7 @@ class RrfImporter:
             geometry=_geometry(delta, stops, given),
             points=points,
             accounts=account.sentences(),
-            notes=[*notes, *order.notes],
+            notes=[*notes, *order.notes, *gcode.about_order(texts)],
             bed_slope_ppm=slope,
             meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
             mesh=request.mesh,

@@ -19,7 +19,6 @@ from oed.base.arrays import Array
 from oed.dataset.columns import SIGMA
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument
-from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.importers import column_map, columns, orientations
@@ -28,6 +27,7 @@ from pkm_studies.importers.base import (
     ImportRequest,
     Row,
 )
+from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.tracker_headers import (
     CHANNELS,
     uncertainty_sentences,
@@ -74,7 +74,7 @@ class TrackerImporter:
         tool, reference = column_map.instrument(
             request, given, place, model.machine, INSTRUMENT
         )
-        table = columns.joined([csv_table.read(path) for path in request.files])
+        table = columns.joined(read_tables(request.files))
         given = msgspec.structs.replace(given, columns=with_measured(given, table))
         mapped = columns.mapped_columns(given, table, model.machine, tool, place)
         complete = msgspec.structs.replace(

@@ -44,9 +44,9 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
 
 def _bounded(content: bytes, place: Place, what: str) -> ET.Element:
     """The root of XML. Raises InputError where it is deeper or larger than a machine."""
-    events = ET.iterparse(io.BytesIO(content), ("start", "end"))
-    depth = count = 0
-    for event, _ in events:
+    root, depth, count = None, 0, 0
+    for event, element in ET.iterparse(io.BytesIO(content), ("start", "end")):
+        root = element if root is None else root
         starts = event == "start"
         depth, count = depth + (1 if starts else -1), count + starts
         if depth > DEEPEST or count > MOST_ELEMENTS:
@@ -55,7 +55,7 @@ def _bounded(content: bytes, place: Place, what: str) -> ET.Element:
                 " within one another, as no model of a machine has",
                 f"give the {what} of the mechanism alone",
             )
-    return events.root
+    return root  # type: ignore[return-value]  # a file without one is a ParseError
 
 
 def read_numbers(text: str, count: int, place: Place, remedy: str) -> Array:
