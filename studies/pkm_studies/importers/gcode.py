@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -58,11 +58,19 @@ class TextLine:
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Command:
-    """A command with its words as written: `M665 L250:250:250` has L = "250:250:250"."""
+    """A command with its words as written: `M665 L250:250:250` has L = "250:250:250".
+
+    lines  of words that stand in other lines than `line`
+    """
 
     name: str
     words: dict[str, str]
     line: TextLine
+    lines: Mapping[str, TextLine] = dataclasses.field(default_factory=dict)
+
+    def line_of(self, letter: str) -> TextLine:
+        """The line that a word is from."""
+        return self.lines.get(letter, self.line)
 
     def number(self, letter: str, default: float | None = None) -> float:
         """The number of a word. Raises InputError where it is missing."""
@@ -74,7 +82,7 @@ class Command:
             raise self.line.error(
                 problem, "give the full command, as the printer has it"
             )
-        return finite(text.split(":")[0], self.line)
+        return finite(text.split(":")[0], self.line_of(letter))
 
 
 def read(paths: Sequence[Path]) -> list[TextLine]:
@@ -154,13 +162,15 @@ def commands(lines: Iterable[TextLine], *names: str) -> Iterator[Command]:
 def merged(lines: Sequence[TextLine], name: str, remedy: str) -> Command:
     """A setting command with the last value of every word. Raises InputError."""
     words: dict[str, str] = {}
+    places: dict[str, TextLine] = {}
     last: Command | None = None
     for command in commands(lines, name):
         words |= command.words
+        places |= dict.fromkeys(command.words, command.line)
         last = command
     if last is None:
         raise InputError(f"no {name} in it", remedy, file=files_of(lines))
-    return Command(name, words, last.line)
+    return Command(name, words, last.line, places)
 
 
 def files_of(lines: Sequence[TextLine]) -> str:

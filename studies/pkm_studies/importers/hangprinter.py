@@ -41,7 +41,6 @@ MOTORS: Final = "ABCD"
 MODEL: Final = "cable_robot"
 #: what the model has built in, by letter of M666
 BUILT_IN: Final = {
-    "Q": (cable_robot.BUILDUP * 1e3,),
     "U": tuple(cable_robot.FOLD.values()),
     "H": (255.0,) * 4,
     "L": (20.0,) * 4,
@@ -103,7 +102,11 @@ class HangprinterImporter:
         if len(places) > len(motors):
             problem = f"{len(places)} places, but {len(motors)} poses of the motors"
             raise InputError(problem, "give the motors of each place", file="x, y, z")
-        table = MachineTable(model=MODEL, nominal=_nominal(anchors, spools))
+        table = MachineTable(
+            model=MODEL,
+            nominal=_nominal(anchors, spools),
+            geometry={"buildup_mm": _numbers(spools, "Q")[0]},
+        )
         machine = described_machine(table, Origin.command(request.consent), Place(""))
         check_unit(machine, motors, places, _file_of(tables, MOTORS))
         setups = [{"name": "lines", "instrument": "redundancy"}]
@@ -142,18 +145,19 @@ def _numbers(command: Command, letter: str) -> list[float]:
     if not text:
         problem = f"{command.name} has no {letter}"
         raise command.line.error(problem, "give the full command")
-    return [gcode.finite(cell, command.line) for cell in text.split(":")]
+    line = command.line_of(letter)
+    return [gcode.finite(cell, line) for cell in text.split(":")]
 
 
 def _check_built_in(spools: Command) -> None:
-    """Refuse gears, folds and build-up other than the model's. Raises InputError."""
+    """Refuse gears and folds other than the model's. Raises InputError."""
     for letter, wanted in BUILT_IN.items():
         if letter not in spools.words:
             continue
         given = _numbers(spools, letter)
         if not np.allclose(given, wanted[: len(given)], rtol=1e-6):
             listed = ":".join(f"{value:g}" for value in wanted)
-            raise spools.line.error(
+            raise spools.line_of(letter).error(
                 f"the model {MODEL} has {letter}{listed} built in",
                 "describe another machine by a study of your own",
                 f"M666 {letter}",
@@ -165,14 +169,18 @@ def _nominal(anchors: Command, spools: Command) -> dict[str, float]:
     nominal = {}
     radii = _numbers(spools, "R")
     if len(radii) != len(MOTORS):
-        raise spools.line.error("R needs four radii", "give the full command", "M666 R")
+        raise spools.line_of("R").error(
+            "R needs four radii", "give the full command", "M666 R"
+        )
     for i, motor in enumerate(MOTORS, start=1):
         place = _numbers(anchors, motor)
         if len(place) == 1:  # the upper anchor of three-number versions: its height
             place = [0.0, 0.0, *place]
         if len(place) != len("xyz") or np.abs(place).max() > LARGEST:
             problem = "an anchor has x, y and z, in mm"
-            raise anchors.line.error(problem, "give the full command", f"M669 {motor}")
+            raise anchors.line_of(motor).error(
+                problem, "give the full command", f"M669 {motor}"
+            )
         for axis, value in zip("xyz", place, strict=True):
             nominal[f"anchor{i}{axis}_mm"] = value
         nominal[f"radius{i}_mm"] = radii[i - 1]

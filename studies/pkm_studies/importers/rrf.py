@@ -122,9 +122,11 @@ def _geometry(
 ) -> DeltaGeometry:
     """Carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment of M666."""
     cells = [arm for arm in delta.words.get("L", "").split(":") if arm]
-    arms = [gcode.finite(arm, delta.line) for arm in cells]
+    arms = [gcode.finite(arm, delta.line_of("L")) for arm in cells]
     if len(arms) not in (1, 3):
-        raise delta.line.error("M665 has no L, or not one or three", "give the rods")
+        raise delta.line_of("L").error(
+            "M665 has no L, or not one or three", "give the rods"
+        )
     trims = given.get("rod_trim_mm", (0.0, 0.0, 0.0))
     rods = arms * 3 if len(arms) == 1 else arms
     height = delta.number("H")
