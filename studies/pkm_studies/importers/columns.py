@@ -118,6 +118,13 @@ def joined(tables: Sequence[CsvTable]) -> CsvTable:
                 file=other.file,
             )
         repeated = sorted(set(first.header) & set(other.header))
+        if repeated and repeated[0].isdecimal():
+            raise InputError(
+                f"neither it nor {first.file} has names of its columns",
+                "write a line of names above the numbers of both, such as x_mm,y_mm,z_mm"
+                " for commands and x,y,z for points",
+                file=other.file,
+            )
         if repeated:
             problem = f"the column {repeated[0]} is in {first.file} as well"
             raise InputError(problem, "rename one of them", file=other.file)
