@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import oed
+from oed.mechanism.kinematics import Kinematics
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers import session
+from pkm_studies.resolve.machine import study_machine
 
 CONFIG = """\
 M669 K6 P2000.0 S200
@@ -102,3 +104,51 @@ def test_a_table_that_would_not_be_read_is_refused(
         session.import_files("hangprinter", paths, tmp_path / "out", name="h")
     _, imported = session.import_files("hangprinter", paths[:2], tmp_path / "out")
     assert not [s for s in imported.statements if "places" in s]
+
+
+def motor_turns(place: np.ndarray, buildup: float, radii: np.ndarray) -> np.ndarray:
+    """Motor angles (4,), deg, at a place, mm: the firmware's k0 (sqrt(r^2 + k2 l) - r)."""
+    anchors = np.array(
+        [(0, -1620, -150), (1272.792, 1272.792, -150), (-1402.961, 810, -150)]
+    )
+    anchors = np.vstack([anchors, [0.0, 0.0, 2350.0]])
+    change = np.linalg.norm(anchors - place, axis=1) - np.linalg.norm(anchors, axis=1)
+    fold, gear = np.array([2.0, 2.0, 2.0, 4.0]), 255.0 / 20.0
+    k2 = -fold * buildup
+    turned = 2.0 / k2 * (np.sqrt(radii**2 + k2 * change) - radii) * fold * gear
+    return np.degrees(turned)
+
+
+@pytest.mark.parametrize("buildup", [0.103377, 0.038])
+def test_the_build_up_is_that_of_the_machine(buildup: float, tmp_path: Path) -> None:
+    rng, radii = np.random.default_rng(2), np.array([75.1, 75.2, 75.3, 75.0])
+    places = rng.uniform([-300, -300, 50], [300, 300, 1000], (12, 3))
+    motors = [motor_turns(place, buildup, radii) for place in places]
+    spools = "M666 Q{}\nM666 R75.1:75.2:75.3:75\nM666 U2:2:2:4\nM666 J25:25:25:25\n"
+    config = CONFIG.partition("M666")[0] + spools.format(buildup)
+    for name, text in (
+        ("config.g", config),
+        ("m.csv", rows_of("A,B,C,D", motors)),
+        ("p.csv", rows_of("x,y,z", places)),
+    ):
+        (tmp_path / name).write_text(text)
+    files = [tmp_path / name for name in ("config.g", "m.csv", "p.csv")]
+    path, _ = session.import_files("hangprinter", files, tmp_path / "out", name="h")
+    machine = study_machine(oed.load_study(path))
+    turned = np.degrees(Kinematics(machine).inverse(places / 1e3)[1])
+    assert turned == pytest.approx(np.array(motors), rel=1e-7)
+
+
+def rows_of(header: str, rows: list[np.ndarray] | np.ndarray) -> str:
+    cells = (",".join(map(repr, np.asarray(row).tolist())) for row in rows)
+    return "\n".join([header, *cells])
+
+
+def test_an_error_names_the_line_of_its_word(tmp_path: Path) -> None:
+    config = CONFIG.replace("U2:2:2:4", "").replace("M666", "M666 U2:2:2:2\nM666", 1)
+    (tmp_path / "config.g").write_text(config)
+    (tmp_path / "m.csv").write_text("A,B,C,D\n1,2,3,4\n5,6,7,8\n")
+    with pytest.raises(InputError, match=r"line 3, M666 U.*M666 U2:2:2:2"):
+        session.import_files(
+            "hangprinter", [tmp_path / "config.g", tmp_path / "m.csv"], tmp_path / "o"
+        )

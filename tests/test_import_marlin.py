@@ -269,6 +269,19 @@ def test_a_height_that_is_not_known_stays_that_of_the_firmware(tmp_path: Path) -
 # -- geometry that changes, and what is compiled in ------------------------------------
 
 
+@pytest.mark.parametrize(
+    "form", ["Bed x: {} y: {} z: {}", "Bed Position X: {} Y: {} Z: {}"]
+)
+def test_points_are_read_as_old_versions_print_them(form: str, tmp_path: Path) -> None:
+    points = [("0.00", "0.00", "-0.276"), ("-38.97", "-22.50", "-0.236")]
+    points += [(f"{60.0 - 20 * k:.2f}", "-45.00", f"-0.1{k}0") for k in range(6)]
+    settings = "M665 L269.5 R136.2 H270 A0 B0 C0\nM666 X-0.5 Y-0.9 Z-0.4\nM851 Z-0.2\n"
+    log = settings + "\n".join(form.format(*point) for point in points)
+    _, imported = take("marlin", {"a.log": log}, tmp_path)
+    rows = [tuple(row[f"{axis}_mm"] for axis in "xyz") for row in imported.rows]
+    assert rows == [tuple(repr(float(v)) for v in point) for point in points]
+
+
 def test_points_of_another_geometry_are_left_out(tmp_path: Path) -> None:
     places = spiral(9, 80.0)
     log = ""

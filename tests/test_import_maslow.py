@@ -69,6 +69,54 @@ def test_belts_calibrate_the_anchors_as_scipy_does(tmp_path: Path) -> None:
     assert "Maslow tlZ (line 6)" in sentences
     assert "Maslow Scale_Y (line 16)" in sentences
     assert "no part of the geometry: board." in sentences
+    check_anchors(path, lengths)
+
+
+#: the same as newer versions have it: keys in a section, the origin left out
+SECTION = """\
+board: Maslow
+kinematics:
+  MaslowKinematics:
+    tlX: -20.0
+    tlY: 2000.0
+
+    # the right side
+    trX: 3010.0
+    trY: 2010.0
+    brX: 3000.0
+    beltEndExtension: 30.0
+axes:
+  x:
+    tlX: 7.0
+"""
+STALE = "Maslow_tlX: -400.0\nMaslow_brX: 3300.0\nMaslow_brY: 9.0\n"
+
+
+@pytest.mark.parametrize("beside", ["", STALE])
+def test_the_section_of_newer_versions_wins_over_old_keys(
+    beside: str, tmp_path: Path
+) -> None:
+    lengths = np.round(belts(), 2)
+    for k, text in enumerate((beside + SECTION, SECTION + beside)):
+        files = {"maslow.yaml": text, "log.txt": log(lengths)}
+        path, sentences, _ = taken(files, tmp_path / str(k))
+        assert "anchors tl -20, 2000; tr 3010, 2010; br 3000, 0; bl 0, 0" in sentences
+        assert ("does not read keys of older ones" in sentences) == bool(beside)
+        assert ("old key tlX" in sentences) == bool(beside)
+    check_anchors(path, lengths)
+
+
+def test_a_log_with_the_path_of_the_section_is_read(tmp_path: Path) -> None:
+    values = {"tlX": -20, "tlY": 2000, "trX": 3010, "trY": 2010, "brX": 3000}
+    lines = [f"$/kinematics/MaslowKinematics/{k}={v}" for k, v in values.items()]
+    text = "\n".join([*lines, "$/Maslow_tlX=-400", log(belts())])
+    _, sentences, _ = taken({"log.txt": text}, tmp_path)
+    assert "anchors tl -20, 2000; tr 3010, 2010;" in sentences
+    assert "old key tlX (line 6)" in sentences
+
+
+def check_anchors(path: Path, lengths: np.ndarray) -> None:
+    """The study's anchors are those of scipy's least squares, and the true ones."""
 
     def misfit(v: np.ndarray) -> np.ndarray:
         anchors = np.array(

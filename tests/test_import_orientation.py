@@ -118,6 +118,94 @@ def test_a_tracker_s_frame_turns_the_orientations_too(
     assert imported_angles(study) == pytest.approx(rotation.as_euler("XYZ"), abs=1e-8)
 
 
+#: what a file may have, what the map says of it, and what is to be named
+MISTAKEN = {
+    "scalar last": (
+        lambda r: r.as_quat(),
+        'quaternion = ["w", "i", "j", "k"]\n',
+        r'quaternion = \["k", "w", "i", "j"\]',
+    ),
+    "scalar second": (
+        lambda r: np.roll(r.as_quat(scalar_first=True), 1, axis=1),
+        'quaternion = ["w", "i", "j", "k"]\n',
+        r'quaternion = \["i", "j", "k", "w"\]',
+    ),
+    "inverse": (
+        lambda r: r.inv().as_quat(scalar_first=True),
+        'quaternion = ["w", "i", "j", "k"]\n',
+        "inverse = true",
+    ),
+    "scalar last and not inverse": (
+        lambda r: r.as_quat(),
+        'quaternion = ["w", "i", "j", "k"]\ninverse = true\n',
+        r'quaternion = \["k", "w", "i", "j"\], and write inverse = false',
+    ),
+    "inverse vector": (
+        lambda r: r.inv().as_rotvec(),
+        'rotation_vector_rad = ["w", "i", "j"]\n',
+        "inverse = true",
+    ),
+    "target turned by 90 deg": (
+        lambda r: (r * Rotation.from_rotvec([0, 0, np.pi / 2])).as_quat(
+            scalar_first=True
+        ),
+        'quaternion = ["w", "i", "j", "k"]\n',
+        "90 deg rms off .* by the same turn at all poses",
+    ),
+    "rows of another order": (
+        lambda r: Rotation.from_quat(r.as_quat()[::-1]).as_quat(scalar_first=True),
+        'quaternion = ["w", "i", "j", "k"]\n',
+        "check rows and machine",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ["columns", "tracker"])
+@pytest.mark.parametrize("mistake", MISTAKEN)
+def test_orientations_of_another_order_or_sense_are_named(
+    mistake: str, kind: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    written, form, words = MISTAKEN[mistake]
+    command = poses(rng)
+    rotation, point = stand(command)
+    turned = Rotation.identity()
+    text = MAP
+    if kind == "tracker":  # which stands elsewhere
+        turned = Rotation.from_euler("zyx", [70.0, 5.0, -3.0], degrees=True)
+        text = MAP.replace('"known"', '"free"')
+    write(tmp_path / "p.csv", command, turned.apply(point), written(turned * rotation))
+    (tmp_path / "m.toml").write_text(text + form)
+    with pytest.raises(InputError, match=words):
+        session.import_files(
+            kind, [tmp_path / "p.csv"], tmp_path / "out", column_map=tmp_path / "m.toml"
+        )
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_angles_of_the_inverse_rotation_are_refused(
+    sense: float, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Angles, too, may be those of the passive rotation; noise of .1 deg is none."""
+    command = poses(rng)
+    rotation, point = stand(command)
+    error = Rotation.from_rotvec(np.radians(rng.normal(0.0, 0.06, (len(command), 3))))
+    seen = error * rotation if sense > 0 else (error * rotation).inv()
+    write(tmp_path / "p.csv", command, point, seen.as_euler("XYZ", degrees=True))
+    columns = "\n".join(
+        f'read_{n}_deg = "{c}"'
+        for n, c in zip(("alpha", "beta", "gamma"), "wij", strict=True)
+    )
+    text = MAP.replace("\n[orientation]\n", columns).replace('"known"', '"free"')
+    (tmp_path / "m.toml").write_text(text)
+    files, given = [tmp_path / "p.csv"], tmp_path / "m.toml"
+    if sense > 0:
+        session.import_files("tracker", files, tmp_path / "out", column_map=given)
+        return
+    with pytest.raises(InputError, match="angles of the inverse rotations"):
+        session.import_files("tracker", files, tmp_path / "out", column_map=given)
+
+
 def test_angles_of_a_tracker_turn_with_its_frame(
     tmp_path: Path, rng: np.random.Generator
 ) -> None:

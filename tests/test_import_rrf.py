@@ -6,6 +6,7 @@ with the importer; files have invented numbers.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -185,6 +186,36 @@ def test_commands_on_a_condition_are_refused(tmp_path: Path) -> None:
     study, imported = take("rrf", FILES | {"config.g": harmless}, tmp_path)
     assert "what stands under if (line 6), else (line 9) of config.g" in said(imported)
     assert nominal(study)["radius_mm"] == 124.309
+
+
+def in_loop(lines: str, condition: str = "") -> str:
+    """The usual bed.g: it probes until the deviation is small, four times at most."""
+    body = "".join(f"  {condition}{line}\n" for line in lines.splitlines())
+    head = 'while true\n  if iterations = 4\n    abort "no good calibration"\n'
+    tail = "  if move.calibration.initial.deviation <= 0.03\n    break\n"
+    return f"M561\nG28\n{head}{body}{tail}"
+
+
+def test_points_of_a_loop_are_those_of_its_last_pass(tmp_path: Path) -> None:
+    looped = FILES | {"bed.g": in_loop(FILES["bed.g"])}
+    study, imported = take("rrf", looped, tmp_path)
+    assert re.search(r"lines \d+ to \d+ stand in a loop", said(imported))
+    rows = [[float(row["x_mm"]), float(row["y_mm"])] for row in imported.rows]
+    assert np.array(rows) == pytest.approx(PLACES - [23.0, 0.0])
+    assert nominal(study)["radius_mm"] == 124.309
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        in_loop("if heat.heaters[0].current > 50\n  G30 P0 X0 Y80"),
+        in_loop("G31 X20\nG30 P0 X0 Y80"),
+        in_loop("G30 P{iterations} X{10*iterations} Y0"),
+    ],
+)
+def test_what_a_loop_changes_is_refused(lines: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="stands under"):
+        take("rrf", FILES | {"bed.g": lines}, tmp_path)
 
 
 # -- files that mislead ----------------------------------------------------------------

@@ -249,6 +249,52 @@ def test_points_and_uncertainties_of_a_leica_need_no_map(
     assert max(oed.identify(readings).section.rms_after.values()) < 2.0
 
 
+MOTIVE = """\
+Format Version,1.25,Take Name,Take 1,Capture Frame Rate,120.0,Length Units,Millimeters
+
+,Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body
+,Name,plate,plate,plate,plate,plate,plate,plate,plate
+,ID,"A1","A1","A1","A1","A1","A1","A1","A1"
+,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error
+Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,"""
+VICON = """\
+Segments
+120
+,plate:plate,,,,,,
+Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ
+,,deg,deg,deg,{unit},{unit},{unit}"""
+
+
+@pytest.mark.parametrize(
+    ("header", "line", "factor", "name"),
+    [
+        (MOTIVE, "{k},0.{k:02d},0,0,0,1,{x},{y},{z},0.0001", 1.0, "Position X"),
+        (VICON.format(unit="mm"), "{k},0,1,2,3,{x},{y},{z}", 1.0, "TX [mm]"),
+        (VICON.format(unit="m"), "{k},0,1,2,3,{x},{y},{z}", 1e-3, "TX [m]"),
+    ],
+)
+def test_points_of_motion_capture_need_no_map(
+    header: str, line: str, factor: float, name: str, tmp_path: Path
+) -> None:
+    files = exported(tmp_path, header, line, np.array(factor))
+    study, imported = session.import_files(
+        "tracker", files, tmp_path / "out", machine="linear_delta"
+    )
+    unit = "m" if factor < 1.0 else "mm"
+    assert f"{name} as read_x_{unit}" in " ".join(imported.statements)
+    estimate = oed.identify(oed.read_readings(oed.load_study(study)))
+    # exact points of the true delta: radii, arms and angles explain them
+    assert max(estimate.section.rms_after.values()) < 2.0
+
+
+def test_two_files_without_names_of_columns_say_so(tmp_path: Path) -> None:
+    for name in ("points.txt", "poses.txt"):
+        (tmp_path / name).write_text("1.0 2.0 3.0\n4.0 5.0 6.0\n")
+    files = [tmp_path / "points.txt", tmp_path / "poses.txt"]
+    with pytest.raises(InputError, match="names of its columns"):
+        session.import_files("tracker", files, tmp_path / "o", machine="linear_delta")
+
+
 def test_points_of_spatial_analyzer_have_their_names_in_a_comment(
     tmp_path: Path,
 ) -> None:

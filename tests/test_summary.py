@@ -77,7 +77,16 @@ def test_a_contradiction_is_never_summed_up(tmp_path: Path) -> None:
     assert "y: contradicts." in short
     assert "x: confirms." not in short
     (line,) = [line for line in short if line.startswith("Held-out readings")]
-    assert "1 of 2 channels confirm the fit" in line
+    assert "1 of 2 channels agree with the fit, 1 of them better than with" in line
+
+
+def test_readings_that_agree_do_not_read_as_a_failure(tmp_path: Path) -> None:
+    sections = [held_out(name, "agrees") for name in "xyzu"]
+    lines = summary.lines(sample(held_out=sections), tmp_path, verbose=False)
+    (line,) = [line for line in lines if line.startswith("Held-out readings")]
+    assert "4 of 4 channels agree with the fit, none of them better" in line
+    assert "0 of 4" not in line
+    assert line.count("%") == 2  # one share, for all have the same, of 95 %
 
 
 def test_stages_of_a_plan_are_rows_with_a_column_for_each_accuracy() -> None:

@@ -12,6 +12,8 @@ This is what the firmware's k0 (sqrt(r^2 + k2 l) - r), k2 = -a b, gives for the 
 solved for the line's change l. Lines do not stretch here. Four equations, three
 unknowns: see `oed.mechanism.kinematics` for where a redundant machine settles.
 
+The build-up b is what `[machine.geometry]` may state: each printer calibrates its own.
+
 Numbers: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter, branch
 hp_mark_adjusted at 790dca2, simulation.py: gear 255/20, folds 2, 2, 2, 4, build-up
 0.06875 mm, spools of 75 mm, line lengths at the origin measured by hand (read to 0.5
@@ -20,11 +22,13 @@ mm; 1 mm), anchors as "rough approximations from manual measuring" (50 mm).
 
 from __future__ import annotations
 
+import functools
 import math
 
 import casadi as ca
 
-from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.model.machine import Dimension, Expr, Family, Machine, Parameter, Values
+from pkm_models.parts import families
 from pkm_models.parts.coordinates import joint, point, point_errors, points
 
 LINES = (1, 2, 3, 4)  # A, B, C, D
@@ -32,6 +36,11 @@ GEAR, BUILDUP = 255.0 / 20.0, 0.06875e-3  # 1, m
 FOLD = {1: 2.0, 2: 2.0, 3: 2.0, 4: 4.0}
 SPOOL = 0.075  # m
 LINE = {1: 1.597, 2: 1.795, 3: 1.5825, 4: 2.355}  # m
+NAME = "cable_robot"
+MOTOR = "turn of motor {} since the origin, paying out"
+DIMENSIONS = (
+    Dimension("buildup", "m", (), BUILDUP, "what a metre on a spool adds to the square of its radius, over a metre"),
+)  # fmt: skip
 _AT = {
     1: (1.620, -90.0),
     2: (1.800, 45.0),
@@ -55,12 +64,12 @@ def _anchor(p: Values, i: int) -> Expr:
     return ca.vertcat(*[p[f"anchor{i}{k}"] for k in "xyz"])
 
 
-def closure(x: Values, q: Values, p: Values) -> list[Expr]:
+def _closure(buildup: float, x: Values, q: Values, p: Values) -> list[Expr]:
     """Line lengths; m."""
     rows = []
     for i in LINES:
         turned = q[f"q{i}"] / GEAR
-        paid_out = (p[f"radius{i}"] * turned - BUILDUP * turned**2 / 4.0) / FOLD[i]
+        paid_out = (p[f"radius{i}"] * turned - buildup * turned**2 / 4.0) / FOLD[i]
         rows.append(ca.norm_2(_anchor(p, i) - _mover(x)) - p[f"line{i}"] - paid_out)
     return rows
 
@@ -71,33 +80,45 @@ def _motor(c: Values, i: int) -> Expr:
     return FOLD[i] * wanted / SPOOL * GEAR
 
 
-machine = Machine(
-    name="cable_robot",
-    source="Hangprinter HP4: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter (MIT), commit 790dca2",
-    about="cable robot, four lines for three degrees of freedom: x, y, z driven, one line redundant",
-    pose=points(),
-    joints=tuple(joint(f"q{i}", "rad", -1200.0, 600.0, "turn of motor {} since the origin, paying out") for i in LINES),
-    command=(
-        point("x", -0.400, 0.400),
-        point("y", -0.400, 0.400),
-        point("z", 0.0, 1.400),
-    ),
-    base_frame="origin where the mover was when the lines' lengths were read; z up; axes of the anchors' coordinates",
-    parameters=(
-        *(Parameter(f"anchor{i}{k}", ANCHOR[i]["xyz".index(k)], 0.050, "m", f"{k} of anchor {i}")
-          for i in LINES for k in "xyz"),
-        *(Parameter(f"radius{i}", SPOOL, 1.0e-3, "m", f"spool radius of line {i} at the origin") for i in LINES),
-        *(Parameter(f"line{i}", LINE[i], 1.0e-3, "m", f"length of line {i} at the origin") for i in LINES),
-    ),
-    components=point_errors(),
-    home={"x": 0.0, "y": 0.0, "z": 0.0},
-    lever=1.6,
-    cable_stiffness=(math.inf,) * len(LINES),
-    closure=closure,
-    platform=lambda x: (ca.SX.eye(3), _mover(x)),
-    commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
-    target=lambda c: [c["x"], c["y"], c["z"]],
-    guess=lambda c: ([c["x"], c["y"], c["z"]], [_motor(c, i) for i in LINES]),
-    skeleton=lambda x, q, p: [[_anchor(p, i), _mover(x)] for i in LINES],
-    struts=lambda x, q, p: [(_anchor(p, i), _mover(x)) for i in LINES],
-)  # fmt: skip
+def build(geometry: families.Geometry) -> Machine:
+    """The robot with another build-up. Raises ValueError below 0."""
+    table = families.completed(DIMENSIONS, geometry)
+    buildup = families.number(table, "buildup")
+    if buildup < 0.0:
+        raise ValueError("buildup is below 0: a line on its spool adds to the radius")
+    return Machine(
+        name=NAME,
+        source="Hangprinter HP4: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter (MIT), at 790dca2",
+        about="cable robot, four lines for three degrees of freedom: x, y, z driven, one line redundant",
+        pose=points(),
+        joints=tuple(joint(f"q{i}", "rad", -1200.0, 600.0, MOTOR) for i in LINES),
+        command=(
+            point("x", -0.400, 0.400),
+            point("y", -0.400, 0.400),
+            point("z", 0.0, 1.400),
+        ),
+        base_frame="origin where the mover was when the lines' lengths were read; z up; axes of the anchors'"
+        " coordinates",
+        parameters=(
+            *(Parameter(f"anchor{i}{k}", ANCHOR[i]["xyz".index(k)], 0.050, "m", f"{k} of anchor {i}")
+              for i in LINES for k in "xyz"),
+            *(Parameter(f"radius{i}", SPOOL, 1.0e-3, "m", f"spool radius of line {i} at the origin") for i in LINES),
+            *(Parameter(f"line{i}", LINE[i], 1.0e-3, "m", f"length of line {i} at the origin") for i in LINES),
+        ),
+        components=point_errors(),
+        home={"x": 0.0, "y": 0.0, "z": 0.0},
+        lever=1.6,
+        cable_stiffness=(math.inf,) * len(LINES),
+        family=family,
+        closure=functools.partial(_closure, buildup),
+        platform=lambda x: (ca.SX.eye(3), _mover(x)),
+        commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
+        target=lambda c: [c["x"], c["y"], c["z"]],
+        guess=lambda c: ([c["x"], c["y"], c["z"]], [_motor(c, i) for i in LINES]),
+        skeleton=lambda x, q, p: [[_anchor(p, i), _mover(x)] for i in LINES],
+        struts=lambda x, q, p: [(_anchor(p, i), _mover(x)) for i in LINES],
+    )  # fmt: skip
+
+
+family = Family(NAME, DIMENSIONS, build)
+machine = build({})

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.base.units import UNITS
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, suggest
 from pkm_studies.base.plain_number import plain_number
@@ -100,7 +101,8 @@ def read(path: Path) -> CsvTable:
     header = _header(lines[:start], width, str(path))
     if header == _numbered(width):
         header = _commented_header(text, width) or header
-    below = [line for line in lines[start:] if tuple(line[1]) != header]
+    headings = {tuple(cells) for _, cells in lines[:start] if not _has_numbers(cells)}
+    below = [line for line in lines[start:] if tuple(line[1]) not in headings]
     return CsvTable(
         file=str(path),
         header=header,
@@ -135,7 +137,7 @@ def _first_numbers(lines: Sequence[Line], width: int, file: str) -> int:
     """Index of the first line of numbers. Raises InputError."""
     wide = {k: cells for k, (_, cells) in enumerate(lines) if len(cells) == width}
     counts = {k: sum(map(_is_number, cells)) for k, cells in wide.items()}
-    numeric = [k for k, count in counts.items() if 2 * count >= width]
+    numeric = [k for k, cells in wide.items() if _has_numbers(cells)]
     if not numeric:
         problem = "no line of numbers in columns"
         raise InputError(problem, "give a CSV with one reading a line", file=file)
@@ -144,6 +146,11 @@ def _first_numbers(lines: Sequence[Line], width: int, file: str) -> int:
     # Text in a column of numbers is a fact above the header, or a mistake to refuse.
     above_header = any(counts.get(k) == 0 for k in range(numeric[0], first))
     return first if above_header else numeric[0]
+
+
+def _has_numbers(cells: Sequence[str]) -> bool:
+    """Whether half of the cells of a line are numbers, or more."""
+    return 2 * sum(map(_is_number, cells)) >= len(cells)
 
 
 def _columns_of_numbers(lines: Sequence[Sequence[str]]) -> list[int]:
@@ -165,17 +172,42 @@ def _is_number(cell: str) -> bool:
 
 
 def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:
-    """Names of the columns, from the nearest line above the numbers that fits."""
-    for number, cells in reversed(above):
-        if len(cells) != width:
-            continue
-        repeated = [cell for cell in cells if cell and cells.count(cell) > 1]
-        if repeated:
-            problem, remedy = "two columns of this name", "rename one of them"
-            field = f"line {number}"
-            raise InputError(problem, remedy, file=file, field=field, value=repeated[0])
-        return tuple(cell or str(k) for k, cell in enumerate(cells, start=1))
-    return _numbered(width)
+    """Names of the columns, from the nearest lines above the numbers that fit.
+
+    A line of units goes to the names above it. Names that repeat have the words of the
+    lines above before them: motion capture writes Position over X.
+    """
+    fitting = [
+        (number, cells) for number, cells in reversed(above) if len(cells) == width
+    ]
+    if not fitting:
+        return _numbered(width)
+    (number, names), *higher = fitting
+    if higher and any(names) and all(_unit(cell) in UNITS for cell in names if cell):
+        units, names = names, higher.pop(0)[1]
+        names = [
+            f"{name} [{_unit(unit)}]" if unit else name
+            for name, unit in zip(names, units, strict=True)
+        ]
+    while higher and _repeated(names):
+        words = higher.pop(0)[1]
+        names = [f"{w} {name}".strip() for w, name in zip(words, names, strict=True)]
+    repeated = _repeated(names)
+    if repeated:
+        problem, remedy = "two columns of this name", "rename one of them"
+        field = f"line {number}"
+        raise InputError(problem, remedy, file=file, field=field, value=repeated[0])
+    return tuple(name or str(k) for k, name in enumerate(names, start=1))
+
+
+def _unit(cell: str) -> str:
+    return cell.strip("[]() ")
+
+
+def _repeated(names: Sequence[str]) -> list[str]:
+    """Names, not empty, that stand over several columns."""
+    counts = collections.Counter(filter(None, names))
+    return [name for name, count in counts.items() if count > 1]
 
 
 def _numbered(width: int) -> tuple[str, ...]:

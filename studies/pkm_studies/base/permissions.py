@@ -84,7 +84,7 @@ def trusted_folders() -> Iterator[Path]:
         raise place.error(problem, "take their permission to write away, or remove it")
     try:
         table = tomllib.loads(files.read_text(file, limit=LIMIT, what="settings file"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         problem = f"this is no TOML: {shorten(str(error), 100)}"
         raise place.error(problem, "mend it there, or remove the file") from None
     names = table.get(FIELD, [])

@@ -18,7 +18,6 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import Place
 from pkm_studies.importers import column_map
@@ -30,6 +29,7 @@ from pkm_studies.importers.base import (
     Row,
 )
 from pkm_studies.importers.column_map import Model
+from pkm_studies.importers.line_times import read_tables
 from pkm_studies.resolve.poses import PLANES
 from pkm_studies.resolve.quantities import column as usual_column
 from pkm_studies.resolve.quantities import read_values
@@ -69,7 +69,7 @@ class BallbarImporter:
         """All runs of all files. Raises InputError."""
         given, place = column_map.load(request)
         model = column_map.model(request, given, place)
-        tables = [csv_table.read(path) for path in request.files]
+        tables = read_tables(request.files)
         columns = trace_columns(given, tables[0], place)
         circles = measured_circles(given, tables, columns, place)
         runs = [

@@ -24,7 +24,7 @@ COUNTS = {
     "rod_trim_mm": 3,
 }
 VERSION = "firmware_version"
-FACT = re.compile(r"\s*([a-z]\w*_mm|firmware_version)\s*=\s*(.*?)\s*")
+FACT = re.compile(r"\s*([a-z]\w*_mm|firmware_version)\s*=(.*)")
 
 
 def numbers(lines: Sequence[TextLine]) -> dict[str, tuple[float, ...]]:
@@ -52,5 +52,5 @@ def version(lines: Sequence[TextLine]) -> str | None:
     for line in lines:
         match = FACT.fullmatch(line.text)
         if match is not None and match[1] == VERSION:
-            stated = match[2]
+            stated = match[2].strip()
     return stated

@@ -15,7 +15,6 @@ import numpy as np
 
 from oed.base.arrays import Array
 from pkm_models.machines import cable_robot
-from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.base.user_code import Origin
@@ -23,6 +22,7 @@ from pkm_studies.importers import gcode, words
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.column_map import Model, imported_study
 from pkm_studies.importers.gcode import Command
+from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.motor_angles import check_unit
 from pkm_studies.importers.rrf_sequence import execution_order
 from pkm_studies.importers.words import (
@@ -41,7 +41,6 @@ MOTORS: Final = "ABCD"
 MODEL: Final = "cable_robot"
 #: what the model has built in, by letter of M666
 BUILT_IN: Final = {
-    "Q": (cable_robot.BUILDUP * 1e3,),
     "U": tuple(cable_robot.FOLD.values()),
     "H": (255.0,) * 4,
     "L": (20.0,) * 4,
@@ -86,20 +85,28 @@ class HangprinterImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Geometry, motors and places. Raises InputError."""
-        tables = [csv_table.read(path) for path in request.files if _is_csv(path)]
+        tables = read_tables([path for path in request.files if _is_csv(path)])
         texts = gcode.read([path for path in request.files if not _is_csv(path)])
         order = execution_order(texts, WORDS)
         lines = order.lines
         anchors = gcode.merged(lines, "M669", "give config.g with M669 and M666")
         spools = gcode.merged(lines, "M666", "give config.g with M669 and M666")
-        accounts = [*order.notes, *gcode.account_of(lines, WORDS).sentences()]
+        accounts = [
+            *order.notes,
+            *gcode.about_order(texts),
+            *gcode.account_of(lines, WORDS).sentences(),
+        ]
         _check_built_in(spools)
         _check_tables(tables, request.files)
         motors, places = _motors(tables), _places(tables)
         if len(places) > len(motors):
             problem = f"{len(places)} places, but {len(motors)} poses of the motors"
             raise InputError(problem, "give the motors of each place", file="x, y, z")
-        table = MachineTable(model=MODEL, nominal=_nominal(anchors, spools))
+        table = MachineTable(
+            model=MODEL,
+            nominal=_nominal(anchors, spools),
+            geometry={"buildup_mm": _numbers(spools, "Q")[0]},
+        )
         machine = described_machine(table, Origin.command(request.consent), Place(""))
         check_unit(machine, motors, places, _file_of(tables, MOTORS))
         setups = [{"name": "lines", "instrument": "redundancy"}]
@@ -138,18 +145,19 @@ def _numbers(command: Command, letter: str) -> list[float]:
     if not text:
         problem = f"{command.name} has no {letter}"
         raise command.line.error(problem, "give the full command")
-    return [gcode.finite(cell, command.line) for cell in text.split(":")]
+    line = command.line_of(letter)
+    return [gcode.finite(cell, line) for cell in text.split(":")]
 
 
 def _check_built_in(spools: Command) -> None:
-    """Refuse gears, folds and build-up other than the model's. Raises InputError."""
+    """Refuse gears and folds other than the model's. Raises InputError."""
     for letter, wanted in BUILT_IN.items():
         if letter not in spools.words:
             continue
         given = _numbers(spools, letter)
         if not np.allclose(given, wanted[: len(given)], rtol=1e-6):
             listed = ":".join(f"{value:g}" for value in wanted)
-            raise spools.line.error(
+            raise spools.line_of(letter).error(
                 f"the model {MODEL} has {letter}{listed} built in",
                 "describe another machine by a study of your own",
                 f"M666 {letter}",
@@ -161,14 +169,18 @@ def _nominal(anchors: Command, spools: Command) -> dict[str, float]:
     nominal = {}
     radii = _numbers(spools, "R")
     if len(radii) != len(MOTORS):
-        raise spools.line.error("R needs four radii", "give the full command", "M666 R")
+        raise spools.line_of("R").error(
+            "R needs four radii", "give the full command", "M666 R"
+        )
     for i, motor in enumerate(MOTORS, start=1):
         place = _numbers(anchors, motor)
         if len(place) == 1:  # the upper anchor of three-number versions: its height
             place = [0.0, 0.0, *place]
         if len(place) != len("xyz") or np.abs(place).max() > LARGEST:
             problem = "an anchor has x, y and z, in mm"
-            raise anchors.line.error(problem, "give the full command", f"M669 {motor}")
+            raise anchors.line_of(motor).error(
+                problem, "give the full command", f"M669 {motor}"
+            )
         for axis, value in zip("xyz", place, strict=True):
             nominal[f"anchor{i}{axis}_mm"] = value
         nominal[f"radius{i}_mm"] = radii[i - 1]

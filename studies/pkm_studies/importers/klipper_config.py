@@ -35,8 +35,8 @@ RESTORE = (
     "write the line as SAVE_CONFIG had it, {how}; or remove the block, and give the"
     " values that the printer uses"
 )
-SECTION = re.compile(r"\[\s*([^\]]+?)\s*\]\s*(?:[#;].*)?$")
-OPTION = re.compile(r"([^\s:=#;\[][^:=]*?)\s*[:=]\s*(.*)$")
+SECTION = re.compile(r"\[([^\]]+)\]\s*(?:[#;].*)?$")
+OPTION = re.compile(r"([^\s:=#;\[][^:=]*)[:=]\s*(.*)$")
 COMMENT = re.compile(r"#.*$|(?:^|\s);.*$")
 
 
@@ -191,8 +191,8 @@ def _parse(text: str, file: str, parsed: _Parsed) -> None:
             continue
         heading = SECTION.match(content)
         if heading:
-            parsed.sections[heading[1]] = number
-            section, last = heading[1].lower(), None
+            parsed.sections[heading[1].strip()] = number
+            section, last = heading[1].strip().lower(), None
             continue
         option = OPTION.match(content)
         if option and section:

@@ -137,6 +137,7 @@ class MarlinImporter:
                 *about_means,
                 *about_grid,
                 *home.notes,
+                *gcode.about_order(lines),
             ],
             meshes=meshes,
             mesh=request.mesh,

@@ -18,9 +18,13 @@ from pkm_studies.importers.marlin_g33 import ReportScan, report_contacts
 from pkm_studies.importers.marlin_means import Contact
 from pkm_studies.importers.marlin_version import NOT_READ, RADIUS, PossibleRules
 
-BED = re.compile(rf"Bed\s+X:\s*({NUMBER})\s+Y:\s*({NUMBER})\s+Z:\s*({NUMBER}){ENDS}")
+#: a probed point: `Bed X: 0 Y: 0 Z: 0.1`, in old versions `Bed x:` or `Bed Position X:`
+BED = re.compile(
+    rf"Bed\s+(?:Position\s+)?X:\s*({NUMBER})\s+Y:\s*({NUMBER})\s+Z:\s*({NUMBER}){ENDS}",
+    re.IGNORECASE,
+)
 #: how such a line begins
-BED_LINE = re.compile(r"Bed\s+X:")
+BED_LINE = re.compile(r"Bed\s+(?:Position\s+)?X:", re.IGNORECASE)
 CHANGED = re.compile(rf"\b(Height|Ex|Ey|Ez|Radius|Tx|Ty|Tz):\s*({NUMBER})")
 #: a line of G33's report, after what a host writes before it
 REPORT = re.compile(r"(?:^|[\s:<>])\.(?=\s|Height:|Tower)")

@@ -9,7 +9,7 @@ the origin, the lower right one lies on the x axis, and the belts' lengths are r
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -39,12 +39,17 @@ from pkm_studies.study.tables.machine import MachineTable
 CORNERS: Final = ("tl", "tr", "br", "bl")
 MODEL: Final = "cables_planar"
 #: a value of the configuration, `Maslow_tlX: 12.3`, or of the log, `$/Maslow_tlX=12.3`
-VALUE: Final = re.compile(r"[Mm]aslow_(\w+)\s*[:=]\s*(\S+)")
+#: and `$/kinematics/MaslowKinematics/tlX=12.3`
+VALUE: Final = re.compile(r"(Maslow_)(\w+)\s*[:=]\s*(\S+)", re.IGNORECASE)
+#: a key of a configuration, and the section that newer versions have their values in
+ENTRY: Final = re.compile(r"(\s*|.*/)(\w+)\s*[:=]\s*(\S*)")
+SECTION: Final = "maslowkinematics"
+OLD_KEYS: Final = costs(
+    "the firmware that has MaslowKinematics does not read keys of older ones"
+)
 WAYPOINT: Final = re.compile(r"\{([^{}]*)\}")
 BELT: Final = re.compile(rf"\b(tl|tr|bl|br)\s*:\s*({NUMBER}){ENDS}")
 MARK: Final = "CLBM:"
-#: a key at the top of a configuration
-KEY: Final = re.compile(r"([A-Za-z]\w*)\s*:")
 #: coordinates that only choose the frame, and their values in the firmware, mm
 FRAME: Final = {"blX": 0.0, "blY": 0.0, "brY": 0.0}
 #: what the firmware does not identify
@@ -55,14 +60,19 @@ FIXED: Final = (
 #: share of the smaller side of the frame that the prediction spans about its middle
 REACH: Final = 0.25
 GROUP: Final = "Maslow"
+OLD_GROUP: Final = "Maslow, old key"
 #: mm; no anchor is farther away
 LARGEST: Final = 1e6
 #: share of the larger side by which belts between rough anchors may fail to meet
 OPEN: Final = 0.1
 LENGTHS: Final = costs("the lengths of the log have it already")
+PLACES: Final = tuple(f"{corner}{axis}" for corner in CORNERS for axis in "XYZ")
 ANCHORS: Final[dict[str, Word]] = {
     **same(READ, (f"{corner}{axis}" for corner in CORNERS for axis in "XY")),
-    **same(LENGTHS, (f"{corner}Z" for corner in CORNERS)),
+    **same(
+        LENGTHS,
+        [*(f"{corner}Z" for corner in CORNERS), "beltEndExtension", "armLength"],
+    ),
     **same(
         HARMLESS,
         (
@@ -80,7 +90,7 @@ ANCHORS: Final[dict[str, Word]] = {
         "this importer does not know it; lengths of the log may depend on it"
     ),
 }
-WORDS: Final[WordTable] = {GROUP: ANCHORS}
+WORDS: Final[WordTable] = {GROUP: ANCHORS, OLD_GROUP: {OTHERS: OLD_KEYS}}
 PRIOR: Final = """
 # How far the true anchors may be from those of the file (standard deviation).
 [[prior.tolerance]]
@@ -99,10 +109,11 @@ class MaslowImporter:
     def read(self, request: ImportRequest) -> ImportedSession:
         """Anchors and belt lengths. Raises InputError."""
         lines = gcode.read(request.files)
-        written = list(_written(lines))
+        written = _written(lines)
         accounts = account(written, _other_keys(lines), WORDS).sentences()
         anchors = _anchors(written, lines)
         belts, notes = _belts(lines)
+        notes += gcode.about_order(lines)
         _check_closing(belts, anchors, lines)
         table = MachineTable(
             model=MODEL,
@@ -144,38 +155,56 @@ class MaslowImporter:
 importer = MaslowImporter()
 
 
-def _written(lines: Sequence[TextLine]) -> Iterator[WrittenWord]:
-    """Values of the machine, with what raises the error about each."""
-    for line in lines:
+def _written(lines: Sequence[TextLine]) -> list[WrittenWord]:
+    """Values of the machine, with what raises the error about each.
+
+    Old keys of anchors are a group of their own where newer ones stand beside them.
+    """
+    inside = _of_section(lines)
+    words: list[WrittenWord] = []
+    for line, is_new in zip(lines, inside, strict=True):
         text = line.text.split("#")[0]
-        match = None if MARK in text else VALUE.search(text)
-        if match is not None:
+        match = ENTRY.match(text) if is_new else VALUE.search(text)
+        if match is None or MARK in text:
+            continue
+        is_old = any(inside) and not is_new and match[2] in PLACES
+        group = OLD_GROUP if is_old else GROUP
+        words.append(WrittenWord(group, match[2], match[3], line.number, line.error))
+    return words
 
-            def error(
-                problem: str,
-                remedy: str,
-                line: TextLine = line,
-            ) -> InputError:
-                return line.error(problem, remedy)
 
-            yield WrittenWord(GROUP, match[1], match[2], line.number, error)
+def _of_section(lines: Sequence[TextLine]) -> list[bool]:
+    """Whether each line is of newer firmware: in its section, or a log's path of it."""
+    inside, depth, file = list[bool](), -1, ""
+    for line in lines:
+        entry = ENTRY.match(line.text) if _is_yaml(line) else None
+        if line.file != file or (entry and len(entry[1]) <= depth):
+            depth, file = -1, line.file
+        inside.append(depth >= 0 or f"{SECTION}/" in line.text.lower())
+        if entry and entry[2].lower() == SECTION:
+            depth = len(entry[1])
+    return inside
+
+
+def _is_yaml(line: TextLine) -> bool:
+    return line.file.lower().endswith((".yaml", ".yml"))
 
 
 def _other_keys(lines: Sequence[TextLine]) -> list[str]:
     """Keys at the top of a configuration that are none of the machine's values."""
     matches = [
-        KEY.match(line.text)
+        ENTRY.match(line.text)
         for line in lines
-        if line.file.lower().endswith((".yaml", ".yml")) and not VALUE.search(line.text)
+        if _is_yaml(line) and not VALUE.search(line.text)
     ]
-    return [match[1] for match in matches if match is not None]
+    return [match[2] for match in matches if match is not None and not match[1]]
 
 
 def _anchors(written: Sequence[WrittenWord], lines: Sequence[TextLine]) -> np.ndarray:
     """Places (4, 2) of the anchors, mm. Raises InputError."""
     values = dict(FRAME)
     for word in written:
-        if ANCHORS.get(word.key) is not READ:
+        if word.group == OLD_GROUP or ANCHORS.get(word.key) is not READ:
             continue
         number = plain_number(word.text)
         if number is None or abs(number) > LARGEST:
@@ -191,7 +220,8 @@ def _anchors(written: Sequence[WrittenWord], lines: Sequence[TextLine]) -> np.nd
             if f"{corner}{axis}" not in values:
                 raise InputError(
                     "missing",
-                    "give maslow.yaml as well, or the log from its first line on",
+                    "give the maslow.yaml that has it, under MaslowKinematics or as"
+                    " Maslow_ and the corner, or the log from its first line on",
                     file=gcode.files_of(lines),
                     field=f"Maslow_{corner}{axis}",
                 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,13 +13,21 @@ from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation
 from oed.model.instrument import Instrument
 from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import Place
+from pkm_studies.base.errors import InputError, Place
 from pkm_studies.importers.base import Row
 from pkm_studies.resolve.quantities import column as usual_column
 from pkm_studies.study.tables.column_map import OrientationColumns
 
 #: what a quaternion's length may differ by from 1
 UNIT_LENGTH = 1e-2
+#: rms deviation over the spread of the commands, above which orientations may be others
+WORST_SHARE: Final = 0.3
+#: how many times better another meaning of the columns must fit to be named
+ALTERNATIVE: Final = 5.0
+#: rad; above 3 deg no registration and no machine to calibrate explains a deviation
+WORST_TURN: Final = np.radians(3.0)
+#: orientations that a comparison takes at least
+FEWEST: Final = 4
 #: names of the forms in the map
 FORMS = ("quaternion", "rotation_vector_rad", "rotation_vector_deg", "direction")
 
@@ -85,14 +94,9 @@ def rotate_rows(
 
     An orientation with an empty cell is left out.
     """
-    read = {name: _values(rows, label) for name, label in names.items()}
-    complete: Mask = np.asarray(
-        np.isfinite(np.column_stack(list(read.values()))).all(axis=1)
-    )
-    absent = np.zeros(len(rows))
-    angles = {name: read.get(name, absent)[complete] for name in stated.names}
-    matrices = (by * Rotation.from_matrix(stated.matrices(angles))).as_matrix()
-    moved = stated.angles(matrices)
+    read = of_rows(rows, names, stated)
+    complete: Mask = np.isfinite(read[:, 0, 0])
+    moved = stated.angles((by * Rotation.from_matrix(read[complete])).as_matrix())
     cells = {}
     for name, label in names.items():
         values = np.full(len(rows), np.nan)
@@ -102,6 +106,119 @@ def rotate_rows(
         {**row, **{label: column[k] for label, column in cells.items()}}
         for k, row in enumerate(rows)
     ]
+
+
+def of_rows(
+    rows: Sequence[Row], names: Mapping[str, str], stated: Orientation
+) -> Array:
+    """Rotations (n, 3, 3) of rows; NaN where a cell is empty. `names` as above."""
+    read = {name: _values(rows, label) for name, label in names.items()}
+    complete = np.isfinite(np.column_stack(list(read.values()))).all(axis=1)
+    absent = np.zeros(len(rows))
+    angles = {name: read.get(name, absent)[complete] for name in stated.names}
+    matrices = np.full((len(rows), 3, 3), np.nan)
+    matrices[complete] = stated.matrices(angles)
+    return matrices
+
+
+# -- order and sense -------------------------------------------------------------------
+#
+# R_k = A C_k B: what is read, of the commanded C_k. A is the instrument's frame, known
+# from the points, and B a constant turn of the target on the platform, the mean of
+# C_k^T A^T R_k. What is left is compared with how far the C_k differ.
+
+
+def check_sense(
+    turn: Rotation | None,
+    read: Array,
+    wanted: Array,
+    given: OrientationColumns | None,
+    file: str,
+    *,
+    is_whole: bool,
+) -> None:
+    """Raises InputError for orientations in another order, inverted, or of other poses.
+
+    turn      of the instrument's frame into the machine's, A^T
+    read      (n, 3, 3) in the instrument's frame, NaN where there is none
+    wanted    (n, 3, 3) of the nominal machine, likewise
+    is_whole  whether the turn about the tool axis was read too
+    """
+    used = np.isfinite(read[:, 0, 0]) & np.isfinite(wanted[:, 0, 0])
+    if used.sum() < FEWEST:
+        return
+    commanded, stated = Rotation.from_matrix(wanted[used]), read[used]
+    spread, _ = _about_mean(commanded, is_whole=is_whole)
+
+    def misfit(candidate: Rotation) -> tuple[float, float]:
+        inner = candidate if turn is None else turn * candidate
+        return _about_mean(commanded.inv() * inner, is_whole=is_whole)
+
+    seen = Rotation.from_matrix(stated)
+    rms, constant = misfit(seen)
+    if rms > WORST_SHARE * spread:
+        for remedy, other in _alternatives(seen, given, is_whole=is_whole):
+            if ALTERNATIVE * misfit(other)[0] < rms:
+                raise _other_orientation(rms, "", remedy, file)
+    if rms > max(WORST_SHARE * spread, WORST_TURN):
+        raise _other_orientation(rms, "", "check rows and machine", file)
+    if constant > WORST_TURN:
+        remedy = "state them for the platform's frame: z along the tool axis, at home unturned"
+        raise _other_orientation(
+            constant, "by the same turn at all poses, ", remedy, file
+        )
+
+
+def _about_mean(turns: Rotation, *, is_whole: bool) -> tuple[float, float]:
+    """Rms angle, rad, of rotations about their mean, and that of the mean.
+
+    Without the turn about z, of their third axes.
+    """
+    if is_whole:
+        mean = turns.mean()
+        angles = np.atleast_1d((mean.inv() * turns).magnitude())
+        constant = float(mean.magnitude())
+    else:
+        axes = turns.apply([0.0, 0.0, 1.0])
+        middle = axes.mean(axis=0) / np.linalg.norm(axes.mean(axis=0))
+        angles = np.arccos(np.clip(axes @ middle, -1.0, 1.0))
+        constant = float(np.arccos(np.clip(middle[2], -1.0, 1.0)))
+    return float(np.sqrt(np.mean(angles**2))), constant
+
+
+def _alternatives(
+    seen: Rotation, given: OrientationColumns | None, *, is_whole: bool
+) -> Iterator[tuple[str, Rotation]]:
+    """What else the columns may mean, with what to write in the map then."""
+    if not is_whole:
+        return
+    inverse = given is not None and given.inverse
+    flag = f"write inverse = {str(not inverse).lower()} in [orientation] of the map"
+    if given is None:
+        flag = (
+            "give the angles of the inverse rotations: these take the instrument's frame"
+            " into the platform's"
+        )
+    yield flag, seen.inv()
+    if given is None or given.quaternion is None:
+        return
+    written = (seen.inv() if inverse else seen).as_quat(scalar_first=True)
+    for by in (1, -1):
+        names = ", ".join(f'"{name}"' for name in np.roll(given.quaternion, by))
+        order = f"the scalar is another column: write quaternion = [{names}]"
+        other = Rotation.from_quat(np.roll(written, by, axis=1), scalar_first=True)
+        yield order, other.inv() if inverse else other
+        yield f"{order}, and {flag}", other if inverse else other.inv()
+
+
+def _other_orientation(angle: float, how: str, remedy: str, file: str) -> InputError:
+    return InputError(
+        f"the orientations are {units.number(angle, 'deg'):.3g} deg rms off the commanded"
+        f" ones, {how}after the best turn of the frames",
+        remedy,
+        file=file,
+        field="[orientation]",
+    )
 
 
 def _form(given: OrientationColumns, place: Place) -> str:

@@ -60,7 +60,8 @@ class RrfImporter:
         """Geometry and probed points. Raises InputError."""
         maps = [path for path in request.files if is_height_map(path)]
         others = [path for path in request.files if path not in maps]
-        order = execution_order(as_commands(gcode.read(others)))
+        texts = gcode.read(others)
+        order = execution_order(as_commands(texts))
         lines = order.lines
         _check_kinematics(lines)
         given = facts.numbers(lines)
@@ -88,7 +89,7 @@ class RrfImporter:
             geometry=_geometry(delta, stops, given),
             points=points,
             accounts=account.sentences(),
-            notes=[*notes, *order.notes],
+            notes=[*notes, *order.notes, *gcode.about_order(texts)],
             bed_slope_ppm=slope,
             meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
             mesh=request.mesh,
@@ -121,9 +122,11 @@ def _geometry(
 ) -> DeltaGeometry:
     """Carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment of M666."""
     cells = [arm for arm in delta.words.get("L", "").split(":") if arm]
-    arms = [gcode.finite(arm, delta.line) for arm in cells]
+    arms = [gcode.finite(arm, delta.line_of("L")) for arm in cells]
     if len(arms) not in (1, 3):
-        raise delta.line.error("M665 has no L, or not one or three", "give the rods")
+        raise delta.line_of("L").error(
+            "M665 has no L, or not one or three", "give the rods"
+        )
     trims = given.get("rod_trim_mm", (0.0, 0.0, 0.0))
     rods = arms * 3 if len(arms) == 1 else arms
     height = delta.number("H")

@@ -209,7 +209,7 @@ def _check_not_calibrated(lines: Sequence[TextLine], heights: TextLine) -> None:
     Then the geometry is neither that of config.g nor known, unless it was read after it.
     """
     above = [line for line in lines if line.file == heights.file]
-    above = [line for line in above if line.number < heights.number]
+    above = above[: above.index(heights)]
     changed = [k for k, line in enumerate(above) if CALIBRATED.search(line.text)]
     if not changed:
         return

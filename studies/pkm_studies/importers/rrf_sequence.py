@@ -21,7 +21,7 @@ from pkm_studies.importers.words import Use, WordTable, cost_sentence
 CODE = re.compile(r"\s*(?:[Nn]\d+\s+)?[GgMm]\d")
 TYPED = re.compile(r"\s*[GgMm]\d+(?:\s+[A-Za-z][-+.:\d]*)*\s*")
 #: texts and expressions, whose letters stay
-VERBATIM = re.compile(r'("[^"]*"|\{[^}]*\})')
+VERBATIM = re.compile(r'("[^"]*"|\{[^{}]*\})')
 #: the letter of an exponent, which is no word
 EXPONENT = re.compile(r"(?<=[\d.])E(?=[-+]?\d)")
 #: conditions and loops: the lines further in are executed or not
@@ -156,11 +156,14 @@ def _conditions(lines: Sequence[TextLine], words: WordTable) -> str:
     """A sentence on conditions and loops. Raises InputError for those of the geometry."""
     blocks: dict[str, int] = {}
     opening: list[TextLine] = []
+    repeated: list[TextLine] = []
     for line in lines:
         if not line.text.strip():
             continue
         opening = [o for o in opening if _indent(o) < _indent(line)]
-        if opening:
+        if opening and _is_repeated_point(line, opening):
+            repeated.append(line)
+        elif opening:
             _check_harmless(line, opening[-1], words)
         match = BLOCK.match(line.text)
         if match:
@@ -168,10 +171,22 @@ def _conditions(lines: Sequence[TextLine], words: WordTable) -> str:
             blocks[f"{match[1]} (line {line.number})"] = line.number
     if not blocks:
         return ""
+    again = ""
+    if repeated:
+        again = (
+            f"Points of lines {repeated[0].number} to {repeated[-1].number} stand in a"
+            " loop, which probes them anew; the heights are those of its last pass. "
+        )
     return (
-        f"Not read, no part of the geometry: what stands under {', '.join(blocks)} of"
-        f" {Path(lines[0].file).name}."
+        f"{again}Not read, no part of the geometry: what stands under"
+        f" {', '.join(blocks)} of {Path(lines[0].file).name}."
     )
+
+
+def _is_repeated_point(line: TextLine, opening: Sequence[TextLine]) -> bool:
+    """Whether a line is a point of G30 in loops alone, at one place in every pass."""
+    is_loop = all(o.text.lstrip().startswith("while") for o in opening)
+    return is_loop and "{" not in line.text and _has_points([line])
 
 
 def _check_harmless(line: TextLine, opening: TextLine, words: WordTable) -> None:

@@ -17,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from oed.base import units
 from oed.base.arrays import Array
 from oed.dataset.columns import SIGMA
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
-from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.importers import column_map, columns, orientations
@@ -28,12 +27,12 @@ from pkm_studies.importers.base import (
     ImportRequest,
     Row,
 )
+from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.tracker_headers import (
     CHANNELS,
     uncertainty_sentences,
     with_measured,
 )
-from pkm_studies.resolve.tool_points import ToolPoints
 from pkm_studies.study.tables.column_map import ColumnMap
 
 INSTRUMENT = "pose_tracker_position"
@@ -74,7 +73,7 @@ class TrackerImporter:
         tool, reference = column_map.instrument(
             request, given, place, model.machine, INSTRUMENT
         )
-        table = columns.joined([csv_table.read(path) for path in request.files])
+        table = columns.joined(read_tables(request.files))
         given = msgspec.structs.replace(given, columns=with_measured(given, table))
         mapped = columns.mapped_columns(given, table, model.machine, tool, place)
         complete = msgspec.structs.replace(
@@ -126,12 +125,12 @@ def _registered(
     Raises InputError.
     """
     if given.registration == "known":
+        columns.check_orientations(rows, given, kinematics, tool, table)
         return rows, ["Frame: the points are taken to be in the machine's frame."]
     angles = _orientation_columns(rows, tool, place)
-    names = [_channel_column(rows, channel) for channel in CHANNELS]
-    measured = _numbers(rows, names)
-    tool_point = units.to_si(given.tool_mm, "mm")
-    wanted = _nominal_points(rows, kinematics, tool_point)
+    names = [columns.channel_column(rows, channel) for channel in CHANNELS]
+    measured = columns.si_numbers(rows, names)
+    _, wanted = columns.nominal_frames(rows, kinematics, given)
     used = np.isfinite(measured).all(axis=1) & np.isfinite(wanted).all(axis=1)
     if used.sum() < 4:
         raise InputError(
@@ -150,35 +149,12 @@ def _registered(
             if np.isfinite(value)
         }
         changed.append({**row, **cells, **_turned_sigma(row, fit.rotation)})
+    columns.check_orientations(rows, given, kinematics, tool, table, fit.rotation)
     if angles and tool.orientation is not None:
         changed = orientations.rotate_rows(
             changed, angles, tool.orientation, fit.rotation
         )
     return changed, _frame_sentences(fit, given)
-
-
-def _nominal_points(rows: list[Row], kinematics: Kinematics, tool: Array) -> Array:
-    """Tool points (n, 3) of the nominal machine, m; NaN out of reach.
-
-    At the recorded joints where there are any, else at the commands. Raises InputError.
-    """
-    machine = kinematics.machine
-    stems = {name.rpartition("_")[0]: name for name in rows[0]}
-    joints = [stems.get(joint.name, "") for joint in machine.joints]
-    if not all(joints):
-        commanded = [_channel_column(rows, c.name) for c in machine.command]
-        return ToolPoints(kinematics, tool.tolist()).points(_numbers(rows, commanded))
-    try:
-        poses = kinematics.start_poses(_numbers(rows, joints))
-    except AssemblyError as error:
-        row = int(np.min(error.indices)) + 1 if len(error.indices) else 1
-        raise InputError(
-            f"the nominal machine does not assemble at the joints of reading {row}",
-            "check factors and offsets of the joints, and the machine's geometry",
-            file="--map",
-            field="columns",
-        ) from error
-    return kinematics.frames(poses, tool)[1]
 
 
 def _turned_sigma(row: Row, by: Rotation) -> dict[str, str]:
@@ -258,27 +234,3 @@ def _setup(given: ColumnMap, reference: str, tool: Instrument) -> dict[str, obje
     if given.registration == "free":
         tolerance = dict(FREE)
     return {**columns.setup_table(given, reference, tool), "tolerance": tolerance}
-
-
-def _channel_column(rows: list[Row], stem: str) -> str:
-    """Name of the readings column of a quantity. Raises InputError."""
-    for name in rows[0]:
-        if name.rpartition("_")[0] == stem:
-            return name
-    raise InputError(
-        f"no column for {stem}",
-        "commanded poses are needed: add the column to [columns] of a --map file, or"
-        " give a second file of poses",
-        file="--map",
-    )
-
-
-def _numbers(rows: list[Row], names: list[str]) -> Array:
-    """SI values (n, k) of columns; NaN where a cell is empty."""
-    values = np.full((len(rows), len(names)), np.nan)
-    for j, name in enumerate(names):
-        factor = units.factor(name.rpartition("_")[2])
-        for i, row in enumerate(rows):
-            if row[name]:
-                values[i, j] = factor * float(row[name])
-    return values

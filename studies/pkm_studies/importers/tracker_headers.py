@@ -2,8 +2,9 @@
 
 Read are the forms that files of trackers are known to have: X [mm] and U(95) X [mm] of
 Hexagon's tracker software, with a unit each, and SpatialAnalyzer's names of the columns in
-a comment, without one. Points without a unit are taken for millimetres, which their best
-fit to the machine confirms or refuses. Everything else needs a map.
+a comment, without one; of motion capture Position over X, and TX over mm. Points without
+a unit are taken for millimetres, which their best fit to the machine confirms or refuses.
+Everything else needs a map.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
 
 CHANNELS = ("read_x", "read_y", "read_z")
 UNIT = r"(?:[\[(]\s*(?P<unit>mm|m|in|um)\s*[\])])"
-#: measured coordinates: X, x [mm], x_meas
+#: measured coordinates: X, x [mm], x_meas, Position X, TX [mm]
 MEASURED = re.compile(
-    rf"\s*(?P<axis>[xyz])\s*(?:{UNIT}|_?meas(?:ured)?|_?m)?\s*", re.IGNORECASE
+    rf"\s*(?:position\s+|t)?(?P<axis>[xyz])\s*(?:{UNIT}|_?meas(?:ured)?|_?m)?\s*",
+    re.IGNORECASE,
 )
 #: expanded uncertainty of a coordinate, of coverage 95 %
 U95 = re.compile(rf"\s*U\(95\)\s*(?P<axis>[xyz])\s*{UNIT}\s*", re.IGNORECASE)

@@ -74,7 +74,7 @@ def _json_rows(path: Path, place: Place, name: str, machine: Machine) -> Rows:
         document = json.loads(text)
         rows: Rows = {str(n): dict(r) for n, r in document["parameters"].items()}
         other = str(document.get("machine", machine.name))
-    except (ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise place.error("this is no table of parameters", REMEDY, name) from None
     if other != machine.name:
         raise _other_machine(place, name, f"{machine.name} for {other}")

@@ -28,6 +28,8 @@ TRIED = 3
 VERY_LONG = 100.0
 #: most poses that are tried
 MOST_TRIED = 729
+#: how parameters say that they are the zero of a joint's scale: `zero of leg 1`
+ZERO = "zero of "
 REACH_REMEDY = (
     "check the numbers and their units; give [machine] home and workspace, where they"
     " are not the model's; look at it: oed check STUDY --picture home.png"
@@ -186,12 +188,32 @@ def _with_nominal(table: MachineTable, model: Machine, place: Place) -> Machine:
     if not table.nominal:
         return model
     known = {p.name: p.unit for p in model.parameters}
-    nominal = quantities.read_values(table.nominal, known, place.key("nominal"))
+    return with_nominal(
+        model, quantities.read_values(table.nominal, known, place.key("nominal"))
+    )
+
+
+def with_nominal(model: Machine, nominal: Mapping[str, float]) -> Machine:
+    """A machine with some nominal numbers, SI, by name.
+
+    The range of joint `q1` goes with the "zero of leg 1", of a carriage or a cable: where
+    joints are strokes from home, their zeros are the lengths there.
+    """
     parameters = [
         dataclasses.replace(p, nominal=nominal.get(p.name, p.nominal))
         for p in model.parameters
     ]
-    return model.with_parameters(parameters)
+    moved = {
+        f"q{new.about.rpartition(' ')[2]}": new.nominal - old.nominal
+        for new, old in zip(parameters, model.parameters, strict=True)
+        if new.about.startswith(ZERO)
+    }
+    joints = [
+        dataclasses.replace(joint, lower=joint.lower - by, upper=joint.upper - by)
+        for joint in model.joints
+        for by in (moved.get(joint.name, 0.0),)
+    ]
+    return dataclasses.replace(model.with_parameters(parameters), joints=tuple(joints))
 
 
 def _with_ranges(table: MachineTable, model: Machine, place: Place) -> Machine:

@@ -38,6 +38,11 @@ class ToolPoints:
 
     def points(self, command: Array) -> Array:
         """Tool points (n, 3) at commands (n, n_dof), m; NaN where out of reach."""
+        return self.frames(command)[1]
+
+    def frames(self, command: Array) -> tuple[Array, Array]:
+        """The platform's rotations (n, 3, 3) as well; NaN where out of reach."""
+        rotations = np.full((len(command), 3, 3), np.nan)
         points = np.full((len(command), 3), np.nan)
         reached = np.arange(len(command))
         while reached.size:
@@ -46,9 +51,11 @@ class ToolPoints:
             except AssemblyError as error:
                 reached = np.delete(reached, error.indices)
                 continue
-            points[reached] = self._kinematics.frames(x, self._tool)[1]
+            rotations[reached], points[reached], _ = self._kinematics.frames(
+                x, self._tool
+            )
             break
-        return points
+        return rotations, points
 
     def commands(
         self, points: Array, fixed: Mapping[str, float], place: Place

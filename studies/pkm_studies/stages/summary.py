@@ -61,9 +61,12 @@ def _held_out(result: StudyResult) -> list[str]:
         return []
     confirming = sum(section.verdict == "confirms" for section in sections)
     inside = sorted(round(100.0 * section.coverage) for section in sections)
+    words = f"{len(sections)} of {len(result.held_out)} channels agree with the fit"
+    words += f", {confirming or 'none'} of them better than with the nominal numbers"
+    ends = dict.fromkeys((inside[0], inside[-1]))
+    shares = " to ".join(map(str, ends))
     return [
-        f"Held-out readings: {confirming} of {len(result.held_out)} channels confirm the"
-        f" fit; {inside[0]} to {inside[-1]} % are inside the predicted 95 %."
+        f"Held-out readings: {words}; {shares} % of each are inside the predicted 95 %."
     ]
 
 

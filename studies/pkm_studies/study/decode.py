@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 import types
 import typing
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from pkm_studies.base.errors import InputError, Place, suggest
+from pkm_studies.base.errors import InputError, Place, shorten, suggest
 from pkm_studies.base.names import PATTERN as NAME_PATTERN
 
 T = TypeVar("T")
@@ -104,6 +105,24 @@ def _converted_table(
         at = place.key(key)
         converted[_plain(kinds[0], key, at)] = convert(kinds[1], value, at)
     return converted
+
+
+def tables_of(text: str, place: Place, remedy: str = "mend it there") -> dict[str, Any]:
+    """The tables of a TOML file, each value checked. Raises InputError.
+
+    remedy  where it is no TOML
+    """
+    try:
+        table = tomllib.loads(text)
+        check_values(table, place)
+    except ValueError as error:
+        problem = f"this is no TOML: {shorten(str(error), 100)}"
+        raise place.error(problem, remedy) from None
+    except RecursionError:
+        raise place.error(
+            "tables or lists are nested too deeply", "see `oed schema study`"
+        ) from None
+    return table
 
 
 def check_values(data: object, place: Place) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine, Parameter
+from oed.model.machine import Machine
 from pkm_models.machines import (
     five_bar,
     hexapod_pus,
@@ -34,7 +34,7 @@ from pkm_studies.importers.bodies.limbs import (
     drawn_machine,
 )
 from pkm_studies.importers.bodies.tree import turn
-from pkm_studies.resolve.machine import unreachable
+from pkm_studies.resolve.machine import unreachable, with_nominal
 from pkm_studies.resolve.quantities import column, display_unit
 
 SUFFIXES = (".xml", ".urdf")
@@ -111,7 +111,7 @@ def _reachable(
         if any(d.name == "tilt" for d in family.dimensions):
             tried["tilt"] = TILT * share
         try:
-            machine = with_numbers(family.build(tried), nominal)
+            machine = with_nominal(family.build(tried), nominal)
             problem = unreachable(Kinematics(machine))
         except ValueError as error:
             problem = str(error)
@@ -120,15 +120,6 @@ def _reachable(
     raise place.error(
         f"the machine reaches nothing about home: {problem}", "check its joints"
     )
-
-
-def with_numbers(machine: Machine, nominal: dict[str, float]) -> Machine:
-    """A machine with some nominal numbers, SI, by name."""
-    parameters: list[Parameter] = [
-        dataclasses.replace(p, nominal=nominal.get(p.name, p.nominal))
-        for p in machine.parameters
-    ]
-    return machine.with_parameters(parameters)
 
 
 def study_tables(model: Described) -> str:

@@ -28,6 +28,8 @@ LEG, CARRIAGE, CRANK = "leg", "carriage", "crank"
 #: m or 1, over the largest length; what is off by less is in its place
 NEAR = 1e-9
 STEPS, CLOSED = 50, 1e-12
+#: loops of a file: more limbs than any machine has
+MOST_LOOPS = 100
 KINDS = (
     "a limb is a leg (a universal or ball joint at the base, then a slide along it), or a"
     " strut with such a joint on a slide or on a hinge"
@@ -104,7 +106,7 @@ def drawn_machine(tree: BodyTree, place: Place) -> DrawnMachine:
 def _platform(tree: BodyTree, place: Place) -> str:
     """The body that all loops share."""
     shared = set.intersection(*({loop.first, loop.second} for loop in tree.loops))
-    if len(shared) != 1 or len(tree.loops) < 2:
+    if len(shared) != 1 or not 2 <= len(tree.loops) <= MOST_LOOPS:
         raise place.error(
             f"its {len(tree.loops)} loops do not share one body, the platform",
             "close each limb by a connection to the platform",

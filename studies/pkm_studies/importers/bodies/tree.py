@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 import numpy as np
 
@@ -73,13 +74,28 @@ class BodyTree:
     tools: dict[str, Array]
     ignored: tuple[str, ...] = ()
 
+    @functools.cached_property
+    def _frames(self) -> dict[str, tuple[Array, Array]]:
+        """Place (3,) and rotation (3, 3) of every body in the base frame, each once."""
+        frames = {WORLD: (np.zeros(3), np.eye(3))}
+        for name in self.bodies:
+            for body in reversed(self.chain(name, frames)):
+                place, rotation = frames[body.parent]
+                there = place + rotation @ body.place, rotation @ body.rotation
+                frames[body.name] = there
+        return frames
+
+    def chain(self, name: str, ends: Container[str] = (WORLD,)) -> list[Body]:
+        """A body and those above it, up to one of the `ends`, which is left out."""
+        bodies = []
+        while name not in ends:
+            bodies.append(self.bodies[name])
+            name = bodies[-1].parent
+        return bodies
+
     def frame(self, name: str) -> tuple[Array, Array]:
         """Place (3,) and rotation (3, 3) of a body in the base frame, as drawn."""
-        if name == WORLD:
-            return np.zeros(3), np.eye(3)
-        body = self.bodies[name]
-        place, rotation = self.frame(body.parent)
-        return place + rotation @ body.place, rotation @ body.rotation
+        return self._frames[name]
 
     def point(self, name: str, local: Array) -> Array:
         """A point (3,) of a body in the base frame, as drawn."""
@@ -88,12 +104,11 @@ class BodyTree:
 
     def joints(self, name: str) -> list[PlacedJoint]:
         """The joints from the base to a body."""
-        if name == WORLD:
-            return []
-        body = self.bodies[name]
-        _, rotation = self.frame(name)
-        return self.joints(body.parent) + [
-            PlacedJoint(j, rotation @ j.axis, self.point(name, j.at))
+        return [
+            PlacedJoint(
+                j, self.frame(body.name)[1] @ j.axis, self.point(body.name, j.at)
+            )
+            for body in reversed(self.chain(name))
             for j in body.joints
         ]
 

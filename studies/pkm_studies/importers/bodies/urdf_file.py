@@ -24,6 +24,7 @@ from pkm_studies.importers.bodies.tree import (
     turn,
 )
 from pkm_studies.importers.bodies.xml_file import (
+    DEEPEST,
     LIMIT,
     read_direction,
     read_numbers,
@@ -90,18 +91,24 @@ def _body(element: ET.Element, place: Place) -> Body:
 
 
 def _check_parents(bodies: dict[str, Body], place: Place) -> None:
-    """Raises InputError unless each link leads to the base."""
+    """Raises InputError unless each link leads to the base, over a few others."""
+    depth = {WORLD: 0}
     for name in bodies:
-        above, link = {name}, bodies[name].parent
-        while link != WORLD:
+        chain, link = dict[str, None](), name
+        while link not in depth:
             if link not in bodies:
                 problem = f"link {link!r} is a parent, but no <link>"
                 raise place.error(problem, "name links of the file")
-            if link in above:
+            if link in chain:
                 problem = f"link {link!r} is its own parent"
                 raise place.error(problem, "make the links a tree, from the base on")
-            above.add(link)
+            chain[link] = None
             link = bodies[link].parent
+        for above in reversed(chain):
+            depth[above] = depth[bodies[above].parent] + 1
+        if depth[name] > DEEPEST:
+            problem = f"link {name!r} hangs on more than {DEEPEST} others"
+            raise place.error(problem, "give the links of the mechanism alone")
 
 
 def _text(element: ET.Element, tag: str, attribute: str, default: str = "0 0 0") -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -14,6 +15,10 @@ from pkm_studies.base.errors import Place
 LIMIT = 20_000_000
 #: largest number of a file, m or degrees: what is beyond is no place of a machine
 LARGEST = 1e6
+#: elements within one another, and bodies behind one another: humanoid robots have 30
+DEEPEST = 200
+#: elements of a file: the largest public models of robots have some 5000
+MOST_ELEMENTS = 20_000
 
 
 def read_root(path: Path, tag: str, what: str) -> ET.Element:
@@ -25,7 +30,7 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
     place = Place(str(path))
     content = files.read_bytes(path, limit=LIMIT, what=f"{what} file")
     try:
-        root = ET.fromstring(content)
+        root = _bounded(content, place, what)
     except (ET.ParseError, ValueError) as error:
         raise place.error(
             f"this is no XML file: {error}", f"give a whole {what} file"
@@ -35,6 +40,22 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
             f"its root is <{root.tag}>", f"give {what}, whose root is <{tag}>"
         )
     return root
+
+
+def _bounded(content: bytes, place: Place, what: str) -> ET.Element:
+    """The root of XML. Raises InputError where it is deeper or larger than a machine."""
+    root, depth, count = None, 0, 0
+    for event, element in ET.iterparse(io.BytesIO(content), ("start", "end")):
+        root = element if root is None else root
+        starts = event == "start"
+        depth, count = depth + (1 if starts else -1), count + starts
+        if depth > DEEPEST or count > MOST_ELEMENTS:
+            raise place.error(
+                f"it has more than {MOST_ELEMENTS} elements, or more than {DEEPEST}"
+                " within one another, as no model of a machine has",
+                f"give the {what} of the mechanism alone",
+            )
+    return root  # type: ignore[return-value]  # a file without one is a ParseError
 
 
 def read_numbers(text: str, count: int, place: Place, remedy: str) -> Array:
