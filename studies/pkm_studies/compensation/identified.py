@@ -17,6 +17,7 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
+from oed.result.mixture import BEST, MIXTURE, PLAIN
 from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue.controller_format import Identified
 from pkm_studies.resolve.earlier_result import (
@@ -27,16 +28,16 @@ from pkm_studies.resolve.earlier_result import (
 
 #: parameters that are drawn from the posterior for simulations
 DRAWS = 100
-#: what the parameters are where a study allows effects
-ABSORBED = (
-    "the parameters are the machine's, shifted so that they take up what is known of its"
-    " effects over the workspace"
-)
-#: what they are after a diagnosis, where no effect is corrected
-OVER_ANSWERS = (
-    "the parameters are the mean over all answers of the diagnosis, shifted so that they"
-    " take up what is known of effects over the workspace"
-)
+#: what the parameters are where effects may act and are not corrected
+SENT = {
+    MIXTURE: "the parameters are the mean of what is known, over all answers where there"
+    " is a diagnosis, shifted so that they take up what is known of effects over the"
+    " workspace",
+    BEST: "the parameters are those of the likeliest answer, which are expected to leave"
+    " the least error",
+    PLAIN: "the parameters are those of a fit without effects, which are expected to leave"
+    " the least error",
+}
 
 
 def identified_parameters(
@@ -58,8 +59,10 @@ def identified_parameters(
         origin, conditions = "gap.mixture", _over_answers(mixture, corrected, tables)
     elif corrected is not None:
         conditions = (*_of_effects(corrected, tables), *_if_not_best(mixture))
+        if corrected.controller and not with_effects:
+            conditions = (SENT[PLAIN], *conditions)
     elif result.estimate is not None and result.estimate.controller:
-        conditions = (ABSORBED,)
+        conditions = (SENT[result.estimate.sent],)
     return Identified(values, sd, origin, conditions)
 
 
@@ -155,7 +158,7 @@ def _over_answers(
     mixture: MixtureSection, corrected: CorrectedSection | None, tables: bool
 ) -> tuple[str, ...]:
     """What the parameters over all answers are, what stays, and what is reached."""
-    sentences = [OVER_ANSWERS]
+    sentences = [SENT.get(mixture.sent, SENT[BEST])]
     if corrected is not None:
         left_out = list(corrected.constants)
         sentences.append(f"not in this file: {_listed(corrected, left_out, tables)}")
