@@ -100,8 +100,8 @@ def predict_corrected(
         worth=worth,
         reference=reference,
     )
-    left = of_effects.raw @ mean[count:]
-    known = maps.remaining @ mean[:count] + left
+    by_effects = of_effects.raw @ mean[count:]
+    known = maps.remaining @ mean[:count] + by_effects
     spreads = functools.partial(
         prediction.spread_after, both, covariance, rng, draws=changes, worth=worth
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -26,6 +27,7 @@ from pkm_studies.resolve.earlier_result import (
     mixture_of,
 )
 
+Section = TypeVar("Section", bound=EstimateSection | CorrectedSection | MixtureSection)
 #: parameters that are drawn from the posterior for simulations
 DRAWS = 100
 #: what the parameters are where effects may act and are not corrected
@@ -62,7 +64,7 @@ def identified_parameters(
         if corrected.controller and not with_effects:
             conditions = (SENT[PLAIN], *conditions)
     elif result.estimate is not None and result.estimate.controller:
-        conditions = (SENT[result.estimate.sent],)
+        conditions = (SENT.get(result.estimate.sent, SENT[BEST]),)
     return Identified(values, sd, origin, conditions)
 
 
@@ -106,12 +108,8 @@ def adjusted_result(result: StudyResult) -> StudyResult:
         parameters[line.parameter] = msgspec.structs.replace(p, value=value, sd=sd)
     result = _with_adjusted_mixture(result, adjustment)
     part = "estimate" if result.corrected is None else "corrected"
-    changed = msgspec.structs.replace(section, parameters=parameters)
-    if isinstance(changed, EstimateSection) and changed.controller:
-        controller = dict(changed.controller)
-        for line in adjustment.lines:
-            controller[line.parameter] += line.amount
-        changed = msgspec.structs.replace(changed, controller=controller)
+    section = msgspec.structs.replace(section, parameters=parameters)
+    changed = _with_adjusted_controller(section, adjustment)
     return msgspec.structs.replace(result, **{part: changed})
 
 
@@ -122,13 +120,20 @@ def _with_adjusted_mixture(
     mixture = mixture_of(result)
     if mixture is None or result.gap is None:
         return result
-    controller = dict(mixture.controller)
+    changed = _with_adjusted_controller(mixture, adjustment)
+    gap = msgspec.structs.replace(result.gap, mixture=changed)
+    return msgspec.structs.replace(result, gap=gap)
+
+
+def _with_adjusted_controller(
+    section: Section, adjustment: AdjustmentSection
+) -> Section:
+    """The section whose parameters for the controller, if any, have the adjustments."""
+    controller = dict(section.controller)
     for line in adjustment.lines:
         if line.parameter in controller:
             controller[line.parameter] += line.amount
-    changed = msgspec.structs.replace(mixture, controller=controller)
-    gap = msgspec.structs.replace(result.gap, mixture=changed)
-    return msgspec.structs.replace(result, gap=gap)
+    return msgspec.structs.replace(section, controller=controller)
 
 
 def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:

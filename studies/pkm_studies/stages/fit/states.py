@@ -49,8 +49,10 @@ def beyond_recorded(used: Mapping[str, Array], covariates: pd.DataFrame) -> list
     """Sentences on values in use, SI, that lie outside what the readings recorded."""
     sentences = []
     for name, values in used.items():
-        ends = covariates[name].dropna().agg(["min", "max"]).to_numpy(dtype=float)
-        if values.min() >= ends[0] and values.max() <= ends[1]:
+        if name not in covariates:
+            continue
+        ends = np.array([covariates[name].min(), covariates[name].max()])
+        if not ((values < ends[0]) | (values > ends[1])).any():
             continue
         ((column, shown),) = displayed_states({name: values}).items()
         low, high = displayed_states({name: ends})[column]

@@ -10,7 +10,6 @@ from oed.gap.data.signature import untestable
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.stages.corrected.section import without_tables
 from pkm_studies.stages.fit.effects import readings_with_covariates, states_in_use
-from pkm_studies.stages.fit.states import beyond_recorded
 from pkm_studies.stages.gap import mixture as sections
 from pkm_studies.stages.run_state import Fitted, Stream
 
@@ -62,8 +61,6 @@ def mix_answers(state: Fitted) -> Fitted:
         [state.seed, int(Stream.MIXTURE)],
     )
     state = state.with_sections(gap=msgspec.structs.replace(gap, mixture=section))
-    used, recorded = use.session.used, use.session.covariates
-    state = state.with_warnings(*beyond_recorded(used, recorded))
     if state.result.corrected is None or section.with_effects is not None:
         return state
     return state.with_sections(corrected=without_tables(state.result.corrected))

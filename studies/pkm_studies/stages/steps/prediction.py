@@ -28,7 +28,7 @@ from pkm_studies.stages.fit.effects import (
     states_in_use,
     with_controller,
 )
-from pkm_studies.stages.fit.states import beyond_recorded, displayed_states
+from pkm_studies.stages.fit.states import displayed_states
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
@@ -73,10 +73,6 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         sent = least_error(predicted[BEST].before, after)
         shown = BEST if sent == NOTHING else sent
     known, main = candidates[shown], judged[shown]
-    if known.effects is not None:
-        session = known.effects.session
-        warnings = beyond_recorded(session.used, session.covariates)
-        state = state.with_warnings(*warnings)
     section = _section(state, known, main)
     section = msgspec.structs.replace(
         section,
