@@ -73,6 +73,7 @@ def mixture() -> dict[str, Any]:
         "controller": {"da1y": 1.1, "da1z": 0.9},
         "choices": [{"name": n, "rms": rms} for n in ("mixture", "best answer")],
         "prediction": prediction,
+        "with_effects": prediction,
         "words": ["The answers disagree.", "The mixture is expected to leave 1 um."],
     }
 

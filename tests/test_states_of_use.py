@@ -14,7 +14,11 @@ import test_bad_fit
 from pkm_studies.base.errors import InputError
 from pkm_studies.commands import cli
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.stages.fit.states import displayed_states, recorded_states
+from pkm_studies.stages.fit.states import (
+    beyond_recorded,
+    displayed_states,
+    recorded_states,
+)
 from pkm_studies.study import load
 
 WORKSPACE = """
@@ -59,6 +63,19 @@ def test_states_are_read_with_their_units(tmp_path: Path) -> None:
 def test_what_is_no_state_is_refused(tmp_path: Path, states: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
         resolve(load(written(tmp_path, states)), readings=[])
+
+
+def test_states_beyond_the_readings_are_said_to_be() -> None:
+    """Recorded: 0 and 100 N, 293 to 296 K; what lies inside is no extrapolation."""
+    rows = pd.DataFrame(
+        {"payload": [0.0, 100.0, np.nan], "temp_leg1": [20.0, 23.0, 22.0]}
+    )
+    used = {"payload": np.array([0.0, 500.0]), "temp_leg1": np.array([21.0])}
+    (sentence,) = beyond_recorded(used, rows)
+    assert "payload_N 0 and 500" in sentence
+    assert "0 to 100" in sentence
+    used = {"payload": np.array([0.0, 100.0])}
+    assert not beyond_recorded(used, rows)
 
 
 def test_states_need_effects(tmp_path: Path) -> None:

@@ -111,7 +111,7 @@ def diagnosis(case: Case, folder: Path) -> StudyResult:
     data = state.resolved.dataset
     assert data is not None  # the readings that were given
     measured = check_readings(readings_steps.take_recorded(state, data))
-    fitted = diagnose_always(fit_parameters(analyse_identifiability(measured)[0]))
+    fitted = diagnose_always(fit_parameters(analyse_identifiability(measured)))
     return pipeline.assemble_result(fitted)
 
 

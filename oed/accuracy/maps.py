@@ -85,7 +85,7 @@ def maps_by_reference(
     parameters  (np,) of the machine about which the maps hold; nominal by default
     """
     machine = kinematics.machine
-    home_command = machine.with_tool(machine.home_command[None], tool)
+    home_command = machine.and_home(command, tool)[-1:]
     model = error_model(kinematics, command, tool, parameters)
     home = error_model(kinematics, home_command, tool, parameters)
     slope = kinematics.error_components_jacobian(command)
@@ -201,7 +201,7 @@ def compensated_errors(
     Place is zeroed in the base frame, orientation in the platform's axes. Raises
     AssemblyError.
     """
-    poses = np.vstack([command, kinematics.machine.home_command])
+    poses = kinematics.machine.and_home(command, tool)
     wanted_x, _ = kinematics.inverse(poses, kinematics.machine.nominal, tool)
     rotation, point, _ = kinematics.frames(wanted_x, tool)
     true_rotation, true_point = _frames(kinematics, poses, identified, parameters, tool)
@@ -228,15 +228,14 @@ def controller_errors(
     sends, whatever that holds. Raises AssemblyError.
     """
     machine = kinematics.machine
-    home = machine.with_tool(machine.home_command[None], tool)
-    poses = np.vstack([command, home])
+    poses = machine.and_home(command, tool)
     _, joints = kinematics.sent(poses, tool)
     twist = pose_error(kinematics, poses, joints, parameters, tool)
     relative = relative_to_reference(
         twist[:-1],
         twist[-1:],
         error_model(kinematics, command, tool),
-        error_model(kinematics, home, tool),
+        error_model(kinematics, poses[-1:], tool),
         reference,
         machine.alignment_lever,
     )

@@ -33,6 +33,7 @@ from oed.accuracy.maps import (
 )
 from oed.base.arrays import Array
 from oed.base.linear_algebra import covariance_root
+from oed.result.mixture import NOTHING
 
 __all__ = [
     "ErrorMaps",
@@ -201,19 +202,40 @@ def spread_after(
     maps: ErrorMaps,
     posterior: Array,
     rng: np.random.Generator,
-    mean: Array,
+    remaining: Array,
     draws: Array | None = None,
     worth: float | None = None,
 ) -> dict[str, Spread]:
-    """`Prediction.after` alone, of a machine that was measured; arguments as there."""
+    """`Prediction.after` alone, of a machine that was measured; arguments as there.
+
+    remaining  (n, k) errors that the compensated machine has if the estimate is right
+    """
     delta, worth = _errors_of_estimate(maps, posterior, rng, draws, worth)
-    remaining = maps.remaining @ mean
     rms = _rms(maps.raw, posterior, remaining)
     spreads = {}
     for k, name in enumerate(maps.names):
         errors = remaining[:, k] + delta @ maps.raw[:, k].T
         spreads[name] = _spread(errors, rms[:, k], worth)
     return spreads
+
+
+def least_error(
+    before: Mapping[str, Spread], after: Mapping[str, Mapping[str, Spread]]
+) -> str:
+    """Name of the compensation of least expected error, the first of equals; or NOTHING.
+
+    before  {component: Spread} with nothing sent
+    after   {compensation: {component: Spread}}, over the same draws
+
+    Mean squares of the components add up in units of those with nothing sent, so that
+    lengths and angles count alike.
+    """
+    units = {name: spread.rms for name, spread in before.items() if spread.rms > 0.0}
+    errors = {
+        candidate: sum((spreads[n].rms / unit) ** 2 for n, unit in units.items())
+        for candidate, spreads in {**after, NOTHING: before}.items()
+    }
+    return min(errors, key=lambda candidate: errors[candidate])
 
 
 def _errors_of_estimate(

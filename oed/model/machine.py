@@ -330,6 +330,10 @@ class Machine:
         by_coordinate = [shift.get(c.name, 0.0) for c in self.command]
         return np.asarray(command + np.array(by_coordinate))
 
+    def and_home(self, command: Array, tool: Array) -> Array:
+        """Commands (n, n_dof) of a tool point (3,), then home with it (n + 1, n_dof)."""
+        return np.vstack([command, self.with_tool(self.home_command, tool)])
+
 
 def _outside(
     values: Array, coordinates: tuple[Coordinate, ...]

@@ -58,6 +58,9 @@ class CorrectedSection(Record, frozen=True):
     covariance       of `parameters`, in their units
     prediction       with parameters and effects compensated; null without a workspace
     parameters_only  {component: accuracy with the effects left uncompensated}
+    controller       parameters for a controller that corrects geometry alone, in the
+                     units of `parameters`; empty: the parameters themselves
+    sent             the compensation of least expected error, as in `gap.mixture.choices`
     posterior        {name: marginal}, where the study samples
     tables           joint corrections of the effects by state, which add up
     not_tabled       {effect: why no table holds it}
@@ -77,6 +80,8 @@ class CorrectedSection(Record, frozen=True):
     covariance: list[list[float]]
     prediction: PredictionSection | None = None
     parameters_only: dict[str, SpreadRecord] = {}
+    controller: dict[str, float] = {}
+    sent: str = ""
     posterior: dict[str, Marginal] = {}
     tables: list[EffectTable] = []
     not_tabled: dict[str, str] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from oed.result.mixture import MIXTURE
 from oed.result.record import Number, Record
 
 #: probability below which a discrepancy contradicts the posterior, either way
@@ -106,9 +107,10 @@ class EstimateSection(Record, frozen=True):
     # present; none where the study allows none
     effects: list[EffectSizeRecord] = []
     faulty: float | None = None
-    # what the controller is given, in the units of `parameters`: it takes up what is known
-    # of the effects; empty: the parameters themselves
+    # what the controller is given, in the units of `parameters`; empty: the parameters
+    # themselves. `sent` names it: `mixture` takes up what is known of the effects
     controller: dict[str, float] = {}
+    sent: str = MIXTURE
     # circles and lines of the readings
     runs: list[RunCurve] = []
 

@@ -11,6 +11,8 @@ from oed.result.record import Record
 MIXTURE: Final = "mixture"
 BEST: Final = "best answer"
 BEST_WITH_EFFECTS: Final = "best answer with effects"
+PLAIN: Final = "plain fit"
+NOTHING: Final = "nothing"
 
 
 class MixedAnswer(Record, frozen=True):
@@ -44,8 +46,9 @@ class MixedParameter(Record, frozen=True):
 class CompensationChoice(Record, frozen=True):
     """A compensation, and the rms error that all answers expect of it.
 
-    name  `best answer` or `mixture`, each with the geometry alone; `best answer with
-          effects`, where effects are corrected
+    name  `plain fit` (no effect in the model), `best answer` or `mixture`, each with the
+          geometry alone; `best answer with effects`, where effects are corrected;
+          `nothing`
     rms   {component: in its fine unit}
     """
 
@@ -59,13 +62,14 @@ class MixtureSection(Record, frozen=True):
     answers     that were fitted, the decision's first
     rest        probability of all others
     controller  parameters for a controller that corrects geometry alone, in the units of
-                `parameters`: the mixture's mean, shifted so that it takes up what is
-                known of the effects
+                `parameters`: those of `sent`
+    sent        the choice of least expected error with the geometry alone; `mixture` is
+                the mean, shifted so that it takes up what is known of the effects
     covariance  of `parameters`, in their units
     choices     compensations and what all answers expect of each
     prediction  with `controller` sent, over all answers; null without a workspace
     with_effects  the same with the parameters and the effects of the best answer sent;
-                null where none is corrected
+                null where none is corrected, or that is expected to be worse
     words       in sentences
     """
 
@@ -74,6 +78,7 @@ class MixtureSection(Record, frozen=True):
     parameters: dict[str, MixedParameter]
     covariance: list[list[float]]
     controller: dict[str, float] = {}
+    sent: str = MIXTURE
     choices: list[CompensationChoice] = []
     prediction: PredictionSection | None = None
     with_effects: PredictionSection | None = None

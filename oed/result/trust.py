@@ -10,6 +10,7 @@ from oed.result.corrected import CorrectedSection
 from oed.result.fit import EstimateSection
 from oed.result.gap import GapSection
 from oed.result.goodness import GoodnessSection
+from oed.result.mixture import NOTHING
 from oed.result.study import StudyResult
 
 #: probability of a tail below which residuals are too large or too small
@@ -25,9 +26,14 @@ FAR = 4.0
 
 def objections(result: StudyResult) -> list[str]:
     """Why nothing should rest on the fit of a result; none where it is to be trusted."""
-    return section_objections(
+    sentences = section_objections(
         result.goodness, result.estimate, result.corrected, result.gap
     )
+    mixture = None if result.gap is None else result.gap.mixture
+    section = mixture or result.final_estimate
+    if section is not None and section.sent == NOTHING:
+        sentences.append("no correction is expected to lessen the machine's errors")
+    return sentences
 
 
 def section_objections(

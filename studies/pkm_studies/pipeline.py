@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from oed import dataset
+from oed.base import own_files
 from oed.base.arrays import Array
-from oed.dataset import Dataset
 from oed.dataset.digests import digests
 from oed.result import StudyResult
 from pkm_studies.base import files
@@ -50,8 +50,6 @@ from pkm_studies.stages.steps.readings import (
     planned_series,
     simulate_readings,
     take_readings,
-    take_recorded,
-    take_simulated,
 )
 from pkm_studies.study import Study
 
@@ -65,6 +63,8 @@ DIAGNOSIS_SECTIONS = (
 )
 FORECAST_SECTIONS = ("forecast",)
 PLAN_SECTIONS = ("plan", "identifiability", "gap_before")
+#: takes a state of a run and returns the next
+Step = Callable[[Any], Any]
 
 
 def run(
@@ -83,7 +83,7 @@ def run(
     the parameters. Where `out` holds the unfinished
     posterior of an interrupted run with the same study, readings and seed, that is
     resumed. Raises InputError for what cannot be done, IdentificationError where a fit
-    fails.
+    fails; what was computed before is then written.
     """
     if _asks_for_forecast_alone(study) and not readings:
         return forecast(study, out, seed=seed, progress=progress)
@@ -91,10 +91,10 @@ def run(
     state = state.replace(with_effects=tuple(effects))
     result_folder.prepare(out)
     checkpoint = result_folder.checkpoint(out, study, state.seed)
-    state = select_design(state.replace(checkpoint=checkpoint))
-    if not state.readings_given:
-        state = plan_stages(state)
-    study_result = _finish(_evaluate(state), out, report=report)
+    steps = [select_design, *_unless(state.readings_given, plan_stages), take_readings]
+    state = _take(state.replace(checkpoint=checkpoint), steps, out)
+    state = _take(state, _evaluation(state), out)
+    study_result = _finish(state, out, report=report)
     checkpoint.clear()
     return study_result
 
@@ -115,14 +115,17 @@ def diagnose(
     """
     state = start(study, seed, progress or Silent(), readings)
     state = with_sessions(state, readings, after)
-    data = state.resolved.dataset
-    if data is None and study.readings is None:
+    recorded = state.resolved.dataset is not None
+    if not recorded and study.readings is None:
         raise study.place.key("readings").error(
             "there are no readings to diagnose", "give --readings FILE.csv"
         )
     result_folder.prepare(out)
-    fitted = with_diagnosis(fit_checked(_measure(state, data)))
-    return _finish(draw_machine(fitted), out, report=True, sections=DIAGNOSIS_SECTIONS)
+    steps: list[Step] = [*_unless(recorded, select_design, plan_stages), take_readings]
+    steps += [check_readings, analyse_identifiability, fit_parameters, diagnose_always]
+    steps += [correct_for_effects, mix_answers, draw_machine]
+    state = _take(state, steps, out)
+    return _finish(state, out, report=True, sections=DIAGNOSIS_SECTIONS)
 
 
 def fit_checked(state: Measured, theta: Array | None = None) -> Fitted:
@@ -130,7 +133,7 @@ def fit_checked(state: Measured, theta: Array | None = None) -> Fitted:
 
     theta  (n,) parameters where the fit begins, SI; nominal by default
     """
-    checked, _ = analyse_identifiability(check_readings(state))
+    checked = analyse_identifiability(check_readings(state))
     return fit_parameters(checked, theta)
 
 
@@ -215,8 +218,11 @@ def planned_state(
     state, outcome = plan_measurements(state, request, earlier)
     readings = Readings(series=outcome.series)
     scheduled = promote(Scheduled, state, readings=readings)
-    scheduled, verdict = analyse_identifiability(scheduled)
-    scheduled = draw_machine(scheduled.replace(measurement=verdict.measurement))
+    scheduled = analyse_identifiability(scheduled)
+    if scheduled.identifiability is not None:
+        measurement = scheduled.identifiability.measurement
+        scheduled = scheduled.replace(measurement=measurement)
+    scheduled = draw_machine(scheduled)
     cause = scheduled.resolved.gap_design
     if cause is not None and cause.follows_plan:
         return preview_gap(scheduled)
@@ -256,34 +262,51 @@ def _truth_path(readings: Path) -> Path:
     return readings.with_name(f"{stem}.truth.json")
 
 
-def _evaluate(state: RunState) -> Scheduled:
+def _evaluation(state: Scheduled) -> list[Step]:
     """From readings to accuracy."""
-    scheduled = take_readings(state)
-    if isinstance(scheduled, Measured):
-        scheduled = check_readings(scheduled)
-    scheduled, verdict = analyse_identifiability(scheduled)
-    scheduled = preview_gap(report_design(scheduled, verdict))
-    if isinstance(scheduled, Measured):
-        scheduled = _fit(scheduled)
-    scheduled = predict_accuracy(scheduled)
-    if isinstance(scheduled, Fitted):
-        scheduled = predict_held_out(scheduled)
-    if scheduled.study.forecast is not None:
-        scheduled = forecast_errors(scheduled)
-    return draw_machine(report_single_stage(scheduled, verdict))
+    only_planned = not isinstance(state, Measured)
+    fit = (fit_parameters, sample_posterior, diagnose_gap)
+    return [
+        *_unless(only_planned, check_readings),
+        analyse_identifiability,
+        report_design,
+        preview_gap,
+        *_unless(only_planned, *fit, correct_for_effects, mix_answers),
+        predict_accuracy,
+        *_unless(only_planned, predict_held_out),
+        *_unless(state.study.forecast is None, forecast_errors),
+        report_single_stage,
+        draw_machine,
+    ]
 
 
-def _fit(state: Measured) -> Fitted:
-    """From values to the estimate, its posterior, and the gap that it leaves."""
-    fitted = sample_posterior(fit_parameters(state))
-    return mix_answers(correct_for_effects(diagnose_gap(fitted)))
+def _unless(left_out: bool, *steps: Step) -> tuple[Step, ...]:
+    return () if left_out else steps
 
 
-def _measure(state: RunState, data: Dataset | None) -> Measured:
-    """Recorded readings, or those of the virtual machine at the planned poses."""
-    if data is not None:
-        return take_recorded(state, data)
-    return take_simulated(plan_stages(select_design(state)))
+def _take(state: RunState, steps: Sequence[Step], out: Path) -> Any:
+    """The state after all steps; where one fails, what came before it is written."""
+    for step in steps:
+        try:
+            state = step(state)
+        except Exception as error:
+            _write_before(error, state, out)
+            raise
+    return state
+
+
+def _write_before(error: Exception, state: RunState, out: Path) -> None:
+    """Write what was computed before an error, if anything, and let the error say so.
+
+    The result of an earlier run is set aside.
+    """
+    if not isinstance(state, Scheduled) or state.identifiability is None:
+        return
+    if (out / result_folder.RESULT).is_file():
+        own_files.set_aside(out / result_folder.RESULT, "earlier")
+    state = state.with_warnings(f"a later part of this run failed: {error}")
+    _finish(state, out, report=False, sections=())
+    error.add_note(f"What was computed before is in {out / result_folder.RESULT}.")
 
 
 def _finish(

@@ -14,6 +14,7 @@ from oed.gap.data import state as states_of
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.effect import Column, Effect, State
 from oed.model.machine import Machine
 
@@ -76,19 +77,20 @@ def workspace_state(
     command: Array,
     rng: np.random.Generator,
     *,
+    tool: Array = NO_TOOL,
     still: bool = False,
 ) -> State:
     """The machine's state at commands, then at home, in drawn states of the session.
 
-    It moves from one command to the next, or stands at each of them (`still`).
+    The commands are those of a tool point (3,), which no set-up's tool replaces. The
+    machine moves from one command to the next, or stands at each of them (`still`).
 
     At home the states are those of the session's first reading. Covariates that the
-    machine is used at are drawn from their values, each by itself.
+    machine is used at are drawn from their values, each by itself. Unless a feed is among
+    them, joints go no faster than in the session.
     """
     measurement, first = session.measurement, session.states[0]
-    home = measurement.machine.home_command[None]
-    poses = np.vstack([command, home])
-    tool = np.array(measurement.setups[first.setup].tool)
+    poses = measurement.machine.and_home(command, tool)
     x, q = measurement.kinematics.inverse(poses, None, tool)
     index = np.arange(len(poses))[:, None]
     run = index[:, 0].astype(str) if still else np.array(["1"] * len(poses))
@@ -102,8 +104,35 @@ def workspace_state(
         rows.reset_index(drop=True),
         theta,
         session.gravity,
+        tool,
     )
+    if "feed" not in session.used:
+        state = _slowed(state, session.states)
     return in_session(state, first)
+
+
+def _slowed(state: State, recorded: Sequence[State]) -> State:
+    """The state at feeds at which no joint is faster, or accelerates more, than recorded.
+
+    The largest value of all joints of one unit is the limit of each.
+    """
+    units = np.array([joint.unit for joint in state.machine.joints])
+    share = np.ones(len(state))
+    for unit in np.unique(units):
+        for name, power in (("rate", 1.0), ("acceleration", 0.5)):
+            sizes = [
+                np.nan_to_num(np.abs(getattr(s, name)[:, units == unit])).max(axis=1)
+                for s in (state, *recorded)
+            ]
+            limit = max(size.max() for size in sizes[1:])
+            used = np.maximum(sizes[0], max(limit, np.finfo(float).tiny))
+            share = np.minimum(share, (limit / used) ** power)
+    return dataclasses.replace(
+        state,
+        rate=state.rate * share[:, None],
+        acceleration=state.acceleration * share[:, None] ** 2,
+        feed=state.feed * share,
+    )
 
 
 def in_session(state: State, first: State) -> State:
@@ -141,15 +170,16 @@ def effect_maps(
     parameters: Array,
     command: Array,
     reference: Reference,
+    tool: Array = NO_TOOL,
 ) -> ErrorMaps:
     """Pose errors per prior standard deviation of each coefficient (n, k, m).
 
-    state       at the commands (n, n_dof), then at home
+    state       at the commands (n, n_dof) of a tool point (3,), then at home
     parameters  (np,) of the machine, SI
     """
     machine = kinematics.machine
-    model = error_model(kinematics, np.vstack([command, machine.home_command[None]]))
-    tools = kinematics.frames(state.pose, np.zeros(3))[2]
+    model = error_model(kinematics, machine.and_home(command, tool), tool)
+    tools = kinematics.frames(state.pose, tool)[2]
     by_joint = tools @ kinematics.slopes.over_joints(
         state.pose, state.joints, parameters
     )
@@ -167,6 +197,7 @@ def effect_maps(
         kinematics,
         command,
         reference,
+        tool,
         further=(np.stack(raw, axis=2), np.stack(remaining, axis=2)),
     )
 

@@ -26,6 +26,7 @@ from oed.estimation.discrepancy import Discrepancy
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature
 from oed.gap.forms.unknown import unknown_effects
+from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.effect import Effect, State
 
 #: most values of an effect's constants that stand side by side
@@ -85,13 +86,17 @@ class ExpectedColumns:
         command: Array,
         reference: Reference,
         rng: np.random.Generator,
+        tool: Array = NO_TOOL,
     ) -> ErrorMaps:
-        """Pose errors per unit of each column at commands (n, n_dof), in drawn states."""
-        state = workspace_state(session, theta, command, rng)
+        """Pose errors per unit of each column at commands (n, n_dof), in drawn states.
+
+        The commands are those of a tool point (3,).
+        """
+        state = workspace_state(session, theta, command, rng, tool=tool)
         kinematics = session.measurement.kinematics
         parameters = theta[: len(session.measurement.machine.parameters)]
         maps = effect_maps(
-            kinematics, self.forms, state, parameters, command, reference
+            kinematics, self.forms, state, parameters, command, reference, tool
         )
         return dataclasses.replace(
             maps, raw=self._mixed(maps.raw), remaining=self._mixed(maps.remaining)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.effect_measurement import SEPARATOR, MeasurementWithEffects
 from oed.compensate.effects.forms import (
     ChosenForm,
@@ -92,6 +93,12 @@ class CorrectedEstimate:
     def parameters(self) -> int:
         """Number of leading entries of theta that are not coefficients."""
         return len(self.estimate.theta) - len(self.scales)
+
+    @property
+    def session(self) -> SessionStates:
+        """States in which the readings were taken."""
+        of = self.readings
+        return SessionStates(of.measurement, of.covariates, self.states, of.gravity)
 
     @property
     def coefficient_names(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.compensate.effects.effect_maps import SessionStates, workspace_state
+from oed.compensate.effects.effect_maps import workspace_state
 from oed.compensate.effects.effect_measurement import SEPARATOR
 from oed.compensate.effects.fit import CorrectedEstimate
 from oed.compensate.effects.forms import ChosenForm
@@ -88,10 +88,7 @@ def tabled_effects(corrected: CorrectedEstimate, command: Array) -> TabledEffect
 
 def _neutral_state(corrected: CorrectedEstimate, command: Array) -> State:
     """The machine at commands, at rest, without payload or tension, as warm as at first."""
-    readings = corrected.readings
-    session = SessionStates(
-        readings.measurement, readings.covariates, corrected.states, readings.gravity
-    )
+    session = corrected.session
     theta = corrected.estimate.theta[: corrected.parameters]
     rng = np.random.default_rng(0)
     state = workspace_state(session, theta, command, rng, still=True)

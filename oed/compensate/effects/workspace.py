@@ -9,6 +9,7 @@ stays as well.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 
 import numpy as np
@@ -23,13 +24,8 @@ from oed.accuracy.maps import (
 )
 from oed.accuracy.prediction import Prediction, Spread
 from oed.base.arrays import Array, Index
-from oed.compensate.effects.effect_maps import (
-    ActingForm,
-    SessionStates,
-    effect_maps,
-    workspace_state,
-)
 from oed.compensate.effects.fit import CorrectedEstimate
+from oed.compensate.effects.mixture import columns_of_forms
 from oed.noise.law_noise import LawNoise
 
 
@@ -39,11 +35,14 @@ class CorrectedAccuracy:
 
     compensated      with parameters and effects compensated
     parameters_only  {component: Spread} with the effects left as they are
+    plain            {component: Spread} with other parameters sent, the effects as they
+                     are; empty where none are given
     budget           sources of the errors that remain
     """
 
     compensated: Prediction
     parameters_only: Mapping[str, Spread]
+    plain: Mapping[str, Spread]
     budget: Budget
 
 
@@ -54,24 +53,28 @@ def predict_corrected(
     rng: np.random.Generator,
     draws: Array | None = None,
     worth: float | None = None,
+    plain: Array | None = None,
 ) -> CorrectedAccuracy:
     """Predict the residual accuracy at commands (n, n_dof), SI.
 
     draws  (m, n_all) posterior draws of theta; the normal approximation by default
     worth  number of independent draws that these are worth; m by default
+    plain  (np,) other parameters to compare with, as those of a fit without effects
     """
     machine = corrected.readings.measurement.machine
     count, setups = len(machine.parameters), corrected.parameters
     kinematics = corrected.readings.measurement.kinematics
     maps = error_maps(kinematics, command, reference)
-    of_effects = _effect_maps(corrected, command, reference, rng)
+    theta = corrected.estimate.theta
+    of_effects = columns_of_forms(corrected.forms).workspace_maps(
+        corrected.session, theta[:setups], command, reference, rng
+    )
     both = ErrorMaps(
         command=command,
         names=maps.names,
         raw=np.concatenate([maps.raw, of_effects.raw], axis=2),
         remaining=np.concatenate([maps.remaining, of_effects.remaining], axis=2),
     )
-    theta = corrected.estimate.theta
     used = np.r_[0:count, setups : len(theta)]
     nominal = corrected.measurement.drawn
     mean, covariance = (theta - nominal)[used], corrected.estimate.covariance
@@ -97,13 +100,17 @@ def predict_corrected(
         worth=worth,
         reference=reference,
     )
-    effects_stay = np.concatenate([maps.remaining, of_effects.raw], axis=2)
-    uncorrected = dataclasses.replace(both, remaining=effects_stay)
-    parameters_only = prediction.spread_after(
-        uncorrected, covariance, rng, mean, changes, worth
+    by_effects = of_effects.raw @ mean[count:]
+    known = maps.remaining @ mean[:count] + by_effects
+    spreads = functools.partial(
+        prediction.spread_after, both, covariance, rng, draws=changes, worth=worth
     )
+    parameters_only, of_plain = spreads(known), {}
+    if plain is not None:
+        change = (maps.raw - maps.remaining) @ (theta[:count] - plain)
+        of_plain = spreads(known + change)
     budget = _budget(corrected, both, compensated, used)
-    return CorrectedAccuracy(compensated, parameters_only, budget)
+    return CorrectedAccuracy(compensated, parameters_only, of_plain, budget)
 
 
 def _budget(
@@ -126,25 +133,3 @@ def _budget(
         estimated=estimate.covariance[np.ix_(used, used)],
         predicted=np.array([spreads[name].rms ** 2 for name in predicted.names]),
     )
-
-
-def _effect_maps(
-    corrected: CorrectedEstimate,
-    command: Array,
-    reference: Reference,
-    rng: np.random.Generator,
-) -> ErrorMaps:
-    """Pose errors per prior standard deviation of each coefficient (n, k, m)."""
-    readings = corrected.readings
-    measurement = readings.measurement
-    session = SessionStates(
-        measurement, readings.covariates, corrected.states, readings.gravity
-    )
-    theta = corrected.estimate.theta[: corrected.parameters]
-    state = workspace_state(session, theta, command, rng)
-    forms = [
-        ActingForm(f.effect, f.constants, f.signature.names) for f in corrected.forms
-    ]
-    parameters = theta[: len(measurement.machine.parameters)]
-    kinematics = measurement.kinematics
-    return effect_maps(kinematics, forms, state, parameters, command, reference)

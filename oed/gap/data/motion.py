@@ -10,6 +10,10 @@ are points and no path, joints move straight, and the last step has their sense.
 A corner ends a path: the machine arrives there as it came, and sets out anew. So does a
 step much longer than the others, which only brings the machine to the start of a path;
 a path that begins so is entered rolling, as ISO 230-2 has it.
+
+The feed is the speed of the tool point. Where the tool turns and its point hardly moves,
+it is the speed at the machine's lever about that point. So a step of length ds takes
+ds / feed, with ds the larger of both chords: joint rates stay those of the machine.
 """
 
 from __future__ import annotations
@@ -44,7 +48,7 @@ class Motion:
 
     sense           sign of the joint's last motion
     rate            per second; NaN where the feed is not known, and in runs in which
-                    the tool stays in its place
+                    the tool neither moves nor turns
     acceleration    per second squared; NaN likewise
     reversal        distance since the joint last turned back
     """
@@ -57,7 +61,7 @@ class Motion:
 
 def motion(
     q: Array,
-    tip: Array,
+    place: Array,
     run: NDArray[np.str_],
     order: Array,
     feed: Array,
@@ -65,7 +69,7 @@ def motion(
 ) -> Motion:
     """Motion of joints q (m, nq) from the order of poses in each run and its feed.
 
-    The tool is at tip (m, 3); at the poses `still` the machine stands.
+    The tool is at place (m, 12) of `tool_places`; at the poses `still` the machine stands.
     """
     shape = q.shape
     sense, reversal = np.zeros(shape), np.zeros(shape)
@@ -78,7 +82,7 @@ def motion(
         if len(at) < 2:
             rate[at] = acceleration[at] = 0.0
             continue
-        along = _along_run(q[at], tip[at])
+        along = _along_run(q[at], place[at])
         sense[at], reversal[at] = along.sense, along.reversal
         speed = feed[at, None]
         rate[at] = along.rate * speed
@@ -86,12 +90,31 @@ def motion(
     return Motion(sense, rate, acceleration, reversal)
 
 
-def _along_run(q: Array, tip: Array) -> Motion:
+def tool_places(tip: Array, rotation: Array, lever: float) -> Array:
+    """Tool points (m, 3), then the tool's axes (m, 9) so that they turn at a lever; m.
+
+    rotation  (m, 3, 3) of the tool
+
+    Axes turned by an angle t are 2 sin(t / 2) apart times the lever: R and R' differ by
+    2 sqrt(2) sin(t / 2) in the Frobenius norm.
+    """
+    axes = (lever / np.sqrt(2.0)) * rotation.reshape(len(rotation), 9)
+    return np.hstack([tip, axes])
+
+
+def _distance(move: Array) -> Array:
+    """Length (k,) of moves (k, 12): of the tool point, or at the lever about it."""
+    point = np.linalg.norm(move[:, :3], axis=1)
+    return np.asarray(np.maximum(point, np.linalg.norm(move[:, 3:], axis=1)))
+
+
+def _along_run(q: Array, place: Array) -> Motion:
     """Motion of a run's k >= 2 poses, in their order, over the length of path.
 
     Rate and acceleration are the first and second derivative over it.
     """
-    along = _straight(q, tip)
+    tip = place[:, :3]
+    along = _straight(q, place)
     if not _is_path(tip):
         return along
     corners, far = _breaks(tip)
@@ -100,14 +123,14 @@ def _along_run(q: Array, tip: Array) -> Motion:
         inside = corners[np.isin(corners, points[1:-1])]
         start, rolling = int(points[0]), True
         for stop in (*inside, points[-1]):
-            _lay_path(along, q, tip, np.arange(start, stop + 1), rolling)
+            _lay_path(along, q, place, np.arange(start, stop + 1), rolling)
             start, rolling = int(stop), False
     return along
 
 
-def _straight(q: Array, tip: Array) -> Motion:
+def _straight(q: Array, place: Array) -> Motion:
     """Joints that move straight from pose to pose."""
-    places = _path_length(tip)[0][: len(tip)]
+    places = _path_length(place)[0][: len(place)]
     slope, curvature = np.full(q.shape, np.nan), np.full(q.shape, np.nan)
     if places[-1] > 0.0:
         slope[:] = np.gradient(q, places, axis=0)
@@ -141,7 +164,7 @@ def _breaks(tip: Array) -> tuple[Index, Index]:
     return corners, far
 
 
-def _lay_path(along: Motion, q: Array, tip: Array, at: Index, rolling: bool) -> None:
+def _lay_path(along: Motion, q: Array, place: Array, at: Index, rolling: bool) -> None:
     """Write what a smooth path through the poses `at` says of them into `along`.
 
     rolling  whether the path is entered rolling; else its first pose is a corner, which
@@ -149,7 +172,7 @@ def _lay_path(along: Motion, q: Array, tip: Array, at: Index, rolling: bool) -> 
     """
     if len(at) < LEAST:
         return
-    length, closed = _path_length(tip[at])
+    length, closed = _path_length(place[at])
     places = length[: len(at)]
     around = np.vstack([q[at], q[at[:1]]]) if closed else q[at]
     ends = "periodic" if closed else "not-a-knot"
@@ -181,17 +204,17 @@ def _since_corner(
     return np.where(np.isinf(reversal), before, reversal)
 
 
-def _path_length(tip: Array) -> tuple[Array, bool]:
+def _path_length(place: Array) -> tuple[Array, bool]:
     """Length of path at k poses, and whether the run is closed.
 
     A closed run has k + 1 values: the last is the length back at the first pose.
     """
-    steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
+    steps = _distance(np.diff(place, axis=0))
     still = STILL * float(steps.max())
     steps = np.maximum(steps, still)
-    last = float(np.linalg.norm(tip[0] - tip[-1]))
+    last = float(_distance(place[:1] - place[-1:])[0])
     near = still < last < CLOSED * float(np.median(steps))
-    closed = len(tip) >= 2 * LEAST and near
+    closed = len(place) >= 2 * LEAST and near
     lengths = np.cumsum([*steps, last] if closed else steps)
     return np.concatenate([[0.0], lengths]), closed
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from oed.base.arrays import Array, Index, rows_by_label
 from oed.dataset.columns import TEMPERATURE, TENSION
-from oed.gap.data.motion import motion
+from oed.gap.data.motion import motion, tool_places
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import State
 
@@ -32,10 +32,12 @@ def states(
     covariates: pd.DataFrame,
     theta: Array,
     gravity: tuple[float, float, float] = DOWN,
+    tool: Array | None = None,
 ) -> list[State]:
     """One State a series, over all its poses, at theta (n,).
 
-    `covariates` has one row a reading, in their order.
+    `covariates` has one row a reading, in their order. The tool point (3,) is that of
+    each series' set-up unless it is given.
     """
     times = _column(covariates, "time")
     session = _session(covariates, times, series)
@@ -46,7 +48,9 @@ def states(
     for s in series:
         stop = start + len(s)
         rows = covariates.iloc[start:stop]
-        by_series.append(_state(measurement, s, rows, theta, session, down))
+        point = np.array(measurement.setups[s.setup].tool) if tool is None else tool
+        geometry = _geometry(measurement, s, theta, down, point)
+        by_series.append(_state(measurement, s, rows, geometry, session))
         start = stop
     return by_series
 
@@ -110,18 +114,16 @@ def _state(
     measurement: Measurement,
     series: Series,
     rows: pd.DataFrame,
-    theta: Array,
+    geometry: Mapping[str, Any],
     session: Mapping[str, Any],
-    down: Array,
 ) -> State:
     """State of one series.
 
+    geometry   fields that follow from the poses
     session    fields that hold for the whole session
-    down       (3,) unit vector of gravity
     """
     kinematics, machine = measurement.kinematics, measurement.machine
     setup = measurement.setups[series.setup]
-    geometry = _geometry(measurement, series, theta, down)
     owner = _owner(series)  # for each pose the reading whose covariates hold there
     run = series.run[owner]
     read = series.index[:, 0]
@@ -137,7 +139,8 @@ def _state(
     tensions = [f"{TENSION}{k + 1}" for k in range(series.q.shape[1])]
     order = _order(series, rows, owner, referred)
     tip, feed = geometry["tool"], covariates["feed"]
-    moved = motion(series.q, tip, run, order, feed, taught)
+    place = tool_places(tip, geometry["rotation"], machine.lever)
+    moved = motion(series.q, place, run, order, feed, taught)
     return State(
         machine=machine,
         setup=series.setup,
@@ -166,12 +169,15 @@ def _geometry(
     series: Series,
     theta: Array,
     down: Array,
+    tool: Array,
 ) -> dict[str, Any]:
-    """Fields of a State that follow from the poses: tool, forces, struts."""
+    """Fields of a State that follow from the poses: tool, forces, struts.
+
+    down  (3,) unit vector of gravity;  tool  (3,) tool point in the platform's frame, m
+    """
     kinematics, machine = measurement.kinematics, measurement.machine
     p, q = theta[: len(machine.parameters)], series.q
     x = measurement.poses(series, theta)
-    tool = np.array(measurement.setups[series.setup].tool)
     rotation, tip, twist = kinematics.frames(x, tool)
     by_joint = twist @ kinematics.slopes.over_joints(x, q, p)
     force = np.einsum("k,mkj->mj", down, by_joint[:, :3])

@@ -25,6 +25,10 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
     if result.prediction is not None:
         yield from _prediction("prediction", result.prediction)
     corrected = result.corrected
+    for name, fitted in (("estimate", result.estimate), ("corrected", corrected)):
+        if fitted is not None:
+            known, of = fitted.parameters, f"{name}.parameters"
+            yield from base.known(f"{name}.controller", fitted.controller, known, of)
     if corrected is not None and corrected.prediction is not None:
         field = "corrected.prediction"
         yield from _prediction(field, corrected.prediction)

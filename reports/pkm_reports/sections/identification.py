@@ -247,9 +247,8 @@ def _effects(estimate: EstimateSection) -> list[Block]:
     )
     if estimate.controller:
         caption += (
-            " The controller gets parameters that take up what is known of these effects"
-            " over the workspace (oed compensate writes them); those above are the"
-            " machine's."
+            " The controller gets the parameters of least expected error over the"
+            " workspace (oed compensate writes them); those above are the machine's."
         )
     return [Table(columns, rows, caption)]
 

@@ -76,7 +76,7 @@ def _guarded(arguments: Sequence[str] | None) -> int:
         console.set_up()
         return _call(arguments)
     except InputError as error:
-        return _bad_input(str(error))
+        return _bad_input(_with_notes(str(error), error))
     except KeyboardInterrupt:  # outside typer's care, as during an import
         return _interrupted()
     except SystemExit:  # typer's way to say that nobody reads the output any more
@@ -88,7 +88,7 @@ def _guarded(arguments: Sequence[str] | None) -> int:
             return DONE
         return _bad_input(_about_file(error))
     except _kernel_errors() as error:
-        return _bad_input(shorten(str(error), 500))
+        return _bad_input(_with_notes(shorten(str(error), 500), error))
     except Exception as error:
         if not hasattr(error, "format_message"):
             raise
@@ -107,6 +107,11 @@ def _call(arguments: Sequence[str] | None) -> int:
 def _interrupted() -> int:
     console.print_error("interrupted: files written so far are whole")
     return INTERRUPTED
+
+
+def _with_notes(paragraph: str, error: BaseException) -> str:
+    """The paragraph, then what was noted while the error passed."""
+    return " ".join([paragraph, *getattr(error, "__notes__", ())])
 
 
 def _about_file(error: OSError) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -17,6 +18,7 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
+from oed.result.mixture import BEST, MIXTURE, PLAIN
 from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue.controller_format import Identified
 from pkm_studies.resolve.earlier_result import (
@@ -25,18 +27,19 @@ from pkm_studies.resolve.earlier_result import (
     mixture_of,
 )
 
+Section = TypeVar("Section", bound=EstimateSection | CorrectedSection | MixtureSection)
 #: parameters that are drawn from the posterior for simulations
 DRAWS = 100
-#: what the parameters are where a study allows effects
-ABSORBED = (
-    "the parameters are the machine's, shifted so that they take up what is known of its"
-    " effects over the workspace"
-)
-#: what they are after a diagnosis, where no effect is corrected
-OVER_ANSWERS = (
-    "the parameters are the mean over all answers of the diagnosis, shifted so that they"
-    " take up what is known of effects over the workspace"
-)
+#: what the parameters are where effects may act and are not corrected
+SENT = {
+    MIXTURE: "the parameters are the mean of what is known, over all answers where there"
+    " is a diagnosis, shifted so that they take up what is known of effects over the"
+    " workspace",
+    BEST: "the parameters are those of the likeliest answer, which are expected to leave"
+    " the least error",
+    PLAIN: "the parameters are those of a fit without effects, which are expected to leave"
+    " the least error",
+}
 
 
 def identified_parameters(
@@ -58,8 +61,10 @@ def identified_parameters(
         origin, conditions = "gap.mixture", _over_answers(mixture, corrected, tables)
     elif corrected is not None:
         conditions = (*_of_effects(corrected, tables), *_if_not_best(mixture))
+        if corrected.controller and not with_effects:
+            conditions = (SENT[PLAIN], *conditions)
     elif result.estimate is not None and result.estimate.controller:
-        conditions = (ABSORBED,)
+        conditions = (SENT.get(result.estimate.sent, SENT[BEST]),)
     return Identified(values, sd, origin, conditions)
 
 
@@ -103,12 +108,8 @@ def adjusted_result(result: StudyResult) -> StudyResult:
         parameters[line.parameter] = msgspec.structs.replace(p, value=value, sd=sd)
     result = _with_adjusted_mixture(result, adjustment)
     part = "estimate" if result.corrected is None else "corrected"
-    changed = msgspec.structs.replace(section, parameters=parameters)
-    if isinstance(changed, EstimateSection) and changed.controller:
-        controller = dict(changed.controller)
-        for line in adjustment.lines:
-            controller[line.parameter] += line.amount
-        changed = msgspec.structs.replace(changed, controller=controller)
+    section = msgspec.structs.replace(section, parameters=parameters)
+    changed = _with_adjusted_controller(section, adjustment)
     return msgspec.structs.replace(result, **{part: changed})
 
 
@@ -119,13 +120,20 @@ def _with_adjusted_mixture(
     mixture = mixture_of(result)
     if mixture is None or result.gap is None:
         return result
-    controller = dict(mixture.controller)
+    changed = _with_adjusted_controller(mixture, adjustment)
+    gap = msgspec.structs.replace(result.gap, mixture=changed)
+    return msgspec.structs.replace(result, gap=gap)
+
+
+def _with_adjusted_controller(
+    section: Section, adjustment: AdjustmentSection
+) -> Section:
+    """The section whose parameters for the controller, if any, have the adjustments."""
+    controller = dict(section.controller)
     for line in adjustment.lines:
         if line.parameter in controller:
             controller[line.parameter] += line.amount
-    changed = msgspec.structs.replace(mixture, controller=controller)
-    gap = msgspec.structs.replace(result.gap, mixture=changed)
-    return msgspec.structs.replace(result, gap=gap)
+    return msgspec.structs.replace(section, controller=controller)
 
 
 def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:
@@ -155,7 +163,7 @@ def _over_answers(
     mixture: MixtureSection, corrected: CorrectedSection | None, tables: bool
 ) -> tuple[str, ...]:
     """What the parameters over all answers are, what stays, and what is reached."""
-    sentences = [OVER_ANSWERS]
+    sentences = [SENT.get(mixture.sent, SENT[BEST])]
     if corrected is not None:
         left_out = list(corrected.constants)
         sentences.append(f"not in this file: {_listed(corrected, left_out, tables)}")

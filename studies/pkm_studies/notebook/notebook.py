@@ -99,8 +99,8 @@ def choose_design(study: Study, *, seed: int | None = None) -> DesignView:
         )
     readings = Readings(series=state.design.series)
     scheduled = promote(Scheduled, state, readings=readings)
-    scheduled, verdict = design_steps.analyse_identifiability(scheduled)
-    return DesignView(design_steps.report_design(scheduled, verdict))
+    scheduled = design_steps.analyse_identifiability(scheduled)
+    return DesignView(design_steps.report_design(scheduled))
 
 
 def plan(study: Study, *, seed: int | None = None) -> PlanView:

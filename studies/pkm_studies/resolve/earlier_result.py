@@ -98,22 +98,18 @@ def controller_values(
 ) -> tuple[Array, Array]:
     """Parameters (np,) that a controller is given, and standard deviations, SI.
 
-    The identified ones, but where the fit allowed effects, or a diagnosis has several
-    answers: then those that take up what is known of the effects. With the effects of the
-    best answer corrected as well (`with_effects`), those estimated together with them.
+    The identified ones, but where effects may act: then those of least expected error.
+    With the effects of the best answer corrected as well (`with_effects`), those
+    estimated together with them.
     """
     values, sd = identified_values(result, machine)
-    mixture, estimate = mixture_of(result), result.estimate
-    if mixture is not None and not with_effects:
-        for name, value in mixture.controller.items():
-            parameter = mixture.parameters[name]
-            values[machine.index(name)] = units.to_si(value, parameter.unit)
-            sd[machine.index(name)] = units.to_si(parameter.sd, parameter.unit)
+    section = mixture_of(result) or result.final_estimate
+    if section is None or with_effects:
         return values, sd
-    if result.corrected is not None or estimate is None:
-        return values, sd
-    for name, value in estimate.controller.items():
-        values[machine.index(name)] = units.to_si(value, estimate.parameters[name].unit)
+    for name, value in section.controller.items():
+        parameter = section.parameters[name]
+        values[machine.index(name)] = units.to_si(value, parameter.unit)
+        sd[machine.index(name)] = units.to_si(parameter.sd, parameter.unit)
     return values, sd
 
 
@@ -121,6 +117,13 @@ def mixture_of(result: StudyResult) -> MixtureSection | None:
     """Parameters over all answers of a diagnosis that a controller can be given."""
     mixture = None if result.gap is None else result.gap.mixture
     return mixture if mixture is not None and mixture.controller else None
+
+
+def corrects_effects(result: StudyResult) -> bool:
+    """Whether the best answer's effects are corrected as well: not if that is worse."""
+    mixture = mixture_of(result)
+    is_better = mixture is None or mixture.with_effects is not None
+    return result.corrected is not None and is_better
 
 
 def known_parameters(

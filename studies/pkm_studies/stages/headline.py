@@ -20,6 +20,7 @@ from oed.result import (
     StudyResult,
     indices,
 )
+from oed.result.mixture import MIXTURE
 from pkm_studies.stages.design.phrases import (
     design_sentences,
     effects_sentences,
@@ -278,7 +279,7 @@ def _effects(section: EstimateSection) -> list[str]:
         return []
     largest = section.effects[0]
     sent = ""
-    if section.controller:
+    if section.controller and section.sent == MIXTURE:
         sent = ", and the controller's parameters take up what parameters can of them"
     return [
         f"The fit allows for {len(section.effects)} groups of effects beside the geometry;"

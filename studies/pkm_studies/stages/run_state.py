@@ -246,6 +246,7 @@ class Fitted(Measured):
     """A run whose readings are fitted.
 
     estimate   identified parameters
+    plain      those of a fit without effects beside the geometry
     effect_columns  what effects beside the geometry do; None where none are allowed
     posterior  draws about the estimate, where the study asks for them
     corrected  parameters and effects, estimated together
@@ -253,6 +254,7 @@ class Fitted(Measured):
     """
 
     estimate: Estimate
+    plain: Estimate
     effect_columns: ExpectedColumns | None = None
     posterior: Posterior | None = None
     corrected: CorrectedEstimate | None = None

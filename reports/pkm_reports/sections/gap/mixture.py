@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import MixtureSection, PredictionSection, StudyResult
-from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE
+from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE, NOTHING, PLAIN
 from pkm_reports.page import text
 from pkm_reports.page.blocks import (
     Block,
@@ -22,7 +22,9 @@ from pkm_reports.sections.accuracy_ranges import figures
 COMPENSATIONS: Final = {
     MIXTURE: "Geometry, over all answers",
     BEST: "Geometry, best answer alone",
+    PLAIN: "Geometry, fit without effects",
     BEST_WITH_EFFECTS: "Best answer with its effects corrected",
+    NOTHING: "Nothing corrected",
 }
 
 
@@ -59,7 +61,7 @@ def _accuracy(section: MixtureSection) -> list[Block]:
     """Figures with intervals of what is sent: geometry, and with effects if any."""
     tables: list[Block] = []
     for name, prediction in (
-        (MIXTURE, section.prediction),
+        (section.sent or MIXTURE, section.prediction),
         (BEST_WITH_EFFECTS, section.with_effects),
     ):
         if prediction is None:
@@ -112,7 +114,7 @@ def _parameters(section: MixtureSection) -> Table:
     caption = (
         "Parameters over all answers. What the standard deviation has beyond that within"
         " the answers is between them. A controller that corrects geometry alone takes"
-        " the last column, which takes up what is known of the effects."
+        " the last column: those of the least expected error."
     )
     return Table(columns, rows, caption)
 

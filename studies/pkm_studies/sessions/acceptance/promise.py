@@ -22,7 +22,7 @@ from oed.result import (
 )
 from pkm_studies.base.errors import InputError
 from pkm_studies.compensation import identified
-from pkm_studies.resolve.earlier_result import mixture_of
+from pkm_studies.resolve.earlier_result import corrects_effects, mixture_of
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.study import Study
@@ -218,7 +218,7 @@ def promised_rms(
     """
     prediction, plain = None, result.prediction
     mixture = mixture_of(result)
-    if result.corrected is not None:
+    if result.corrected is not None and corrects_effects(result):
         prediction = result.corrected.prediction
     elif mixture is not None:
         prediction = mixture.prediction

@@ -24,7 +24,7 @@ from oed.result.certificate import (
 )
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.resolve import quantities
-from pkm_studies.resolve.earlier_result import mixture_of
+from pkm_studies.resolve.earlier_result import corrects_effects, mixture_of
 from pkm_studies.sessions.acceptance.promise import (
     PromisedAccuracy,
     covariances,
@@ -131,7 +131,7 @@ def _parameter(
 
 
 def conditions(result: StudyResult) -> list[str]:
-    over_answers = result.corrected is None and mixture_of(result) is not None
+    over_answers = not corrects_effects(result) and mixture_of(result) is not None
     sentences = [NORMAL, OVER_ANSWERS if over_answers else ACCURACY]
     if result.verification is not None:
         sentences.append(CHECKED)

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import msgspec
 import numpy as np
 
+from oed.accuracy.prediction import least_error
 from oed.base import units
 from oed.base.arrays import Array
 from oed.checks.goodness import Goodness
@@ -26,8 +27,10 @@ from oed.result import (
     PredictionSection,
     SpreadRecord,
 )
+from oed.result.mixture import BEST, BEST_WITH_EFFECTS, PLAIN
 from pkm_studies.stages.corrected.coefficients import coefficient_records
 from pkm_studies.stages.corrected.tables import effect_tables
+from pkm_studies.stages.fit.effects import with_controller
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
 from pkm_studies.stages.gap.words import join_words, plain_name
@@ -46,6 +49,8 @@ KNOWN = {
     "tension": "the tension of each cable is known",
 }
 
+#: why a table of an effect is left out
+NO_HELP = "parameters alone are expected to leave no larger error"
 #: effects that change with the payload, where readings have several
 LOADED = ("gravity", "frame_bending")
 
@@ -113,6 +118,33 @@ def corrected_section(
         tables=tables,
         not_tabled=dict(not_tabled),
         warnings=list(warnings),
+    )
+
+
+def with_least_error(
+    section: CorrectedSection,
+    corrected: CorrectedEstimate,
+    accuracy: CorrectedAccuracy,
+    plain: Array,
+) -> CorrectedSection:
+    """The section with what a controller is sent, by the draws of its fit.
+
+    plain  (np,) parameters of the fit without effects, SI
+    """
+    before, after = accuracy.compensated.before, accuracy.compensated.after
+    geometry = {BEST: accuracy.parameters_only, PLAIN: accuracy.plain}
+    sent = least_error(before, {BEST_WITH_EFFECTS: after, **geometry})
+    section = msgspec.structs.replace(section, sent=sent)
+    if least_error(before, geometry) == PLAIN:
+        section = with_controller(section, corrected.measurement.machine, plain)
+    return section if sent == BEST_WITH_EFFECTS else without_tables(section)
+
+
+def without_tables(section: CorrectedSection) -> CorrectedSection:
+    """The section whose effects no controller corrects: that is not expected to help."""
+    reasons = {table.effect: NO_HELP for table in section.tables}
+    return msgspec.structs.replace(
+        section, tables=[], not_tabled={**section.not_tabled, **reasons}
     )
 
 

@@ -15,7 +15,6 @@ from oed.base.arrays import Array
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.compensate.effects.fit import EffectReadings
-from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.estimation.left_out import left_out_errors
 from oed.gap.data import problem as problems
@@ -24,6 +23,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.noise.prior import KNOWN_TO
 from oed.result import (
+    CorrectedSection,
     EffectSizeRecord,
     EstimateSection,
     GoodnessSection,
@@ -31,7 +31,7 @@ from oed.result import (
     trust,
 )
 from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.planned_effects import NONE, named_effects
+from pkm_studies.resolve.planned_effects import named_effects
 from pkm_studies.resolve.prediction import check_states
 from pkm_studies.stages.corrected import alarm
 from pkm_studies.stages.fit.states import recorded_states
@@ -41,7 +41,7 @@ from pkm_studies.stages.run_state import Fitted, Measured
 if TYPE_CHECKING:
     import pandas as pd
 
-Section = TypeVar("Section", EstimateSection, MixtureSection)
+Section = TypeVar("Section", EstimateSection, CorrectedSection, MixtureSection)
 
 #: mean square of readings left out, over that of the fit without effects, up to which
 #: effects explain the misfit
@@ -52,29 +52,18 @@ MOST_LEFT_OUT = 3000
 INTERVAL = (0.025, 0.975)
 
 
-def expected_effects(state: Measured, start: Array | None) -> ExpectedColumns | None:
+def expected_effects(state: Measured, plain: Estimate) -> ExpectedColumns | None:
     """What the effects of [identify] do to the readings; None where it allows none.
 
-    start  (n,) where the fit begins, SI; nominal by default. Raises InputError for a
-           name that is no effect of the study.
+    plain  the fit without effects. Raises InputError for a name that is no effect of the
+           study.
     """
-    if state.study.identify.effects == NONE:
-        return None
     request = state.resolved.gap_or_default
     names = state.study.identify.effects
     place = state.study.place.key("identify").key("effects")
     allowed = named_effects(request, names, place)
-    fitted = identification.identify(
-        state.measurement,
-        state.readings.series,
-        state.readings.y,
-        stages=state.resolved.identification_stages,
-        start=start,
-        max_iterations=state.study.identify.max_iterations,
-    )
-    return expected_columns(
-        readings_with_covariates(state, request).problem(fitted.theta), allowed
-    )
+    given = readings_with_covariates(state, request)
+    return expected_columns(given.problem(plain.theta), allowed)
 
 
 def _predicts(state: Measured, without: GoodnessSection, estimate: Estimate) -> bool:

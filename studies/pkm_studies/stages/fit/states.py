@@ -45,6 +45,25 @@ def recorded_states(covariates: pd.DataFrame | None) -> dict[str, Array]:
     return states
 
 
+def beyond_recorded(used: Mapping[str, Array], covariates: pd.DataFrame) -> list[str]:
+    """Sentences on values in use, SI, that lie outside what the readings recorded."""
+    sentences = []
+    for name, values in used.items():
+        if name not in covariates:
+            continue
+        ends = np.array([covariates[name].min(), covariates[name].max()])
+        if not ((values < ends[0]) | (values > ends[1])).any():
+            continue
+        ((column, shown),) = displayed_states({name: values}).items()
+        low, high = displayed_states({name: ends})[column]
+        sentences.append(
+            f"the prediction is for {column} {' and '.join(f'{v:g}' for v in shown)},"
+            f" beyond the readings ({low:g} to {high:g}): what effects do there is"
+            " extrapolated"
+        )
+    return sentences
+
+
 def displayed_states(states: Mapping[str, Array]) -> dict[str, list[float]]:
     """States by column of the readings file, in its unit."""
     shown = {}

@@ -10,6 +10,7 @@ import numpy as np
 
 from oed.accuracy.budget import budget_model
 from oed.accuracy.maps import Reference
+from oed.accuracy.prediction import least_error
 from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.compensate.effects.effect_maps import SessionStates
@@ -26,7 +27,7 @@ from oed.result import (
     MixedParameter,
     MixtureSection,
 )
-from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE
+from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE, NOTHING, PLAIN
 from pkm_studies.stages.fit.effects import with_controller
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
 from pkm_studies.stages.predict import knowledge
@@ -37,12 +38,16 @@ from pkm_studies.stages.rounding import format_number
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
 PHRASES = {
-    MIXTURE: "by the controller's parameters over all answers",
+    MIXTURE: "by the parameters over all answers",
     BEST: "by those of the best answer alone",
+    PLAIN: "by those of the fit without effects",
     BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
+    NOTHING: "with nothing corrected",
 }
 #: probability that is rounding
-NOTHING = 1e-6
+ROUNDED = 1e-6
+#: last number of the seed of the states in which known effects are taken up
+ABSORBING = 1
 #: share of a parameter's variance between the answers from which they disagree
 DISAGREE = 0.05
 
@@ -68,10 +73,12 @@ class BestAnswer:
 
     theta      (n,) parameters, SI
     corrected  the fit with its effects; None where it names none
+    plain      (n,) parameters of the fit without effects, SI
     """
 
     theta: Array
     corrected: CorrectedEstimate | None
+    plain: Array
 
 
 def mixture_section(
@@ -143,12 +150,16 @@ def _with_accuracy(
     """The section with what all answers expect of each compensation."""
     machine = known.measurement.machine
     count = len(machine.parameters)
-    rng = np.random.default_rng(seed)
+    # states other than those that the candidates are judged in
+    rng = np.random.default_rng([*seed, ABSORBING])
     absorbed = knowledge.with_absorbed_effects(known, use.command, use.reference, rng)
-    sent = machine.nominal + known.centre if absorbed.sent is None else absorbed.sent
+    mean = machine.nominal + known.centre if absorbed.sent is None else absorbed.sent
+    sent = {MIXTURE: mean, BEST: best.theta[:count], PLAIN: best.plain[:count]}
+    if np.array_equal(best.plain, best.theta):
+        del sent[PLAIN]
     compensations = {
-        MIXTURE: absorbed,
-        BEST: dataclasses.replace(known, sent=best.theta[:count]),
+        name: dataclasses.replace(known, sent=parameters)
+        for name, parameters in sent.items()
     }
     if best.corrected is not None and known.effects is not None:
         of_best = best.corrected.estimate.theta[best.corrected.parameters :]
@@ -157,21 +168,30 @@ def _with_accuracy(
         compensations[BEST_WITH_EFFECTS] = dataclasses.replace(
             compensations[BEST], corrected=corrected
         )
+    judged = knowledge.compared(
+        compensations, use.command, use.reference, np.random.default_rng(seed)
+    )
+    predicted = {name: result.prediction for name, result in judged.items()}
+    before, after = predicted[BEST].before, {n: p.after for n, p in predicted.items()}
+    geometry = least_error(before, {name: after[name] for name in sent})
     sections, choices = {}, []
-    for name, compensation in compensations.items():
-        draws = np.random.default_rng(seed)
-        predicted = knowledge.accuracy(
-            compensation, use.command, [use.reference], draws
-        )[use.reference].prediction
-        record = accuracy_section(known.measurement.kinematics, predicted, "mixture")
+    for name, prediction in predicted.items():
+        record = accuracy_section(known.measurement.kinematics, prediction, "mixture")
         sections[name] = with_wanted(record, use.wanted)
         rms = {n: c.after.rms for n, c in record.components.items()}
         choices.append(CompensationChoice(name, rms))
+    rms = {n: c.before.rms for n, c in sections[BEST].components.items()}
+    choices.append(CompensationChoice(NOTHING, rms))
+    shown = BEST if geometry == NOTHING else geometry
+    with_effects = sections.get(BEST_WITH_EFFECTS)
+    if least_error(before, after) != BEST_WITH_EFFECTS:
+        with_effects = None
     return msgspec.structs.replace(
-        with_controller(section, machine, sent),
+        with_controller(section, machine, sent[shown]),
+        sent=geometry,
         choices=choices,
-        prediction=sections[MIXTURE],
-        with_effects=sections.get(BEST_WITH_EFFECTS),
+        prediction=sections[shown],
+        with_effects=with_effects,
     )
 
 
@@ -226,7 +246,7 @@ def _of_answers(section: MixtureSection) -> str:
         for answer in section.answers
     ]
     sentence = f"Over all answers of the diagnosis: {', '.join(named)}"
-    if section.rest > NOTHING:
+    if section.rest > ROUNDED:
         rest = format_probability(section.rest)
         sentence += f"; other answers, {rest} together, are left out"
     return f"{sentence}."
@@ -265,9 +285,11 @@ def _of_choices(section: MixtureSection) -> list[str]:
         figures = [
             f"{format_number(choice.rms[name])} {unit[name]} {PHRASES[choice.name]}"
             for choice in section.choices
+            if choice.name in (section.sent, BEST, BEST_WITH_EFFECTS, NOTHING)
         ]
         parts.append(f"{name} {', '.join(figures)}")
     return [
         "Over all answers of the diagnosis, the expected rms error after compensation is"
-        f" {'; '.join(parts)}."
+        f" {'; '.join(parts)}. Of the parameters, the least error is expected"
+        f" {PHRASES[section.sent]}."
     ]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -95,11 +96,15 @@ class ActingEffects:
     draws: Array
 
     def maps(
-        self, command: Array, reference: Reference, rng: np.random.Generator
+        self,
+        command: Array,
+        reference: Reference,
+        rng: np.random.Generator,
+        tool: Array = NO_TOOL,
     ) -> ErrorMaps:
-        """Pose errors per unit of each coefficient at commands (n, n_dof)."""
+        """Pose errors per unit of each coefficient at commands (n, n_dof) of a tool."""
         return self.columns.workspace_maps(
-            self.session, self.theta, command, reference, rng
+            self.session, self.theta, command, reference, rng, tool
         )
 
 
@@ -204,6 +209,7 @@ def accuracy(
                 before,
                 reference,
                 rng,
+                tool,
             )
         spreads = predicted.fully_corrected
         variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
@@ -226,12 +232,13 @@ def _with_effects(
     before: Array | None,
     reference: Reference,
     rng: np.random.Generator,
+    tool: Array,
 ) -> Prediction:
     """Accuracy with effects that act beside the parameters and stay as they are.
 
     parameters  (m, np) draws about the estimate;  mean  (np,) identified errors
     """
-    acting = effects.maps(maps.command, reference, rng)
+    acting = effects.maps(maps.command, reference, rng, tool)
     both = ErrorMaps(
         command=maps.command,
         names=maps.names,
@@ -243,8 +250,8 @@ def _with_effects(
     if remaining is None:
         remaining = maps.remaining @ mean - _change_by_controller(known, mean, maps)
     remaining = remaining + acting.raw @ of_effects
-    if known.corrected is not None:
-        remaining = remaining - acting.raw @ known.corrected
+    if known.corrected is not None:  # as far as drives can
+        remaining = remaining - (acting.raw - acting.remaining) @ known.corrected
     if before is not None:
         before = before + acting.raw @ of_effects
     draws = np.hstack([parameters, effects.draws - of_effects])
@@ -261,6 +268,19 @@ def _with_effects(
         worth=known.worth,
         reference=reference,
     )
+
+
+def compared(
+    candidates: Mapping[str, ParameterKnowledge],
+    command: Array,
+    reference: Reference,
+    rng: np.random.Generator,
+) -> dict[str, Accuracy]:
+    """Accuracy of each candidate at commands (n, n_dof), all by the same draws."""
+    return {
+        name: accuracy(known, command, [reference], copy.deepcopy(rng))[reference]
+        for name, known in candidates.items()
+    }
 
 
 def with_absorbed_effects(

@@ -8,6 +8,7 @@ import numpy as np
 
 from oed import checks
 from pkm_studies.stages.fit.goodness import check_dataset, goodness_section
+from pkm_studies.stages.fit.states import beyond_recorded
 from pkm_studies.stages.run_state import Measured, MeasuredReadings, Stream
 
 
@@ -22,6 +23,9 @@ def check_readings(state: Measured) -> Measured:
     state = state.replace(checked=checked)
     state = state.with_sections(goodness=goodness_section(checked))
     state = state.with_warnings(*[f.sentence for f in checked.findings])
+    used, covariates = state.resolved.prediction, readings.covariates
+    if used is not None and covariates is not None:
+        state = state.with_warnings(*beyond_recorded(used.states, covariates))
     if not checked.set_aside:
         return state
     return state.replace(readings=_without(readings, checked))

@@ -127,7 +127,10 @@ def _with_section(
     if len(command):
         theta = _approximate(corrected, rng) if draws is None else draws.pooled
         worth = None if draws is None else float(np.nanmin(draws.ess))
-        accuracy = predict_corrected(corrected, command, reference, rng, theta, worth)
+        plain = state.plain.theta[: len(kinematics.machine.parameters)]
+        accuracy = predict_corrected(
+            corrected, command, reference, rng, theta, worth, plain
+        )
     workspace = sections.Workspace(
         command=command,
         axes=workspace_axes(study, kinematics.machine),
@@ -151,6 +154,8 @@ def _with_section(
             goodness, noise_is_a_guess=state.noise_is_a_guess
         ),
     )
+    if accuracy is not None:
+        section = sections.with_least_error(section, corrected, accuracy, plain)
     turned = find_turned_runs(corrected)
     if turned is not None:
         return _with_turned_runs(state, section, turned)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from oed.identifiability.assessment import Assessment, assess
+from oed.identifiability.assessment import assess
 from oed.identifiability.information import Scaling
 from oed.result import PolishSummary
 from pkm_studies.resolve.plan import PlanRequest
@@ -78,11 +78,8 @@ def plan_measurements(
     return state.replace(measurement=outcome.measurement), outcome
 
 
-def analyse_identifiability(state: ScheduledT) -> tuple[ScheduledT, Assessment]:
-    """Find which parameters the readings identify, alone and against other plans.
-
-    The verdict is the second result.
-    """
+def analyse_identifiability(state: ScheduledT) -> ScheduledT:
+    """Find which parameters the readings identify, alone and against other plans."""
     state.progress.stage("identifiability")
     resolved, series = state.resolved, state.readings.series
     scaling: Scaling = state.study.design.scaling if state.study.design else "length"
@@ -98,7 +95,7 @@ def analyse_identifiability(state: ScheduledT) -> tuple[ScheduledT, Assessment]:
         if not set(plan.setups) <= used
     }
     verdict = assess(state.measurement, series, scaling)
-    analysed = state.replace(identifiability=verdict).with_sections(
+    return state.replace(identifiability=verdict).with_sections(
         identifiability=identifiability.identifiability_section(
             verdict, scaling, others, indices
         ),
@@ -107,20 +104,21 @@ def analyse_identifiability(state: ScheduledT) -> tuple[ScheduledT, Assessment]:
         ),
         kappa_maps=[select.kappa_map(c, scaling) for c in resolved.kappa_circles],
     )
-    return analysed, verdict
 
 
-def report_design(state: ScheduledT, verdict: Assessment) -> ScheduledT:
-    """Score the chosen design beside the reference plans; `verdict` is on it."""
-    if state.design is None:
+def report_design(state: ScheduledT) -> ScheduledT:
+    """Score the chosen design, whose identifiability is known, beside reference plans."""
+    verdict = state.identifiability
+    if state.design is None or verdict is None:
         return state
     scored = section.design_section(state.resolved, state.design, verdict)
     return state.with_sections(design=scored)
 
 
-def report_single_stage(state: ScheduledT, verdict: Assessment) -> ScheduledT:
+def report_single_stage(state: ScheduledT) -> ScheduledT:
     """Report the readings as one stage, where the study has no [plan]."""
-    if state.plan is not None:
+    verdict = state.identifiability
+    if state.plan is not None or verdict is None:
         return state
     predicted = headline.predicted_accuracy(state.result.prediction)
     stage = cost.single_stage_plan(state.resolved, verdict, predicted)

@@ -11,6 +11,7 @@ from oed.estimation import fit_warnings, identification, run_prediction
 from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import EstimateSection, GoodnessSection
+from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.effects import (
     expected_effects,
@@ -46,8 +47,12 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     """
     readings, measurement = state.readings, state.measurement
     state.progress.stage("identification")
-    columns = expected_effects(state, start)
-    estimate = _identify(state, start, columns)
+    plain = estimate = _identify(state, start, None)
+    columns = None
+    if state.study.identify.effects != NONE:
+        columns = expected_effects(state, plain)
+    if columns is not None:
+        estimate = _identify(state, start, columns)
     _refuse_mode_jump(state, estimate.theta)
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
     if state.identifiability is not None:
@@ -63,7 +68,9 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     section = _without_resolved_warning(section, goodness, estimate)
     if columns is not None:
         section = with_effects(section, estimate, columns, measurement, readings.series)
-    fitted = promote(Fitted, state, estimate=estimate, effect_columns=columns)
+    fitted = promote(
+        Fitted, state, estimate=estimate, plain=plain, effect_columns=columns
+    )
     fitted = fitted.with_sections(estimate=section, goodness=goodness)
     return fitted.with_warnings(*section.warnings, *surprises(runs))
 

@@ -6,11 +6,9 @@ import msgspec
 
 from oed.compensate.effects.answer_fits import AnswerFits
 from oed.compensate.effects.expected_columns import expected_columns
-from oed.estimation import identification
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import IdentificationError
 from oed.gap.data.signature import untestable
 from pkm_studies.resolve.workspace import regular_commands
+from pkm_studies.stages.corrected.section import without_tables
 from pkm_studies.stages.fit.effects import readings_with_covariates, states_in_use
 from pkm_studies.stages.gap import mixture as sections
 from pkm_studies.stages.run_state import Fitted, Stream
@@ -29,13 +27,7 @@ def mix_answers(state: Fitted) -> Fitted:
     state.progress.stage("parameters over all answers")
     request = state.resolved.gap_or_default
     given = readings_with_covariates(state, request)
-    try:
-        without_effects = _without_effects(state)
-    except IdentificationError as error:
-        return state.with_warnings(
-            f"there are no parameters over all answers: with the geometry alone {error}"
-        )
-    problem = given.problem(without_effects.theta)
+    problem = given.problem(state.plain.theta)
     testable = [e for e in request.effects if untestable(e, problem.states) is None]
     rng = state.rng(Stream.MIXTURE)
     fits = AnswerFits(
@@ -47,7 +39,7 @@ def mix_answers(state: Fitted) -> Fitted:
         max_iterations=state.study.identify.max_iterations,
         corrected=state.corrected,
     )
-    mixture = fits.fit(diagnosis.answers, diagnosis.contents, without_effects)
+    mixture = fits.fit(diagnosis.answers, diagnosis.contents, state.plain)
     if mixture is None:
         return state
     corrected, table = state.corrected, state.study.prediction
@@ -64,23 +56,11 @@ def mix_answers(state: Fitted) -> Fitted:
         state.measurement,
         given.series,
         mixture,
-        sections.BestAnswer(theta, corrected),
+        sections.BestAnswer(theta, corrected, state.plain.theta),
         use,
         Stream.MIXTURE_ACCURACY.key(state.seed),
     )
-    return state.with_sections(gap=msgspec.structs.replace(gap, mixture=section))
-
-
-def _without_effects(state: Fitted) -> Estimate:
-    """The fit of the geometry alone. Raises IdentificationError."""
-    if state.estimate.effects is None:
-        return state.estimate
-    return identification.identify(
-        state.measurement,
-        state.readings.series,
-        state.readings.y,
-        stages=state.resolved.identification_stages,
-        estimate_noise=state.estimates_noise,
-        start=state.estimate.theta,
-        max_iterations=state.study.identify.max_iterations,
-    )
+    state = state.with_sections(gap=msgspec.structs.replace(gap, mixture=section))
+    if state.result.corrected is None or section.with_effects is not None:
+        return state
+    return state.with_sections(corrected=without_tables(state.result.corrected))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from oed.accuracy.budget import budget_model, budget_of
 from oed.accuracy.maps import ErrorMaps, Reference
-from oed.accuracy.prediction import Spread
+from oed.accuracy.prediction import Spread, least_error
 from oed.base.arrays import Array
 from oed.base.units import MM
 from oed.compensate.effects.effect_maps import SessionStates
@@ -20,6 +21,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
+from oed.result.mixture import BEST, MIXTURE, NOTHING, PLAIN
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.stages.fit.effects import (
     changes_by_effects,
@@ -63,11 +65,15 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     state.progress.stage("prediction")
     realised = _realised(state, table, command)
     rng = state.rng(Stream.PREDICT)
-    known = knowledge.with_absorbed_effects(
-        _knowledge(state), command, table.reference, rng
-    )
-    by_reference = knowledge.accuracy(known, command, [table.reference], rng)
-    main = by_reference[table.reference]
+    candidates = _candidates(state, command, table.reference, rng)
+    judged = knowledge.compared(candidates, command, table.reference, rng)
+    predicted = {name: result.prediction for name, result in judged.items()}
+    shown = sent = BEST
+    if len(candidates) > 1:
+        after = {name: p.after for name, p in predicted.items()}
+        sent = least_error(predicted[BEST].before, after)
+        shown = BEST if sent == NOTHING else sent
+    known, main = candidates[shown], judged[shown]
     section = _section(state, known, main)
     section = msgspec.structs.replace(
         section,
@@ -76,11 +82,29 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         **_states(known, table),
     )
     section = accuracy.with_wanted(section, state.resolved.wanted_accuracy)
-    if isinstance(state, Fitted) and known.sent is not None:
-        machine = state.measurement.machine
-        estimate = with_controller(state.estimate_section, machine, known.sent)
+    if isinstance(state, Fitted) and len(candidates) > 1:
+        estimate = msgspec.structs.replace(state.estimate_section, sent=sent)
+        if known.sent is not None:
+            machine = state.measurement.machine
+            estimate = with_controller(estimate, machine, known.sent)
         state = state.with_sections(estimate=estimate)
     return state.with_sections(prediction=accuracy.with_realised(section, realised))
+
+
+def _candidates(
+    state: Scheduled, command: Array, reference: Reference, rng: np.random.Generator
+) -> dict[str, ParameterKnowledge]:
+    """What a controller may be sent; beside the identified parameters where effects act.
+
+    Those that take up what is known of the effects, and those of a fit without effects.
+    """
+    known = _knowledge(state)
+    absorbed = knowledge.with_absorbed_effects(known, command, reference, rng)
+    if not isinstance(state, Fitted) or absorbed.sent is None:
+        return {BEST: known}
+    count = len(state.measurement.machine.parameters)
+    plain = dataclasses.replace(known, sent=state.plain.theta[:count])
+    return {BEST: known, MIXTURE: absorbed, PLAIN: plain}
 
 
 def _states(known: ParameterKnowledge, table: PredictionTable) -> dict[str, Any]:
