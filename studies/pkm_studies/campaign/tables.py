@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -143,12 +142,7 @@ def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
     path = _shipped_or(path)
     place = Place(str(path))
     text = files.read_text(path, limit=LIMIT, what="campaign file")
-    try:
-        table = tomllib.loads(text)
-    except ValueError as error:
-        problem = f"this is no TOML: {shorten(str(error), 100)}"
-        raise place.error(problem, "mend it there") from None
-    decode.check_finite(table, place)
+    table = decode.read_toml(text, place)
     tables = decode.decode(CampaignFile, table, place)
     if tables.schema != SCHEMA:
         remedy = "this program reads schema = 1"

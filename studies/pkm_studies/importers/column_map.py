@@ -10,7 +10,6 @@ read_x_mm = "X"
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +20,7 @@ import tomli_w
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
 from pkm_studies.base import files, user_code
-from pkm_studies.base.errors import Place, shorten
+from pkm_studies.base.errors import Place
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
 from pkm_studies.importers import column_sources, template
@@ -54,12 +53,7 @@ def load(request: ImportRequest) -> tuple[ColumnMap, Place]:
         return ColumnMap(), Place("--map")
     place = Place(str(request.map))
     text = files.read_text(request.map, limit=LIMIT, what="column map")
-    try:
-        table = tomllib.loads(text)
-    except ValueError as error:
-        problem = f"this is no TOML: {shorten(str(error), 100)}"
-        raise place.error(problem, "mend it there") from None
-    decode.check_finite(table, place)
+    table = decode.read_toml(text, place)
     return column_sources.expanded(decode.decode(ColumnMap, table, place), place), place
 
 

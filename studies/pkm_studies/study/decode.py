@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import tomllib
 import types
 import typing
 from collections.abc import Mapping
@@ -16,7 +17,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from pkm_studies.base.errors import InputError, Place, suggest
+from pkm_studies.base.errors import InputError, Place, shorten, suggest
 from pkm_studies.base.names import PATTERN as NAME_PATTERN
 
 T = TypeVar("T")
@@ -36,6 +37,23 @@ PATTERNS = {
     NAME_PATTERN: "letters, digits, _ and - only",
     "^([A-Z][A-Z])?$": "two capitals, such as DE,",
 }
+
+
+def read_toml(text: str, place: Place, further: str = "") -> dict[str, Any]:
+    """The tables of a TOML text, whose numbers are finite. Raises InputError.
+
+    further  what else than to mend it may be done
+    """
+    try:
+        table = tomllib.loads(text)
+        check_finite(table, place)
+    except RecursionError:
+        problem, remedy = "tables or lists are nested too deeply", "write them flat"
+        raise place.error(problem, remedy) from None
+    except ValueError as error:
+        problem = f"this is no TOML: {shorten(str(error), 100)}"
+        raise place.error(problem, f"mend it there{further}") from None
+    return table
 
 
 def decode(kind: type[T], data: object, place: Place) -> T:

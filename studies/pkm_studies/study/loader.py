@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import msgspec
 
 from pkm_studies.base import files
-from pkm_studies.base.errors import Place, shorten
+from pkm_studies.base.errors import Place
 from pkm_studies.base.user_code import Consent, Origin
 from pkm_studies.study import decode
 from pkm_studies.study.tables import ReadingsTable, StudyFile
@@ -65,13 +64,7 @@ def load(path: Path | str, consent: Consent = Consent.RECORDED) -> Study:
 def parse(text: str, path: Path, consent: Consent = Consent.RECORDED) -> Study:
     """As `load`, from text; errors name `path`, and the study's paths start there."""
     place = Place(str(path))
-    try:
-        table = _toml(text, place)
-        decode.check_finite(table, place)
-    except RecursionError:
-        raise place.error(
-            "tables or lists are nested too deeply", "see `oed schema study`"
-        ) from None
+    table = decode.read_toml(text, place, ", or start from `oed new`")
     _check_schema(table, place)
     tables = decode.decode(StudyFile, table, place)
     _check_tables(tables, place)
@@ -96,14 +89,6 @@ def from_tables(
             f"a value has no TOML form: {error}", "use numbers, texts, lists and tables"
         ) from error
     return parse(text, path, consent)
-
-
-def _toml(text: str, place: Place) -> dict[str, Any]:
-    try:
-        return tomllib.loads(text)
-    except ValueError as error:
-        problem = f"this is no TOML: {shorten(str(error), 100)}"
-        raise place.error(problem, "mend it there, or start from `oed new`") from None
 
 
 def _check_schema(table: dict[str, Any], place: Place) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime
 import re
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -157,11 +156,7 @@ def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
             "fill them in, and call the command again",
         )
     text = files.read_text(path, limit=LIMIT, what="certificate file")
-    try:
-        table = tomllib.loads(text)
-    except ValueError as error:
-        raise place.error(f"this is no TOML: {error}", "mend it there") from None
-    decode.check_finite(table, place)
+    table = decode.read_toml(text, place)
     file = decode.decode(HeadFile, table, place)
     _check(file, place)
     return _head(file), file.tolerance
