@@ -21,7 +21,7 @@ from pkm_studies.study import parse
 
 PATHS = (
     "../evil",
-    "/tmp/evil",
+    "/elsewhere/evil",
     "a/b",
     "..",
     "",

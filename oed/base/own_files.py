@@ -11,7 +11,7 @@ import hashlib
 import itertools
 import json
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
@@ -30,19 +30,8 @@ def write_own(path: Path, content: bytes, known: Collection[str] = ()) -> Path:
 
     Raises OSError.
     """
-
-    def write(part: Path) -> None:
-        part.write_bytes(content)
-
-    return save_own(path, write, known)
-
-
-def save_own(
-    path: Path, write: Callable[[Path], object], known: Collection[str] = ()
-) -> Path:
-    """As `write_own`, with a function that writes to the path it is given."""
     with temporary_file(path) as part:
-        write(part)
+        part.write_bytes(content)
         flush(part)
         new = digest(part)
         target = _unused(path, new, known)

@@ -49,6 +49,8 @@ def temporary_file(path: Path) -> Iterator[Path]:
     try:
         yield part
     except OSError as error:
+        if error.filename not in (None, str(part)):
+            raise  # another file was refused
         raise _about(path, error) from error
     finally:
         with contextlib.suppress(OSError):

@@ -100,8 +100,8 @@ class ArrowCandidates:
             arrow = importlib.import_module("pyarrow")
         except ImportError:
             raise ValueError(
-                f"{path}: Arrow files need pyarrow: pip install pkm-oed[parquet], or write"
-                " a .npy file"
+                "Arrow files need pyarrow: pip install pkm-oed[parquet], or write a .npy"
+                " file"
             ) from None
         source = arrow.memory_map(str(path))
         self._table = (
@@ -110,8 +110,7 @@ class ArrowCandidates:
         for field in self._table.schema:
             if not arrow.types.is_floating(field.type):
                 raise ValueError(
-                    f"{path}: column {field.name} holds {field.type}, not floating-point"
-                    " numbers"
+                    f"column {field.name} holds {field.type}, not floating-point numbers"
                 )
 
     def __len__(self) -> int:
@@ -138,13 +137,14 @@ def open_candidates(path: Path | str) -> CandidateFile:
     Raises ValueError for another suffix or content, OSError where it cannot be read.
     """
     path = Path(path)
-    if path.suffix == ".npy":
-        return NumpyCandidates(path)
-    if path.suffix in (".arrow", ".feather"):
-        return ArrowCandidates(path)
-    raise ValueError(
-        f"{path}: candidates are read from .npy, .arrow and .feather files"
-    )
+    try:
+        if path.suffix == ".npy":
+            return NumpyCandidates(path)
+        if path.suffix in (".arrow", ".feather"):
+            return ArrowCandidates(path)
+        raise ValueError("candidates are read from .npy, .arrow and .feather files")
+    except (EOFError, ValueError) as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def _as_double(rows: Any) -> Array:

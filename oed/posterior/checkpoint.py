@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import io
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,6 +24,8 @@ from oed.base.whole_file import whole_file
 
 #: attribute of a block that states to which chain it belongs
 FINGERPRINT = "fingerprint"
+#: emcee's name of the group of a chain
+GROUP = "mcmc"
 #: names of blocks: their first step
 BLOCK = re.compile(r"\d{8}\.h5")
 #: names of folders of single chains
@@ -71,13 +74,18 @@ class Chain:
     fingerprint: str
 
     def save(self, begin: int) -> None:
-        """Write the steps from `begin` on as a block. Raises OSError."""
+        """Write the steps from `begin` on as a block.
+
+        Where the disk refuses, the chain goes on: it then resumes from an earlier block.
+        """
         if self.checkpoint is None:
             return
-        folder, backend = self.checkpoint.folder, self.backend
-        folder.mkdir(parents=True, exist_ok=True)
-        with whole_file(folder / f"{begin:08d}.h5") as path:
-            _write_block(path, backend, begin, self.fingerprint)
+        folder = self.checkpoint.folder
+        content = _block(self.backend, begin, self.fingerprint)
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            with whole_file(folder / f"{begin:08d}.h5") as path:
+                path.write_bytes(content)
 
 
 def open_chain(
@@ -97,9 +105,7 @@ def open_chain(
         return Chain(backend, None, "")
     fingerprint = _fingerprint(checkpoint.key, determining)
     for path in checkpoint.blocks():
-        if _first_step(path, fingerprint) == backend.iteration:
-            _append(backend, emcee.backends.HDFBackend(str(path), read_only=True))
-        else:
+        if not _append(backend, path, fingerprint):
             path.unlink()
     return Chain(backend, checkpoint, fingerprint)
 
@@ -111,42 +117,46 @@ def _fingerprint(key: str, arrays: Iterable[Array]) -> str:
     return digest.hexdigest()
 
 
-def _write_block(path: Path, backend: Any, begin: int, fingerprint: str) -> None:
-    """Write the steps of a chain in memory from `begin` on, in emcee's layout."""
-    import emcee
+def _block(backend: Any, begin: int, fingerprint: str) -> bytes:
+    """The steps of a chain in memory from `begin` on, as a file in emcee's layout.
 
-    block = emcee.backends.HDFBackend(str(path))
-    block.reset(*backend.shape)
-    block.grow(backend.iteration - begin, None)
-    with block.open("a") as file:
-        group = file[block.name]
-        group["chain"][...] = backend.get_chain(discard=begin)
-        group["log_prob"][...] = backend.get_log_prob(discard=begin)
-        group["accepted"][...] = backend.accepted
+    In memory: where the disk refuses, HDF5 loses the process.
+    """
+    import h5py
+
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        group = file.create_group(GROUP)
+        group["chain"] = backend.get_chain(discard=begin)
+        group["log_prob"] = backend.get_log_prob(discard=begin)
+        group["accepted"] = backend.accepted
+        group.attrs["has_blobs"] = False
         for k, value in enumerate(backend.random_state):
             group.attrs[f"random_state_{k}"] = value
         group.attrs["iteration"] = backend.iteration - begin
         file.attrs[FINGERPRINT] = fingerprint
+    return content.getvalue()
 
 
-def _first_step(path: Path, fingerprint: str) -> int | None:
-    """First step of a block; None where it is of another chain, or is no block."""
+def _append(backend: Any, path: Path, fingerprint: str) -> bool:
+    """Append a block to the chain in memory; whether it is this chain's next one."""
+    import emcee
     import h5py
 
+    begin = backend.iteration
     try:
         with h5py.File(path, "r") as file:
-            same = file.attrs.get(FINGERPRINT) == fingerprint
-        return int(path.stem) if same else None
-    except (OSError, ValueError):
-        return None
-
-
-def _append(backend: Any, block: Any) -> None:
-    """Append a block to the chain in memory."""
-    begin, steps = backend.iteration, int(block.iteration)
+            if file.attrs.get(FINGERPRINT) != fingerprint or int(path.stem) != begin:
+                return False
+        block = emcee.backends.HDFBackend(str(path), read_only=True)
+        chain, log_prob = block.get_chain(), block.get_log_prob()
+        accepted, random_state = block.accepted, block.random_state
+    except (OSError, ValueError, LookupError):
+        return False
+    steps = len(chain)
     backend.grow(steps, None)
-    backend.chain[begin : begin + steps] = block.get_chain()
-    backend.log_prob[begin : begin + steps] = block.get_log_prob()
-    backend.accepted = block.accepted
-    backend.random_state = block.random_state
+    backend.chain[begin : begin + steps] = chain
+    backend.log_prob[begin : begin + steps] = log_prob
+    backend.accepted, backend.random_state = accepted, random_state
     backend.iteration = begin + steps
+    return True

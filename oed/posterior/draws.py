@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.base.own_files import save_own
+from oed.base.own_files import write_own
 from oed.result.fit import EMCEE
 
 if TYPE_CHECKING:
@@ -138,8 +138,9 @@ def to_arviz(posterior: Posterior) -> xr.DataTree:
 def save(posterior: Posterior, path: Path, attributes: dict[str, str]) -> Path:
     """Write the draws, SI, as NetCDF for xarray and ArviZ, whole or not at all.
 
-    Returns the path: one with a number where the user changed the file.
+    Returns the path: one with a number where the user changed the file. Raises OSError.
     """
     tree = to_arviz(posterior)
     tree.attrs.update(attributes)
-    return save_own(path, lambda part: tree.to_netcdf(part, engine="h5netcdf"))
+    # by way of the memory: where the disk refuses, HDF5 loses the process
+    return write_own(path, bytes(tree.to_netcdf(engine="h5netcdf")))

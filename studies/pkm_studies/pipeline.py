@@ -245,8 +245,6 @@ def simulate(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path,
     if covariates is not None:
         covariates = covariates.drop(columns=["setup", "run", "order"])
     data = dataset.from_series(readings.series, readings.y, measurement, covariates)
-    files.out_folder(out.parent)
-    dataset.save(out, data)
     truth: dict[str, Any] = {
         p.name: {"value": float(value), "unit": p.unit}
         for p, value in zip(measurement.parameters, virtual.truth, strict=True)
@@ -254,7 +252,8 @@ def simulate(study: Study, out: Path, *, seed: int | None = None) -> tuple[Path,
     if virtual.effects:
         truth["effects"] = virtual.effects
     text = msgspec.json.format(msgspec.json.encode(truth), indent=1)
-    return out, files.write_whole(_truth_path(out), text)
+    files.write_all({out: dataset.to_csv(data), _truth_path(out): text})
+    return out, _truth_path(out)
 
 
 def _truth_path(readings: Path) -> Path:

@@ -9,11 +9,12 @@ readings, and a header that is repeated within the file is passed over.
 from __future__ import annotations
 
 import collections
+import contextlib
 import csv
 import dataclasses
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +97,8 @@ def read(path: Path) -> CsvTable:
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.lstrip().startswith(COMMENTS)
     ]
-    lines, width = _split(written)
+    with named_errors(str(path)):
+        lines, width = _split(written)
     start = _first_numbers(lines, width, str(path))
     header = _header(lines[:start], width, str(path))
     if header == _numbered(width):
@@ -108,6 +110,17 @@ def read(path: Path) -> CsvTable:
         header=header,
         lines=tuple(_body(below, width, str(path))),
     )
+
+
+@contextlib.contextmanager
+def named_errors(file: str) -> Iterator[None]:
+    """InputError, with the file, where Python's reader of CSV gives up."""
+    try:
+        yield
+    except csv.Error as error:
+        raise InputError(
+            f"this is no CSV: {error}", "check its cells", file=file
+        ) from None
 
 
 def _split(written: Sequence[tuple[int, str]]) -> tuple[list[Line], int]:

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import hashlib
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
-from oed.base.whole_file import whole_file
+from oed.base.whole_file import flush, temporary_file
 from pkm_studies.base.errors import InputError
+
+#: what helps where the system refuses, by error number
+REMEDIES = {
+    errno.ENOSPC: "make room on this disk, or name a folder on another one",
+    errno.EDQUOT: "remove files of yours from this disk, or name a folder on another one",
+    errno.EFBIG: "raise the limit of file sizes (ulimit -f), or ask who set it",
+    errno.EROFS: "name a folder on a disk that can be written to",
+}
+OTHERWISE = (
+    "check the name, its folder and its permissions, and close it in other programs"
+)
 
 
 def write_whole(path: Path, content: bytes | str) -> Path:
@@ -16,15 +30,33 @@ def write_whole(path: Path, content: bytes | str) -> Path:
     Its folder is made. Raises InputError where `path` is a folder or its folder cannot
     be made, OSError where the disk refuses.
     """
-    data = content.encode("utf-8") if isinstance(content, str) else content
-    if path.is_dir():
-        raise InputError(
-            "a folder of this name is in the way", "name a file", file=str(path)
-        )
-    out_folder(path.parent)
-    with whole_file(path) as part:
-        part.write_bytes(data)
-    return path
+    return write_all({path: content})[0]
+
+
+def write_all(contents: Mapping[Path, bytes | str]) -> tuple[Path, ...]:
+    """Write files as `write_whole`, all of them or none, in this order; their paths."""
+    parts = {}
+    with contextlib.ExitStack() as opened:
+        for path, content in contents.items():
+            if path.is_dir():
+                raise InputError(
+                    "a folder of this name is in the way", "name a file", file=str(path)
+                )
+            out_folder(path.parent)
+            part = opened.enter_context(temporary_file(path))
+            part.write_bytes(content.encode() if isinstance(content, str) else content)
+            flush(part)
+            parts[part] = path
+        for part, path in parts.items():
+            part.replace(path)
+    return tuple(contents)
+
+
+def refusal(error: OSError, further: str = "") -> InputError:
+    """What the system refuses of a file, and what helps; `further` is said after it."""
+    problem = (error.strerror or type(error).__name__).lower()
+    remedy = REMEDIES.get(error.errno or 0, OTHERWISE) + further
+    return InputError(problem, remedy, file=str(error.filename or "the system"))
 
 
 def check_new(path: Path) -> None:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import importlib.util
 import json
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from oed.base import csv_text
-from oed.base.own_files import save_own, write_own
+from oed.base.own_files import write_own
 from pkm_studies.campaign import jobs
 from pkm_studies.campaign.case import ERROR, PROCESSOR_TIME
 from pkm_studies.campaign.runner import case_paths
@@ -63,8 +62,8 @@ def write_table(
     """
     written = []
     if importlib.util.find_spec("pyarrow") is not None:
-        save = partial(table.to_parquet, index=False)
-        written.append(save_own(out / "cases.parquet", save))
+        content = table.to_parquet(index=False)
+        written.append(write_own(out / "cases.parquet", content))
     return (
         *written,
         write_own(out / "cases.csv", csv_text.of_frame(table).encode()),

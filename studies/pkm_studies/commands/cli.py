@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import typer
 
-from pkm_studies.base import console
+from pkm_studies.base import console, files
 from pkm_studies.base.errors import InputError, shorten
 from pkm_studies.commands.subcommands import SubcommandGroup
 from pkm_studies.stages.outcome import BAD_INPUT, DONE
@@ -116,17 +116,13 @@ def _with_notes(paragraph: str, error: BaseException) -> str:
 
 def _about_file(error: OSError) -> str:
     """What a file refuses; an error without a name may be the output's own."""
-    problem = (error.strerror or type(error).__name__).lower()
-    name = error.filename
-    if console.is_about_output(error):
+    about_output = console.is_about_output(error)
+    if about_output:
         console.discard_output()
-        name = console.OUTPUT
-    if name == console.OUTPUT:
-        return f"{name}: {problem}; send it to a terminal, a pipe or another file."
-    return (
-        f"{name or 'the system'}: {problem}; check the name, its folder and its"
-        " permissions, and close it in other programs."
-    )
+    if about_output or error.filename == console.OUTPUT:
+        problem = (error.strerror or type(error).__name__).lower()
+        return f"{console.OUTPUT}: {problem}; send it to a terminal, a pipe or another file."
+    return str(files.refusal(error))
 
 
 def _kernel_errors() -> tuple[type[BaseException], ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -57,7 +58,9 @@ def _save(machine: Machine, closure: ClosestClosure, words: str, picture: Path) 
     title = f"{machine.name} {words.partition(':')[0]}"
     with style.applied():
         figure = figures.draw(closure, title, [c.name for c in machine.joints])
-        figure.savefig(picture, dpi=style.PIXELS_PER_INCH)
+        content, kind = io.BytesIO(), picture.suffix[1:].lower()
+        figure.savefig(content, format=kind, dpi=style.PIXELS_PER_INCH)
+    files.write_whole(picture, content.getvalue())
 
 
 def _verdict(machine: Machine, closure: ClosestClosure) -> str:

@@ -208,5 +208,4 @@ def _write(texts: Texts, folder: Path, out: Path | None) -> tuple[Path, ...]:
                 "this file is there already", "name another one", file=str(path)
             )
     files.out_folder(out.parent)
-    contents = zip(paths, texts.values(), strict=True)
-    return tuple(files.write_whole(path, text) for path, text in contents)
+    return files.write_all(dict(zip(paths, texts.values(), strict=True)))

@@ -67,8 +67,7 @@ def import_files(
             targets.append(out / name)
             contents.append(code)
     # the study last: whoever finds it finds what it names
-    for path, content in reversed(list(zip(targets, contents, strict=True))):
-        files.write_whole(path, content)
+    files.write_all(dict(reversed([*zip(targets, contents, strict=True)])))
     return targets[0], session
 
 

@@ -16,6 +16,7 @@ from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
+from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.page import acceptance, machine_page, render
 from pkm_studies.page.machine_page import (
@@ -347,8 +348,7 @@ def _attempt(
     except InputError as error:
         return UNUSABLE, {"error": str(error)}
     except OSError as error:
-        words = error.strerror or type(error).__name__
-        return UNUSABLE, {"error": f"The disk refuses: {words}. Nothing was taken."}
+        return UNUSABLE, {"error": f"{files.refusal(error)} Nothing was taken."}
     return 200, {}
 
 

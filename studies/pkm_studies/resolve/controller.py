@@ -57,7 +57,8 @@ def with_held(study: Study, kinematics: Kinematics) -> Kinematics:
     elif path.suffix != ".csv":
         raise place.error("this is no table of parameters", REMEDY, name)
     else:
-        rows = _csv_rows(path, place, name)
+        with csv_table.named_errors(str(path)):
+            rows = _csv_rows(path, place, name)
     if rows is None:
         return kinematics.with_controller(_tabled(kinematics, path, place))
     values = _parameters(rows, machine, place, name)
@@ -74,7 +75,7 @@ def _json_rows(path: Path, place: Place, name: str, machine: Machine) -> Rows:
         document = json.loads(text)
         rows: Rows = {str(n): dict(r) for n, r in document["parameters"].items()}
         other = str(document.get("machine", machine.name))
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
         raise place.error("this is no table of parameters", REMEDY, name) from None
     if other != machine.name:
         raise _other_machine(place, name, f"{machine.name} for {other}")

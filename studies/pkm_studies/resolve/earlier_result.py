@@ -201,13 +201,25 @@ def _in_si(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> Array
 
 
 def read_draws(path: Path, free: list[str]) -> Array | None:
-    """Draws (draws, n) of the free parameters, SI; None where some are absent."""
+    """Draws (draws, n) of the free parameters, SI; None where some are absent.
+
+    Raises InputError where the file does not hold draws.
+    """
     import xarray  # takes a second to import, and only a plan after a session needs it
 
-    with xarray.open_dataset(path, group="posterior", engine="h5netcdf") as data:
-        names = [str(name) for name in data["parameter"].values]
-        if not set(free) <= set(names):
-            return None
-        theta = np.asarray(data["theta"].values, dtype=float)
-    columns = [names.index(name) for name in free]
-    return theta.reshape(-1, len(names))[:, columns]
+    try:
+        with xarray.open_dataset(path, group="posterior", engine="h5netcdf") as data:
+            names = [str(name) for name in data["parameter"].values]
+            theta = np.asarray(data["theta"].values, dtype=float)
+        draws = theta.reshape(-1, len(names))
+        if len(draws) < 2 or not np.isfinite(draws).all():
+            raise ValueError("draws are missing")
+    except Exception as error:  # as many kinds as HDF5 and its readers have
+        raise Place(str(path)).error(
+            f"these are no draws of a posterior: {error}",
+            "restore the file, or make the result again; without it, the covariance of"
+            " the estimate counts",
+        ) from error
+    if not set(free) <= set(names):
+        return None
+    return draws[:, [names.index(name) for name in free]]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -59,20 +61,27 @@ def write(
 
     `sheet` adds the page to print and fill in at the machine. A file that the user
     changed, as by filling readings into poses.csv, stays, and the new one gets another
-    name. Returns the result with the digests of the files.
+    name. Returns the result with the digests of the files. Raises InputError where one
+    of the files cannot be written, once the others are.
     """
     known = _written_before(folder)
     written: dict[str, str] = {}
     names: dict[str, str] = {}
+    refused: list[OSError] = []
     for name, text in _texts(result, state).items():
-        path = own_files.write_own(folder / name, text.encode(), known)
-        written[path.name] = files.digest(text.encode())
-        names[name] = path.name
+        with _collected(refused):
+            path = own_files.write_own(folder / name, text.encode(), known)
+            written[path.name] = files.digest(text.encode())
+            names[name] = path.name
     if isinstance(state, Fitted) and state.posterior is not None:
-        names[POSTERIOR] = _save_posterior(folder, result, state.posterior).name
+        with _collected(refused):
+            names[POSTERIOR] = _save_posterior(folder, result, state.posterior).name
     warnings = [*result.warnings, *_renamed(names), *_set_aside(folder)]
+    warnings += [f"this file was not written: {files.refusal(e)}" for e in refused]
     result = msgspec.structs.replace(result, written=written, warnings=warnings)
     _write_result(folder, result)
+    if refused:
+        raise files.refusal(refused[0], f"; {RESULT} is written, without this file")
     if sheet:
         _write_sheet(folder, result, state.plan)
     return result
@@ -129,8 +138,26 @@ def _set_aside(folder: Path) -> list[str]:
 
 
 def _write_result(folder: Path, result: StudyResult) -> None:
+    """Write result.json; where its folder refuses it, into a temporary one.
+
+    Raises InputError which says where it is: it may have taken hours.
+    """
     encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
-    own_files.write_own(folder / RESULT, encoded)
+    try:
+        own_files.write_own(folder / RESULT, encoded)
+    except OSError as error:
+        kept = Path(tempfile.mkdtemp(prefix="oed-"), RESULT)
+        files.write_whole(kept, encoded)
+        raise files.refusal(error, f"; the result is kept in {kept}") from error
+
+
+@contextlib.contextmanager
+def _collected(refused: list[OSError]) -> Iterator[None]:
+    """Collect what the disk refuses: the files after it are still to be written."""
+    try:
+        yield
+    except OSError as error:
+        refused.append(error)
 
 
 def _texts(result: StudyResult, state: RunState) -> dict[str, str]:

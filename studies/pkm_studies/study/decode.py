@@ -119,9 +119,8 @@ def tables_of(text: str, place: Place, remedy: str = "mend it there") -> dict[st
         problem = f"this is no TOML: {shorten(str(error), 100)}"
         raise place.error(problem, remedy) from None
     except RecursionError:
-        raise place.error(
-            "tables or lists are nested too deeply", "see `oed schema study`"
-        ) from None
+        problem = "tables or lists are nested too deeply"
+        raise place.error(problem, "write them flat") from None
     return table
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from oed.base import own_files, whole_file
-from oed.base.own_files import is_own, latest, save_own, write_own
+from oed.base.own_files import is_own, latest, write_own
 
 
 def names(folder: Path) -> set[str]:
@@ -67,16 +67,18 @@ def test_the_same_content_is_no_other_file(tmp_path: Path) -> None:
     assert write_own(path, b"same") == path
 
 
-def test_a_failure_leaves_everything_as_it_was(tmp_path: Path) -> None:
+def test_a_failure_leaves_everything_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(part: Path) -> None:
+        raise OSError(28, "No space left on device", str(part))
+
     path = tmp_path / "a.txt"
     write_own(path, b"1")
 
-    def fail(part: Path) -> None:
-        part.write_bytes(b"half")
-        raise OSError(28, "No space left on device", str(part))
-
+    monkeypatch.setattr(own_files, "flush", full)
     with pytest.raises(OSError, match="No space") as error:
-        save_own(path, fail)
+        write_own(path, b"2")
     assert error.value.filename == str(path)
     assert path.read_bytes() == b"1"
     assert names(tmp_path) == {"a.txt"}
@@ -137,9 +139,9 @@ def test_errors_never_name_the_temporary_file(tmp_path: Path) -> None:
         write_own(folder / "a", b"")
     assert ".part" not in str(error.value)
 
-    def fail(part: Path) -> None:
+    with (
+        pytest.raises(OSError, match="cannot be written") as error,
+        whole_file.temporary_file(tmp_path / "a") as part,
+    ):
         raise OSError(0, f"unable to open {part}")
-
-    with pytest.raises(OSError, match="cannot be written") as error:
-        save_own(tmp_path / "a", fail)
     assert ".part" not in str(error.value)

@@ -10,6 +10,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from pkm_studies.base import files
+from pkm_studies.base.csv_table import named_errors
 from pkm_studies.base.errors import Place
 from pkm_studies.importers.bodies.tree import (
     BALL,
@@ -63,7 +64,9 @@ def read(path: Path, loops: Path | None) -> BodyTree:
         bodies[body.name] = body
     _check_parents(bodies, place)
     ignored = {e.tag for e in root if e.tag not in ("link", "joint")} | {"inertial"}
-    return BodyTree(bodies, _loops(loops, bodies), {}, tuple(sorted(ignored)))
+    with named_errors(str(loops)):
+        closing = _loops(loops, bodies)
+    return BodyTree(bodies, closing, {}, tuple(sorted(ignored)))
 
 
 def _body(element: ET.Element, place: Place) -> Body:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pkm_studies.base import files
+from pkm_studies.base.csv_table import named_errors
 from pkm_studies.base.errors import Place, SourceAbsentError, shorten
 
 #: bytes of the largest file
@@ -26,14 +27,15 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[Row]:
     if missing:
         problem = f"the column {missing[0]} is missing"
         raise Place(str(path)).error(problem, AS_PUBLISHED)
-    return [{key: cell or "" for key, cell in row.items() if key} for row in reader]
+    with named_errors(str(path)):
+        return [{key: cell or "" for key, cell in row.items() if key} for row in reader]
 
 
 def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises InputError."""
     try:
         return json.loads(_text(path))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         problem = f"no JSON: {shorten(str(error), 80)}"
         raise Place(str(path)).error(problem, AS_PUBLISHED) from None
 

@@ -1,0 +1,125 @@
+"""An error names its file: draws, candidates, checkpoints, tables that are no such thing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+
+from oed.design import open_candidates
+from oed.posterior import checkpoint
+from pkm_studies.base import csv_table
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands import cli
+from pkm_studies.resolve.earlier_result import read_draws
+from pkm_studies.study.data_sources import tables
+
+NAMES = ("parameter", ["a", "b"])
+DIMENSIONS = ("chain", "draw", "parameter")
+
+
+def netcdf(**variables: object) -> bytes:
+    data = xarray.Dataset(variables)
+    return bytes(data.to_netcdf(engine="h5netcdf", group="posterior"))
+
+
+def draws(theta: np.ndarray) -> bytes:
+    return netcdf(theta=(DIMENSIONS, theta), parameter=NAMES)
+
+
+GOOD = draws(np.ones((1, 5, 2)))
+BROKEN = {
+    "empty": b"",
+    "text": b"no netCDF\n",
+    "cut": GOOD[: len(GOOD) // 2],
+    "head alone": GOOD[:8],
+    "no group": bytes(xarray.Dataset().to_netcdf(engine="h5netcdf")),
+    "no draws": netcdf(parameter=NAMES),
+    "of a number": netcdf(theta=3.0, parameter=NAMES),
+    "not finite": draws(np.full((1, 5, 2), np.nan)),
+    "words": draws(np.full((1, 5, 2), "x")),
+    "one draw": draws(np.ones((1, 1, 2))),
+}
+
+
+def test_whole_draws_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "posterior.nc"
+    path.write_bytes(GOOD)
+    read = read_draws(path, ["b"])
+    assert read is not None
+    np.testing.assert_array_equal(read, np.ones((5, 1)))
+    assert read_draws(path, ["c"]) is None
+
+
+@pytest.mark.parametrize("content", BROKEN.values(), ids=[*BROKEN])
+def test_broken_draws_are_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "posterior.nc"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as error:
+        read_draws(path, ["a"])
+    said = str(error.value)
+    assert said.startswith(f"{path}: these are no draws of a posterior: ")
+    assert "restore the file" in said
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.arrow", "a.feather", "a.txt"])
+@pytest.mark.parametrize("content", [b"", b"text", b"\x93NUMPY\x01\x00", b"ARROW1\0\0"])
+def test_broken_candidates_are_named(tmp_path: Path, name: str, content: bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=name) as error:
+        open_candidates(path)
+    assert str(error.value).count(str(path)) == 1
+
+
+def test_a_block_that_is_cut_is_no_block(tmp_path: Path) -> None:
+    """A chain goes on before it, as where it was never written."""
+    shape = (4, 2)
+    chain = checkpoint.open_chain(checkpoint.Checkpoint(tmp_path, "k"), shape, [])
+    chain.backend.grow(3, None)
+    chain.backend.iteration = 3
+    chain.backend.random_state = np.random.mtrand.RandomState(1).get_state()
+    chain.save(0)
+    (block,) = tmp_path.glob("*.h5")
+    with h5py.File(block, "a") as file:
+        del file[checkpoint.GROUP]["chain"]
+    again = checkpoint.open_chain(checkpoint.Checkpoint(tmp_path, "k"), shape, [])
+    assert again.backend.iteration == 0
+    assert not block.exists()
+
+
+DEEP = "x = " + "[" * 5000
+
+
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [
+        ("c.campaign.toml", ["campaign", "c.campaign.toml"]),
+        ("m.toml", ["import", "columns", "r.csv", "--map", "m.toml", "--out", "o"]),
+        ("s.study.toml", ["check", "s.study.toml"]),
+    ],
+)
+def test_nested_tables_are_named(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    command: list[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_text(DEEP, encoding="utf-8")
+    (tmp_path / "r.csv").write_text("x,y\n1,2\n", encoding="utf-8")
+    assert cli.main(command) == 2
+    assert f"{name}: tables or lists are nested too deeply" in capsys.readouterr().err
+
+
+def test_a_cell_that_no_reader_takes_is_named(tmp_path: Path) -> None:
+    """Python's reader of CSV takes 131072 characters."""
+    path = tmp_path / "long.csv"
+    path.write_text(f"x,y\n1,2\n3,{'9' * 200_000}\n", encoding="utf-8")
+    for read in (csv_table.read, lambda p: tables.read_csv(p, ["x"])):
+        with pytest.raises(InputError, match=r"long.csv: this is no CSV: field larger"):
+            read(path)
