@@ -124,7 +124,7 @@ def column_tables() -> list[str]:
     """Frames and columns of every machine and instrument."""
     lines = heading("Frames and columns", "-")
     lines += [
-        "Frame, order, sense and usual unit of every coordinate and channel. Matrices"
+        "Frame, order, sense and usual unit of every coordinate, channel and parameter. Matrices"
         " take vectors of the platform's frame into the stated one.",
         "",
     ]

@@ -3,7 +3,8 @@
 The linear maps state them against a reference:
 
 "absolute"  in the base frame
-"home"      zeroed at the home pose: place and orientation, as a user zeroes a machine
+"home"      zeroed at the home pose: of the place, the error at home is subtracted; of the
+            orientation R, the turn from home R R_home^T is compared with the commanded one
 "best_fit"  after the best rigid alignment of all workspace poses
 
 For the exact errors the machine is driven with the identified parameters and has those of
@@ -24,7 +25,7 @@ from oed.base.arrays import Array
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.mechanism.nearby_poses import NearbyPoses
-from oed.mechanism.pose_errors import NO_TOOL, pose_error
+from oed.mechanism.pose_errors import NO_TOOL, pose_error, twist_between
 
 Reference = Literal["home", "absolute", "best_fit"]
 
@@ -186,6 +187,31 @@ def _cross_matrices(vectors: Array) -> Array:
     return matrices
 
 
+def components_against(
+    kinematics: Kinematics,
+    command: Array,
+    twist: Array,
+    reference: Reference,
+    tool: Array = NO_TOOL,
+) -> Array:
+    """Errors (..., n, k) of the pose components, SI, against a reference.
+
+    twist  (..., n + 1, 6) pose errors of machines at commands (n, n_dof), home the last
+    """
+    machine = kinematics.machine
+    home = machine.with_tool(machine.home_command[None], tool)
+    model = error_model(kinematics, command, tool)
+    at_home = error_model(kinematics, home, tool)
+    frame = (model, at_home, reference, machine.alignment_lever)
+    relative = [
+        relative_to_reference(of_one[:-1], of_one[-1:], *frame)
+        for of_one in twist.reshape(-1, len(command) + 1, 6)
+    ]
+    commands = np.tile(command, (len(relative), 1))
+    components = kinematics.error_components(commands, np.vstack(relative))
+    return components.reshape(*twist.shape[:-2], len(command), -1)
+
+
 def compensated_errors(
     kinematics: Kinematics,
     command: Array,
@@ -198,21 +224,21 @@ def compensated_errors(
     identified  (np,) parameters of the compensation
     parameters  (m, np) of the machine, near the identified ones
 
-    Place is zeroed in the base frame, orientation in the platform's axes. Raises
-    AssemblyError.
+    Raises AssemblyError.
     """
     poses = kinematics.machine.and_home(command, tool)
     wanted_x, _ = kinematics.inverse(poses, kinematics.machine.nominal, tool)
     rotation, point, _ = kinematics.frames(wanted_x, tool)
     true_rotation, true_point = _frames(kinematics, poses, identified, parameters, tool)
-    place = true_point - point
-    turned = true_rotation[:, :-1] @ np.swapaxes(true_rotation[:, -1:], 2, 3)
-    turned = turned @ rotation[-1] @ np.swapaxes(rotation[:-1], 1, 2)
-    turns = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec()
-    shift = (place[:, :-1] - place[:, -1:]).reshape(-1, 3)
-    commands = np.tile(command, (len(parameters), 1))
-    components = kinematics.error_components(commands, np.hstack([shift, turns]))
-    return components.reshape(len(parameters), len(command), -1)
+    m = len(parameters)
+    twist = twist_between(
+        np.tile(rotation, (m, 1, 1)),
+        np.tile(point, (m, 1)),
+        true_rotation.reshape(-1, 3, 3),
+        true_point.reshape(-1, 3),
+    )
+    twists = twist.reshape(m, len(poses), 6)
+    return components_against(kinematics, command, twists, "home", tool)
 
 
 def controller_errors(
@@ -231,15 +257,7 @@ def controller_errors(
     poses = machine.and_home(command, tool)
     _, joints = kinematics.sent(poses, tool)
     twist = pose_error(kinematics, poses, joints, parameters, tool)
-    relative = relative_to_reference(
-        twist[:-1],
-        twist[-1:],
-        error_model(kinematics, command, tool),
-        error_model(kinematics, poses[-1:], tool),
-        reference,
-        machine.alignment_lever,
-    )
-    return kinematics.error_components(command, relative)
+    return components_against(kinematics, command, twist, reference, tool)
 
 
 def _frames(

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.accuracy.maps import Reference, relative_to_reference
+from oed.accuracy.maps import Reference, components_against
 from oed.base.arrays import Array
 from oed.compensate import (
     FurtherAxes,
     InterpolationTable,
     compensated_joints,
-    error_model,
     joint_corrections,
     pose_error,
 )
@@ -125,19 +124,3 @@ def known_errors(
     joints = compensated_joints(kinematics, poses, modelled)
     twist = pose_error(kinematics, poses, joints, parameters)
     return components_against(kinematics, command, twist, reference)
-
-
-def components_against(
-    kinematics: Kinematics, command: Array, twist: Array, reference: Reference
-) -> Array:
-    """Errors (n, k) of the pose components, SI, of twists (n + 1, 6), home the last."""
-    home = kinematics.machine.home_command[None]
-    relative = relative_to_reference(
-        twist[:-1],
-        twist[-1:],
-        error_model(kinematics, command),
-        error_model(kinematics, home),
-        reference,
-        kinematics.machine.alignment_lever,
-    )
-    return kinematics.error_components(command, relative)

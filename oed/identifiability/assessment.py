@@ -88,7 +88,7 @@ def assess(
 
 def free_parameters(measurement: Measurement, series: Sequence[Series]) -> Index:
     """Indices of the free parameters of the machine and of the set-ups in use."""
-    setups = {s.setup for s in series}
+    setups = {measurement.setups[s.setup].owner for s in series}
     indices = []
     for k, name in enumerate(measurement.names):
         setup, _, _ = name.rpartition(".")

@@ -252,8 +252,9 @@ def _slopes_over_unknowns(
     for name in dict.fromkeys(s.setup for s in series):
         if name not in sizes:
             continue
-        for unknown in measurement.setups[name].instrument.renewed:
-            full = measurement.names.index(f"{name}.{unknown}")
+        setup = measurement.setups[name]
+        for unknown in setup.instrument.renewed:
+            full = measurement.names.index(f"{setup.owner}.{unknown}")
             columns.setdefault(unknown, []).append((full, sizes[name]))
     if not columns:
         return np.zeros((len(measurement.setup_of_readings(series)), 0))

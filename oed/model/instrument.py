@@ -266,6 +266,7 @@ class Setup:
     teach       command (n_dof,) of the teach pose, SI; for reference "teach" only
     protocol    how often each planned reading is taken
     statement   what is stated of its noise beyond sigma
+    station     what it shares its unknowns with: set-ups of one name see one frame
     """
 
     name: str
@@ -277,6 +278,12 @@ class Setup:
     teach: tuple[float, ...] | None = None
     protocol: Protocol = Protocol()
     statement: NoiseStatement = NOTHING_STATED
+    station: str = ""
+
+    @property
+    def owner(self) -> str:
+        """What stands before the names of its unknowns: its station, or itself."""
+        return self.station or self.name
 
     def __post_init__(self) -> None:
         expected = {s.name for s in self.instrument.settings}

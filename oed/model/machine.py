@@ -179,7 +179,7 @@ class Machine:
                          platform does not turn
     orientation          how the angles of the pose make the rotation of the platform
     command_orientation  the same of the command's angles
-    drive                what moves the joints: `screw`, `belt`, `cable` or
+    drive                what moves the joints: `screw`, `belt`, `cable`, `gear` or
                          `linear_motor`; "" where it is not stated. Effects that such a
                          drive cannot have are left out
 

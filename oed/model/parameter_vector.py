@@ -20,9 +20,10 @@ class ParameterVector:
     """Parameters (n,) of a machine and of the set-ups that read it.
 
     machine     the machine
-    parameters  of theta; those of a set-up are named `set-up.parameter`
+    parameters  of theta; those of a set-up are named `set-up.parameter`, and those that
+                set-ups share `station.parameter`
 
-    Raises ValueError for set-up names that repeat.
+    Raises ValueError for set-up names that repeat, and unlike unknowns of a station.
     """
 
     def __init__(self, machine: Machine, setups: Sequence[Setup]) -> None:
@@ -32,12 +33,19 @@ class ParameterVector:
         self.machine = machine
         parameters = list(machine.parameters)
         self._nuisances: dict[str, slice] = {}
+        stations: dict[str, Setup] = {}
         for setup in setups:
+            first = stations.setdefault(setup.owner, setup)
+            if first.nuisances != setup.nuisances:
+                raise ValueError(
+                    f"{first.name} and {setup.name} share a station, and not its unknowns"
+                )
             start = len(parameters)
-            for nuisance in setup.nuisances:
-                name = f"{setup.name}.{nuisance.name}"
+            for nuisance in setup.nuisances if first is setup else ():
+                name = f"{setup.owner}.{nuisance.name}"
                 parameters.append(dataclasses.replace(nuisance, name=name))
-            self._nuisances[setup.name] = slice(start, len(parameters))
+            place = slice(start, len(parameters))
+            self._nuisances[setup.name] = self._nuisances.get(first.name, place)
         self.parameters: tuple[Parameter, ...] = tuple(parameters)
 
     @property

@@ -49,7 +49,7 @@ def build(geometry: Geometry) -> Machine:
         about="five-bar linkage of any size (SCARA-like): x, y driven",
         joints=cranks.joints(2),
         base_frame="that of the cranks' centres; the machine moves in the plane z = 0",
-        parameters=cranks.parameters(centre, crank, strut, sd),
+        parameters=cranks.parameters(centre, limbs.axis, crank, strut, sd),
         lever=float(crank.max()),
         closure=limbs.closure,
         guess=limbs.start("xy"),

@@ -78,7 +78,7 @@ def build(geometry: Geometry) -> Machine:
         command=command,
         parameters=(
             *families.places("b", guides, sd, "point of guide"),
-            *legs.guide_tilts(6),
+            *legs.tilts(along, "guide"),
             *families.places("a", platform, sd, "platform joint"),
             *families.numbers("l", strut.tolist(), sd, "m", "length of strut"),
         ),

@@ -56,7 +56,7 @@ def build(geometry: Geometry) -> Machine:
         joints=cranks.joints(6),
         command=command,
         parameters=(
-            *cranks.parameters(families.array(table, "centre"), crank, strut, sd),
+            *cranks.parameters(families.array(table, "centre"), axis, crank, strut, sd),
             *families.places("a", platform, sd, "platform joint"),
         ),
         home=legs.pose_at({}, home.tolist()),

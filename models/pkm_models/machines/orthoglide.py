@@ -68,7 +68,7 @@ def build(geometry: Geometry) -> Machine:
         base_frame="that of the geometry's points at the base",
         parameters=(
             *families.places("b", guides, sd, "point of guide"),
-            *legs.guide_tilts(3),
+            *legs.tilts(along, "guide"),
             *families.numbers("l", strut.tolist(), sd, "m", "length of strut"),
         ),
         lever=longest,

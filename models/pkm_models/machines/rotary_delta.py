@@ -66,7 +66,7 @@ def build(geometry: Geometry) -> Machine:
             "origin on the axis from which the radii count; z up; limbs at the angles"
             " from x to y that the geometry states"
         ),
-        parameters=cranks.parameters(shoulders, upper, lower, sd),
+        parameters=cranks.parameters(shoulders, axis, upper, lower, sd),
         lever=float(upper.max()),
         closure=limbs.closure,
         guess=limbs.start("xyz"),

@@ -91,7 +91,7 @@ def build(geometry: Geometry) -> Machine:
         command=legs.tripod_command(table),
         parameters=(
             *families.places("b", guides, sd, "point of guide"),
-            *legs.guide_tilts(3),
+            *legs.tilts(along, "guide"),
             *families.places("a", platform, sd, "platform joint"),
             *families.numbers("l", strut.tolist(), sd, "m", "length of strut"),
             *legs.hinge_parameters(),

@@ -28,7 +28,6 @@ from oed.model.machine import (
     Expr,
     Family,
     Machine,
-    Parameter,
     Start,
     Values,
 )
@@ -88,16 +87,6 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     return legs.legs_skeleton(x, p, 3)
 
 
-def _axis_tilts() -> list[Parameter]:
-    """Two tilts of each revolute axis in the platform, rad."""
-    about = "tilt of the revolute axis at the platform, leg"
-    return [
-        Parameter(f"tilt{i}{k}", 0.0, legs.DIRECTION_SD, "rad", f"{about} {i}, {k}")
-        for i in LEGS
-        for k in "ab"
-    ]
-
-
 def _refuse_what_locks(base: Array, platform: Array) -> None:
     """Refuse legs 1 and 2 whose axes do not agree. Raises ValueError."""
     slack = OFF_LINE * families.largest(base)
@@ -139,7 +128,7 @@ def build(geometry: Geometry) -> Machine:
             *families.places("a", platform, sd, "platform joint"),
             *families.numbers("l", [0.0] * 3, sd, "m", "zero of leg"),
             *legs.hinge_parameters(),
-            *_axis_tilts(),
+            *legs.tilts(AXES, "the revolute axis at the platform, leg", "platform"),
         ),
         components=legs.errors(XYZ),
         home=dict(zip(XYZ, home.tolist(), strict=True)),

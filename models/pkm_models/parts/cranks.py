@@ -167,26 +167,17 @@ def joints(count: int) -> tuple[Coordinate, ...]:
 
 
 def parameters(
-    centre: Array, crank: Array, strut: Array, sd: float
+    centre: Array, axis: Array, crank: Array, strut: Array, sd: float
 ) -> tuple[Parameter, ...]:
-    """Centres (n, 2) or (n, 3) with zeros and lengths; axes are tilted in space alone."""
+    """Centres (n, 2) or (n, 3) with zeros and lengths; axes (n, 3) tilt in space alone."""
     n, axes = centre.shape
     return (
         *families.places("b", centre, sd, "centre of crank", "xyz"[:axes]),
-        *(_tilts(n) if axes == 3 else ()),
+        *(legs.tilts(axis, "the axis of crank") if axes == 3 else ()),
         *families.numbers("zero", [0.0] * n, ZERO_SD, "rad", "zero error of crank"),
         *families.numbers("r", crank.tolist(), sd, "m", "length of crank"),
         *families.numbers("l", strut.tolist(), sd, "m", "length of strut"),
     )
-
-
-def _tilts(count: int) -> list[Parameter]:
-    about, sd = "tilt of the axis of crank", legs.DIRECTION_SD
-    return [
-        Parameter(f"tilt{i + 1}{k}", 0.0, sd, "rad", f"{about} {i + 1}, {k}")
-        for i in range(count)
-        for k in "ab"
-    ]
 
 
 def directions(axis: Array, first: Array, count: int) -> tuple[Array, Array]:

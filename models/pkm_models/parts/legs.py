@@ -129,13 +129,18 @@ def travel(joint: Expr, foot: Expr, axis: Expr, strut: Expr, side: float) -> Exp
     return along + side * height
 
 
-def guide_tilts(count: int) -> list[Parameter]:
-    """Two tilts a guide, rad."""
-    about = "tilt of guide"
+def tilts(directions: Array, what: str, frame: str = "base") -> list[Parameter]:
+    """Two tilts, rad, of each direction (n, 3): towards those `across` it, of a frame."""
     return [
-        Parameter(f"tilt{i + 1}{k}", 0.0, DIRECTION_SD, "rad", f"{about} {i + 1}, {k}")
-        for i in range(count)
-        for k in "ab"
+        Parameter(
+            f"tilt{i}{k}",
+            0.0,
+            DIRECTION_SD,
+            "rad",
+            f"tilt of {what} {i} towards ({x:.3g}, {y:.3g}, {z:.3g}) of the {frame} frame",
+        )
+        for i, sides in enumerate(across(directions), start=1)
+        for k, (x, y, z) in zip("ab", sides + 0.0, strict=True)
     ]
 
 

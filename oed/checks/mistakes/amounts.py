@@ -249,7 +249,7 @@ def _set_up_again(
 ) -> SessionReadings:
     """The session in which some readings have a set-up of their own, with its unknowns."""
     setups = dict(session.measurement.setups)
-    again: Setup = dataclasses.replace(setups[setup], name=setup + AGAIN)
+    again: Setup = dataclasses.replace(setups[setup], name=setup + AGAIN, station="")
     measurement = session.measurement.with_setups([*setups.values(), again])
     unknowns = {f"{again.name}.{n.name}": WIDER for n in again.nuisances}
     wider = dataclasses.replace(session, measurement=measurement, wider=unknowns)

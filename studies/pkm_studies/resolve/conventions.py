@@ -12,7 +12,7 @@ from oed.base.units import UnitError
 from oed.dataset.columns import parse_column
 from oed.model.expressions import passive_joints
 from oed.model.instrument import Channel, Instrument
-from oed.model.machine import Component, Coordinate, Machine
+from oed.model.machine import Component, Coordinate, Machine, Parameter
 from oed.model.passive_joint import PassiveJoint
 from pkm_studies.catalogue import catalogue
 from pkm_studies.catalogue.catalogue import CatalogueEntry
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pkm_studies.study import Study
 
 COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"
-PASSIVE = "passive joint"
+PASSIVE, PARAMETER = "passive joint", "parameter"
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -83,7 +83,11 @@ def listing(kind: str) -> list[CatalogueEntry]:
 
 def _with_conventions(kind: str, entry: CatalogueEntry, item: Any) -> CatalogueEntry:
     is_machine = kind == "machines"
-    columns = machine_columns(item) if is_machine else instrument_columns(item)
+    columns = (
+        [*machine_columns(item), *(_statement(p, PARAMETER) for p in item.parameters)]
+        if is_machine
+        else instrument_columns(item)
+    )
     return dataclasses.replace(
         entry,
         frames=machine_frames(item) if is_machine else [],
@@ -127,7 +131,9 @@ def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
     return lambda header: readings_comments(machine, setups, header)
 
 
-def _statement(item: Coordinate | Channel | PassiveJoint, role: str) -> ColumnStatement:
+def _statement(
+    item: Coordinate | Channel | PassiveJoint | Parameter, role: str
+) -> ColumnStatement:
     return ColumnStatement(column(item.name, item.unit), role, item.about)
 
 

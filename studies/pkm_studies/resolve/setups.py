@@ -22,10 +22,24 @@ from pkm_studies.study.tables import SetupTable
 def mounted_setups(study: Study, kinematics: Kinematics) -> dict[str, Setup]:
     """Every [[setup]] by its name. Raises InputError."""
     place = study.place.key("setup")
-    return {
-        table.name: _setup(study, table, kinematics, place.item(i))
-        for i, table in enumerate(study.setup)
-    }
+    stations: dict[str, Setup] = {}
+    setups = {}
+    for i, table in enumerate(study.setup):
+        setup = _setup(study, table, kinematics, place.item(i))
+        setups[table.name] = setup
+        first = stations.setdefault(setup.owner, setup)
+        if first.nuisances != setup.nuisances or table.station in setups:
+            raise (
+                place.item(i)
+                .key("station")
+                .error(
+                    "no station of these set-ups",
+                    "give all that share it one instrument and the same tolerances, and a"
+                    " name that no set-up has",
+                    table.station,
+                )
+            )
+    return setups
 
 
 def _setup(
@@ -43,7 +57,7 @@ def _setup(
         **_settings(table, instrument, place),  # type: ignore[arg-type]
     )
     protocol = _protocol(table, instrument, place)
-    setup = dataclasses.replace(setup, protocol=protocol)
+    setup = dataclasses.replace(setup, protocol=protocol, station=table.station or "")
     _check_teach_pose(kinematics, setup, place)
     return setup
 

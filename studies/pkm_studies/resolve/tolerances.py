@@ -55,7 +55,8 @@ def with_tolerances(
     changed = {}
     for name, setup in setups.items():
         nuisances = [
-            _with_tolerance(n, name, stated[name], prior) for n in setup.nuisances
+            _with_tolerance(n, setup.owner, stated[name], prior)
+            for n in setup.nuisances
         ]
         changed[name] = dataclasses.replace(setup, nuisances=tuple(nuisances))
     return machine, changed
@@ -67,12 +68,12 @@ def _stems(table: Mapping[str, float]) -> set[str]:
 
 
 def _with_tolerance(
-    nuisance: Parameter, setup: str, stated: set[str], prior: Mapping[str, float]
+    nuisance: Parameter, owner: str, stated: set[str], prior: Mapping[str, float]
 ) -> Parameter:
     """A set-up's unknown with its tolerance: [[setup]] goes before [prior]."""
     if nuisance.name in stated:
         return nuisance
-    tolerance = prior.get(f"{setup}.{nuisance.name}", nuisance.tolerance)
+    tolerance = prior.get(f"{owner}.{nuisance.name}", nuisance.tolerance)
     return dataclasses.replace(nuisance, tolerance=tolerance)
 
 
@@ -80,7 +81,7 @@ def _parameter_units(machine: Machine, setups: Mapping[str, Setup]) -> dict[str,
     """SI units of all parameters: the machine's, and `set-up.unknown`."""
     table = {p.name: p.unit for p in machine.parameters}
     for setup in setups.values():
-        table |= {f"{setup.name}.{n.name}": n.unit for n in setup.nuisances}
+        table |= {f"{setup.owner}.{n.name}": n.unit for n in setup.nuisances}
     return table
 
 

@@ -129,6 +129,13 @@ def error_columns(components: Mapping[str, PromiseRecord]) -> dict[str, str]:
     return {n: ERROR.format(n, demand.unit) for n, demand in components.items()}
 
 
+#: what an error zeroed at home is
+ZEROED = (
+    "home: of the place, the error at home is subtracted; of the orientation R, the turn"
+    " from home R R_home^T is compared with the commanded one, in the base frame"
+)
+
+
 def _comments(section: AcceptanceSection, machine: Machine) -> Iterator[str]:
     """Lines above the header: the frames, and what each column means."""
     yield from conventions.readings_comments(machine, {}, list(section.poses[0]))
@@ -137,6 +144,8 @@ def _comments(section: AcceptanceSection, machine: Machine) -> Iterator[str]:
         {**section.components, **section.further}
     ).items():
         yield f"{column}: {about[name]}; reference: {section.reference}"
+    if section.reference == "home":
+        yield ZEROED
     if section.further:
         yield f"{AXES}: 1 where further axes took the known errors back, else 0 or empty"
 

@@ -6,10 +6,10 @@ import dataclasses
 
 import numpy as np
 
+from oed.accuracy.maps import controller_errors
 from oed.base.arrays import Array
-from oed.compensate import GridAxis, box_axes, pose_error
+from oed.compensate import GridAxis, box_axes
 from oed.compensate.error_field import Kernel, expected_kernel, joint_size
-from oed.compensate.export_errors import components_against
 from oed.compensate.joint_errors import JointErrors
 from oed.compensate.table import grid_nodes
 from oed.design.candidates import reading_time
@@ -86,11 +86,8 @@ class ForecastTask:
         if self.knowledge is None or has_estimate:
             return np.zeros((len(command), len(self.expected)))
         machine = self.kinematics.machine
-        poses = np.vstack([command, machine.home_command[None]])
-        joints = self.kinematics.sent(poses)[1]
-        twist = pose_error(self.kinematics, poses, joints, self.knowledge.values)
-        errors = components_against(
-            self.kinematics, command, twist, self.model.reference
+        errors = controller_errors(
+            self.kinematics, command, self.knowledge.values, self.model.reference
         )
         return errors[:, [c.compensatable for c in machine.components]]
 

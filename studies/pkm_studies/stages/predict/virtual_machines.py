@@ -8,6 +8,7 @@ import numpy as np
 
 from oed import compensate
 from oed.accuracy import prediction
+from oed.accuracy.maps import components_against
 from oed.accuracy.prediction import Reference, Spread
 from oed.base.arrays import Array
 from oed.estimation.machine_fits import fit_machines
@@ -72,24 +73,10 @@ def errors_after(
 
     Raises AssemblyError.
     """
-    kinematics, machine = measurement.kinematics, measurement.machine
-    home = machine.home_command[None]
-    model = compensate.error_model(kinematics, command)
-    home_model = compensate.error_model(kinematics, home)
-    twists = _remaining_twists(kinematics, command, identified, true)
-    home_twists = _remaining_twists(kinematics, home, identified, true)
-    errors = []
-    for twist, home_twist in zip(twists, home_twists, strict=True):
-        referenced = prediction.relative_to_reference(
-            twist,
-            home_twist,
-            model,
-            home_model,
-            reference,
-            machine.alignment_lever,
-        )
-        errors.append(kinematics.error_components(command, referenced))
-    return np.array(errors)
+    kinematics = measurement.kinematics
+    poses = np.vstack([command, measurement.machine.home_command])
+    twists = _remaining_twists(kinematics, poses, identified, true)
+    return components_against(kinematics, command, twists, reference)
 
 
 def _draw_machines(

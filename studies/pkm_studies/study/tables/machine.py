@@ -57,7 +57,7 @@ class MachineTable(StudyTable, frozen=True, kw_only=True):
     home: dict[str, float] = {}
     travel: dict[str, Pair] = {}
     fixed: list[str] | None = None
-    drive: Literal["screw", "belt", "cable", "linear_motor"] | None = None
+    drive: Literal["screw", "belt", "cable", "gear", "linear_motor"] | None = None
     adjust: list[AdjustTable] | None = None
     controller: str | None = None
 
@@ -67,6 +67,8 @@ class SetupTable(StudyTable, frozen=True, kw_only=True):
 
     name             of the set-up
     instrument       a name of `oed list instruments`, or a file of your own
+    station          name of what stays in place while set-ups change, such as a tracker that
+                     reads several nests: they share its unknowns, and state them alike
     channels         channels that were read, where not all: `["read_x", "read_y"]`
     tool_mm          tool point in the platform's frame
     repeats          how often each planned reading is taken
@@ -80,6 +82,7 @@ class SetupTable(StudyTable, frozen=True, kw_only=True):
     free_keys = "settings"
     name: Name
     instrument: str
+    station: Name | None = None
     channels: list[str] | None = None
     tool_mm: Triple = (0.0, 0.0, 0.0)
     repeats: Count = 1

@@ -1,0 +1,91 @@
+"""Zeroed at home has one meaning: prediction, virtual machines and exact errors agree.
+
+Independent: closed-form A3 heads of the oracles, errors composed by scipy's rotations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from oed import Measurement, mount
+from oed.accuracy.maps import (
+    compensated_errors,
+    components_against,
+    controller_errors,
+    error_maps,
+)
+from oed.mechanism.pose_errors import pose_error
+from pkm_models.instruments.ball_bar import instrument
+from pkm_models.machines.a3_head import machine
+from pkm_studies.stages.predict.virtual_machines import errors_after
+
+COMMAND = np.array(
+    [[1.10, 0.0, 0.2], [1.15, 2.1, 0.4], [1.20, 4.2, 0.5], [1.13, 5.0, 0.1]]
+)
+
+
+@pytest.fixture(scope="module")
+def kinematics():
+    cup = mount(instrument, "cup", length=0.3, teach=machine.home_command)
+    return Measurement(machine, [cup]).kinematics
+
+
+@pytest.fixture(scope="module")
+def drawn() -> np.ndarray:
+    """Parameters (6, np), SI, of machines that lose milliradians at home."""
+    rng = np.random.default_rng(3)
+    free = ~np.isin([p.name for p in machine.parameters], machine.frame)
+    tolerance = np.array([p.tolerance for p in machine.parameters])
+    return machine.nominal + 0.3 * tolerance * free * rng.standard_normal(
+        (6, len(free))
+    )
+
+
+def composed(kinematics, parameters: np.ndarray) -> np.ndarray:
+    """Errors (n, k) by rotations: R R_home^T against the commanded turn from home."""
+    poses = np.vstack([COMMAND, machine.home_command])
+    x, q = kinematics.inverse(poses)
+    rotation, point, _ = kinematics.frames(x, np.zeros(3))
+    reached = kinematics.forward(q, parameters, x)
+    true_rotation, true_point, _ = kinematics.frames(reached, np.zeros(3))
+    wanted, true = (Rotation.from_matrix(r) for r in (rotation, true_rotation))
+    turned = (true[:-1] * true[-1].inv()) * (wanted[:-1] * wanted[-1].inv()).inv()
+    shift = true_point - point
+    twist = np.hstack([shift[:-1] - shift[-1], turned.as_rotvec()])
+    return kinematics.error_components(COMMAND, twist)
+
+
+def test_exact_errors_are_relative_rotations(kinematics, drawn) -> None:
+    poses = np.vstack([COMMAND, machine.home_command])
+    nominal = machine.nominal
+    expected = np.array([composed(kinematics, p) for p in drawn])
+    _, q = kinematics.inverse(poses)
+    twists = np.array([pose_error(kinematics, poses, q, p) for p in drawn])
+    against = components_against(kinematics, COMMAND, twists, "home")
+    sent = [controller_errors(kinematics, COMMAND, p, "home") for p in drawn]
+    alone = compensated_errors(kinematics, COMMAND, nominal, drawn)
+    held = np.tile(nominal, (len(drawn), 1))
+    measurement = Measurement(machine, [], kinematics)
+    virtual = errors_after(measurement, COMMAND, "home", held, drawn)
+    for found in (against, sent, alone, virtual):
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-10)
+    # vectors subtracted would be another error by half of it
+    subtracted = twists[:, :-1] - twists[:, -1:]
+    wrong = kinematics.error_components(
+        np.tile(COMMAND, (len(drawn), 1)), subtracted.reshape(-1, 6)
+    ).reshape(expected.shape)
+    psi = [c.name for c in machine.components].index("psi")
+    assert (
+        np.abs(wrong - expected)[..., psi].max()
+        > 0.5 * np.abs(expected)[..., psi].max()
+    )
+
+
+def test_the_prediction_is_the_first_order_of_the_same(kinematics, drawn) -> None:
+    maps = error_maps(kinematics, COMMAND, "home")
+    small = 1e-3 * (drawn - machine.nominal)
+    exact = [composed(kinematics, machine.nominal + step) for step in small]
+    linear = np.einsum("nkp,mp->mnk", maps.raw, small)
+    np.testing.assert_allclose(linear, exact, rtol=1e-3, atol=1e-10)

@@ -1,0 +1,132 @@
+"""Set-ups on one station: several nests that one tracker reads share its registration."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import sample
+
+from oed import Measurement, mount
+from pkm_models.instruments.pose_tracker import position
+from pkm_models.machines.hexapod import machine
+from pkm_studies.commands.cli import main
+
+NESTS = {"one": (0.05, 0.0, 0.0), "two": (-0.03, 0.04, 0.0), "three": (0.0, -0.05, 0.0)}
+COMMAND = np.array(
+    [[0.0, 0.0, 0.5, 0.0, 0.0, 0.0], [0.02, -0.01, 0.52, 0.05, -0.08, 0.03]]
+)
+STUDY = """\
+schema = 1
+name = "nests"
+
+[machine]
+model = "hexapod"
+drive = "gear"
+
+[[setup]]
+name = "one"
+instrument = "pose_tracker_position"
+tool_mm = [50.0, 0.0, 0.0]
+station = "tracker"
+
+[[setup]]
+name = "two"
+instrument = "pose_tracker_position"
+tool_mm = [-30.0, 40.0, 0.0]
+station = "tracker"
+
+[[prior.tolerance]]
+parameters = ["tracker.shift_*"]
+sigma_mm = 5.0
+"""
+
+
+def measurement(station: str) -> Measurement:
+    setups = [
+        dataclasses.replace(mount(position, name, tool=tool), station=station)
+        for name, tool in NESTS.items()
+    ]
+    return Measurement(machine, setups)
+
+
+def test_three_nests_of_one_tracker_have_six_unknowns() -> None:
+    """Their slopes are the sums of those over three trackers' frames."""
+    apart, shared = measurement(""), measurement("tracker")
+    count = len(machine.parameters)
+    assert len(apart.names) == count + 18
+    assert shared.names[count:] == tuple(
+        f"tracker.{kind}_{axis}" for kind in ("shift", "turn") for axis in "xyz"
+    )
+    series = [shared.series(name, COMMAND) for name in NESTS]
+    slopes = shared.jacobian(series, shared.nominal)
+    three = apart.jacobian(series, apart.nominal)
+    np.testing.assert_allclose(slopes[:, :count], three[:, :count], atol=1e-12)
+    summed = three[:, count:].reshape(-1, 3, 6).sum(axis=1)
+    np.testing.assert_allclose(slopes[:, count:], summed, atol=1e-12)
+    # a shifted tracker moves the readings of all nests by as much
+    theta = shared.nominal
+    theta[shared.names.index("tracker.shift_y")] = 2e-3
+    moved = shared.readings(series, theta) - shared.readings(series, shared.nominal)
+    expected = np.tile([0.0, 2e-3, 0.0], 6)
+    np.testing.assert_allclose(np.abs(moved), expected, atol=1e-12)
+
+
+def test_a_study_states_a_station(tmp_path: Path) -> None:
+    resolved = sample.resolved(STUDY, tmp_path)
+    everything = resolved.measurement_with(resolved.setups)
+    shared = {
+        p.name: p.tolerance
+        for p in everything.parameters
+        if p.name.startswith("tracker.")
+    }
+    assert len(shared) == 6
+    assert shared["tracker.shift_x"] == pytest.approx(5e-3)
+    assert not [name for name in everything.names if name.startswith(("one.", "two."))]
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (
+            "-30.0, 40.0, 0.0]\n",
+            "-30.0, 40.0, 0.0]\ntolerance = { shift_x_mm = 1.0 }\n",
+        ),
+        ('"pose_tracker_position"\ntool_mm = [-', '"length_gauge"\ntool_mm = [-'),
+        ('0]\nstation = "tracker"\n\n[[prior', '0]\nstation = "one"\n\n[[prior'),
+    ],
+)
+def test_a_station_of_unlike_setups_is_refused(
+    old: str, new: str, tmp_path: Path
+) -> None:
+    error = sample.refused(STUDY, (old, new), folder=tmp_path)
+    assert "setup[2].station" in str(error)
+    assert "one instrument and the same tolerances" in str(error)
+
+
+def test_the_machines_page_says_towards_what_an_axis_tilts(capsys) -> None:
+    """The crank of hexapod_rus at -15 deg swings about (sin, cos, 0) of that angle."""
+    assert main(["list", "machines", "--json"]) == 0
+    entries = {e["name"]: e for e in json.loads(capsys.readouterr().out)}
+    about = {c["name"]: c["about"] for c in entries["hexapod_rus"]["columns"]}
+    assert about["tilt1a_deg"].startswith("tilt of the axis of crank 1 towards (")
+    towards = np.array(
+        [
+            [
+                float(v)
+                for v in about[f"tilt1{k}_deg"].split("(")[1].split(")")[0].split(",")
+            ]
+            for k in "ab"
+        ]
+    )
+    angle = np.radians(-15.0)
+    axis = np.array([np.sin(angle), -np.cos(angle), 0.0])
+    np.testing.assert_allclose(towards @ axis, 0.0, atol=2e-3)
+    np.testing.assert_allclose(towards @ towards.T, np.eye(2), atol=5e-3)
+    for entry in entries.values():
+        parameters = [c for c in entry["columns"] if c["role"] == "parameter"]
+        assert parameters
+        assert all(c["about"] for c in parameters), entry["name"]
