@@ -225,6 +225,17 @@ def test_nominal_numbers_of_another_printer_are_exit_1(
     assert "numbers are those of another machine" in capsys.readouterr().err
 
 
+POINTS_STUDY = """\
+schema = 1
+name = "a"
+title = "points"
+machine = { model = "linear_delta" }
+setup = [{ name = "a", instrument = "contact_probe" }]
+noise = { height_um = 10.0 }
+readings = { files = ["a.readings.csv"] }
+"""
+
+
 class _Points:
     """An importer as another package would provide it."""
 
@@ -234,8 +245,12 @@ class _Points:
     def read(self, request):  # type: ignore[no-untyped-def]
         from pkm_studies.importers.base import ImportedSession
 
-        rows = [{"setup": "a", "run": "1", "order": "1"}]
-        return ImportedSession(study="schema = 1\n", rows=rows, statements=[])
+        rows = [
+            {"setup": "a", "run": "1", "order": str(k)}
+            | {"x_mm": "0", "y_mm": "0", "z_mm": str(k), "height_mm": "0"}
+            for k in (1, 2)
+        ]
+        return ImportedSession(study=POINTS_STUDY, rows=rows, statements=[])
 
 
 def test_an_entry_point_adds_an_importer(
@@ -253,9 +268,10 @@ def test_an_entry_point_adds_an_importer(
     source = tmp_path / "a.txt"
     source.write_text("1")
     path, _ = session.import_files("points", [source], tmp_path)
-    assert path.read_text() == "schema = 1\n"
+    assert path.read_text() == POINTS_STUDY
     with (tmp_path / "a.readings.csv").open() as file:
-        assert next(csv.DictReader(file))["order"] == "1"
+        lines = [line for line in file if not line.startswith("#")]
+    assert next(csv.DictReader(lines))["order"] == "1"
 
 
 def test_an_unknown_kind_is_refused(tmp_path: Path) -> None:

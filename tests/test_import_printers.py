@@ -71,9 +71,9 @@ def test_reprapfirmware(tmp_path: Path) -> None:
     )
     study, _ = session.import_files("rrf", [config, bed, log], tmp_path / "out")
     check_estimate(study)
-    with pytest.raises(InputError, match=r"give bed\.g as well"):
+    with pytest.raises(InputError, match=r"give the bed\.g"):
         session.import_files("rrf", [config, log], tmp_path / "b")
-    with pytest.raises(InputError, match="with the answer of a last G30"):
+    with pytest.raises(InputError, match="has the answer of a last G30"):
         session.import_files("rrf", [config, bed], tmp_path / "b")
     points = bed.read_text()
     bed.write_text(points.replace("G30 P1 ", "G30 P1e999 "))

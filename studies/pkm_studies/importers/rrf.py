@@ -65,7 +65,7 @@ class RrfImporter:
         lines = order.lines
         _check_kinematics(lines)
         given = facts.numbers(lines)
-        delta = gcode.merged(lines, "M665", "give config.g as well, with M665")
+        delta = gcode.merged(lines, "M665", "give the config.g that has M665")
         stops = _adjustments(lines)
         account = gcode.account_of(lines, WORDS)
         points: list[ProbedPoint] = []

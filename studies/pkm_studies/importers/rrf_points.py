@@ -14,9 +14,9 @@ from pkm_studies.importers.rrf_sequence import ExecutionOrder
 
 HEIGHTS = re.compile(r"bed probe heights:\s*([^,]*)", re.IGNORECASE)
 CALIBRATED = re.compile(r"Calibrated \d+ factors", re.IGNORECASE)
-NO_POINT = "give bed.g as well: it has one G30 P<n> X<x> Y<y> a point"
+NO_POINT = "give the bed.g that has one G30 P<n> X<x> Y<y> a point"
 NO_HEIGHTS = (
-    "give the console's log too, with the answer of a last G30 P<n> S-1: G32 bed probe"
+    "give the console's log that has the answer of a last G30 P<n> S-1: G32 bed probe"
     " heights: ...; or fit the heights of heightmap.csv: --mesh readings"
 )
 #: heights from which on Z of G30 is the height itself, and nothing is probed

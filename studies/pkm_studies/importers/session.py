@@ -6,13 +6,15 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from oed.mechanism.kinematics import AssemblyError
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent
 from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
 from pkm_studies.resolve import conventions
-from pkm_studies.study import SUFFIX
+from pkm_studies.resolve.resolved import resolve, with_readings
+from pkm_studies.study import SUFFIX, load
 from pkm_studies.study.loader import parse
 
 
@@ -68,7 +70,28 @@ def import_files(
             contents.append(code)
     # the study last: whoever finds it finds what it names
     files.write_all(dict(reversed([*zip(targets, contents, strict=True)])))
+    try:
+        with_readings(resolve(load(targets[0], consent), readings=()))
+    except (InputError, AssemblyError) as error:
+        for path in targets:
+            path.unlink()
+        raise _no_study(error, paths, has_map=map_path in targets) from error
     return targets[0], session
+
+
+def _no_study(
+    error: InputError | AssemblyError, paths: Sequence[Path], *, has_map: bool
+) -> InputError:
+    """The error about files whose study no other command would take."""
+    file = ", ".join(map(str, paths))
+    if isinstance(error, AssemblyError):
+        return InputError(str(error), "check the machine's numbers", file=file)
+    remedy = error.remedy
+    if has_map and error.field.startswith("row"):
+        remedy += "; a machine that goes further has workspace and travel in [machine] of a map"
+    return InputError(
+        error.problem, remedy, file=file, field=error.field, value=error.value
+    )
 
 
 def _readings(session: ImportedSession, path: Path, consent: Consent) -> str:
