@@ -111,6 +111,20 @@ def covariance_root(covariance: Array) -> Array:
     return sd[..., :, None] * symmetric_root(correlation)
 
 
+def precision_root(precision: Array) -> Array:
+    """Upper triangular R with R R^T = P^-1 of precisions P (..., n, n).
+
+    A covariance that is computed first as an inverse is exact to eps times its largest
+    variance only: what P determines 1e8 times better is lost in that, and the smallest
+    eigenvalue may be negative. P has it among its largest ones. Sums of squares are exact
+    to rounding of P's diagonal, by which P may just not be positive definite.
+    """
+    n = precision.shape[-1]
+    rounded = precision * (1.0 + n * np.finfo(float).eps * np.eye(n))
+    triangle = np.linalg.inv(np.linalg.cholesky(rounded))
+    return np.asarray(np.triu(np.swapaxes(triangle, -1, -2)))
+
+
 def symmetric_root(matrix: Array) -> Array:
     """Symmetric S with S S = M of positive semidefinite matrices M (..., n, n).
 

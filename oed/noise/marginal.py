@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.base.linear_algebra import precision_root
 from oed.noise.law_mode import find_mode, root_about
 from oed.noise.prior import NoisePrior
 from oed.noise.process import Laws, Whitening
@@ -69,19 +70,19 @@ class ResidualModel:
         slope = gram[:, 1:, 0]
         information = gram[:, 1:, 1:]
         b = slope - self.centre
-        precision = information + np.eye(b.shape[1])
-        covariance = np.asarray(np.linalg.inv(precision), dtype=float)
-        step = np.einsum("lij,lj->li", covariance, b)
+        root = precision_root(information + np.eye(b.shape[1]))
+        step = np.einsum("lij,lj->li", root, np.einsum("lji,lj->li", root, b))
         square = gram[:, 0, 0]
         quadratic = square + self.centre @ self.centre
         quadratic = quadratic - np.einsum("li,li->l", b, step)
-        log_size = np.linalg.slogdet(precision)[1] + whitening.log_determinant
+        log_root = np.log(np.einsum("lii->li", root)).sum(axis=1)
+        log_size = whitening.log_determinant - 2.0 * log_root
         misfit = square - 2.0 * np.einsum("li,li->l", slope, step)
         misfit = misfit + np.einsum("li,lij,lj->l", step, information, step)
         return Solutions(
             log_marginal=-0.5 * (log_size + quadratic),
             mean=self.centre + step,
-            covariance=covariance,
+            root=root,
             misfit=misfit,
         )
 
@@ -92,13 +93,13 @@ class Solutions:
 
     log_marginal  (L,)
     mean          (L, r) of z
-    covariance    (L, r, r) of z
+    root          (L, r, r) of the covariance of z, triangular
     misfit        (L,) sum of squared whitened residuals at the mean
     """
 
     log_marginal: Array
     mean: Array
-    covariance: Array
+    root: Array
     misfit: Array
 
 
@@ -139,9 +140,8 @@ class NoisePosterior:
         A law is drawn by its weight, then z under that law.
         """
         number = rng.choice(len(self.weights), size=count, p=self.weights)
-        roots = np.linalg.cholesky(self.solutions.covariance)
         normal = rng.standard_normal((count, len(self.mean)))
-        spread = np.einsum("mij,mj->mi", roots[number], normal)
+        spread = np.einsum("mij,mj->mi", self.solutions.root[number], normal)
         return self.solutions.mean[number] + spread, self.draws[number]
 
 
@@ -174,7 +174,8 @@ def integrate(
     weights /= weights.sum()
     mean = weights @ solutions.mean
     offsets = solutions.mean - mean
-    covariance = np.einsum("l,lij->ij", weights, solutions.covariance)
+    of_law = solutions.root
+    covariance = np.einsum("l,lik,ljk->ij", weights, of_law, of_law, optimize=True)
     covariance += np.einsum("l,li,lj->ij", weights, offsets, offsets)
     return NoisePosterior(
         prior=prior,
