@@ -1,7 +1,7 @@
 """A CSV file of another program: any separator, decimal commas, lines above the header.
 
 The numbers start at the first line with as many cells as most lines have, at least half
-of them numbers. The line above them with as many cells is the header, or else a comment
+of their filled cells numbers. The line above them with as many cells is the header, or else a comment
 with as many names; without one, columns have the names 1, 2, 3. Facts above the header, as in `Feed,1500`, are no
 readings, and a header that is repeated within the file is passed over.
 """
@@ -135,7 +135,8 @@ def _first_numbers(lines: Sequence[Line], width: int, file: str) -> int:
     """Index of the first line of numbers. Raises InputError."""
     wide = {k: cells for k, (_, cells) in enumerate(lines) if len(cells) == width}
     counts = {k: sum(map(_is_number, cells)) for k, cells in wide.items()}
-    numeric = [k for k, count in counts.items() if 2 * count >= width]
+    filled = {k: sum(map(bool, cells)) for k, cells in wide.items()}
+    numeric = [k for k, count in counts.items() if 0 < filled[k] <= 2 * count]
     if not numeric:
         problem = "no line of numbers in columns"
         raise InputError(problem, "give a CSV with one reading a line", file=file)
