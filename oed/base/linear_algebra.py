@@ -116,13 +116,17 @@ def precision_root(precision: Array) -> Array:
 
     A covariance that is computed first as an inverse is exact to eps times its largest
     variance only: what P determines 1e8 times better is lost in that, and the smallest
-    eigenvalue may be negative. P has it among its largest ones. Sums of squares are exact
-    to rounding of P's diagonal, by which P may just not be positive definite.
+    eigenvalue may be negative. P has it among its largest ones.
     """
-    n = precision.shape[-1]
-    rounded = precision * (1.0 + n * np.finfo(float).eps * np.eye(n))
-    triangle = np.linalg.inv(np.linalg.cholesky(rounded))
+    triangle = np.linalg.inv(triangle_of_sums(precision))
     return np.asarray(np.triu(np.swapaxes(triangle, -1, -2)))
+
+
+def triangle_of_sums(sums: Array) -> Array:
+    """Cholesky factor of sums of squares (..., n, n), exact to rounding of the diagonal."""
+    n = sums.shape[-1]
+    rounded = sums * (1.0 + n * np.finfo(float).eps * np.eye(n))
+    return np.asarray(np.linalg.cholesky(rounded))
 
 
 def symmetric_root(matrix: Array) -> Array:

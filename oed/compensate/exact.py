@@ -9,7 +9,7 @@ from oed.base.arrays import Array, Index, Mask
 from oed.base.text import quantity
 from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.inverse import AssemblyError, listed
+from oed.mechanism.inverse import PATH_STEPS, AssemblyError, listed
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.expressions import machine_expressions
@@ -17,8 +17,6 @@ from oed.model.machine import Machine
 
 #: Gauss-Newton steps from a command to a corrected one, and the step that ends them
 STEPS, STEP_TOLERANCE = 20, 1e-12
-#: steps in which parameters are followed from the nominal ones, first few, then more
-PATH_STEPS = (1, 8, 64)
 
 
 def compensated_joints(
@@ -72,7 +70,7 @@ def corrected_commands(
 
     z = np.hstack([x, x, q])
     start, missed = z.copy(), np.ones(len(x), dtype=bool)
-    for steps in PATH_STEPS:
+    for steps in (1, *PATH_STEPS):
         rows = np.flatnonzero(missed)
         followed, lost = start[rows], np.zeros(rows.size, dtype=bool)
         for share in np.linspace(0.0, 1.0, steps + 1)[1:]:

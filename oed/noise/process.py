@@ -210,10 +210,10 @@ class Whitening:
         columns, count = scaled.shape[:2]
         rows = differences.reshape(columns, count, -1).swapaxes(0, 1)
         whole = rows @ solved.reshape(columns, count, -1).transpose(1, 2, 0)
-        # by what rounds off the sums: what is left of them stays positive definite where
-        # shared errors take nearly all, under noise far below the stated one
+        # raised by what rounds off the sums: what is left of them stays positive definite
+        # where shared errors take nearly all, under noise far below the stated one
         diagonal = np.einsum("lmm->lm", whole)
-        diagonal *= 1.0 + rows.shape[-1] * np.finfo(float).eps
+        diagonal *= 1.0 + np.sqrt(rows.shape[-1]) * np.finfo(float).eps
         half, inner = self._columns
         products = self._run_products(half, differences)
         return whole - taken_out(inner, products, self._amounts)[0]
