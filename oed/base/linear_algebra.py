@@ -111,6 +111,24 @@ def covariance_root(covariance: Array) -> Array:
     return sd[..., :, None] * symmetric_root(correlation)
 
 
+def precision_root(precision: Array) -> Array:
+    """Upper triangular R with R R^T = P^-1 of precisions P (..., n, n).
+
+    A covariance that is computed first as an inverse is exact to eps times its largest
+    variance only: what P determines 1e8 times better is lost in that, and the smallest
+    eigenvalue may be negative. P has it among its largest ones.
+    """
+    triangle = np.linalg.inv(triangle_of_sums(precision))
+    return np.asarray(np.triu(np.swapaxes(triangle, -1, -2)))
+
+
+def triangle_of_sums(sums: Array) -> Array:
+    """Cholesky factor of sums of squares (..., n, n), exact to rounding of the diagonal."""
+    n = sums.shape[-1]
+    rounded = sums * (1.0 + n * np.finfo(float).eps * np.eye(n))
+    return np.asarray(np.linalg.cholesky(rounded))
+
+
 def symmetric_root(matrix: Array) -> Array:
     """Symmetric S with S S = M of positive semidefinite matrices M (..., n, n).
 

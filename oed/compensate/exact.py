@@ -5,9 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index, Mask
 from oed.base.text import quantity
+from oed.mechanism import newton
 from oed.mechanism.batch import BatchedFunction
+from oed.mechanism.inverse import PATH_STEPS, AssemblyError, listed
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.expressions import machine_expressions
@@ -48,15 +50,62 @@ def corrected_commands(
 
     parameters  (np,) of the real machine, SI
 
-    Where a coordinate has no meaning (the direction of a tilt of zero), the command
-    nearest to the given one is returned; `oed.compensate.compensated_joints` has no
-    such poses. Raises AssemblyError.
+    Where the machine is redundant, the joints that hold `command` belong to no command of
+    the nominal model: poses, joints and command are sought together. Where a coordinate
+    has no meaning (the direction of a tilt of zero), the command nearest to the given one
+    is returned; `oed.compensate.compensated_joints` has no such poses. Raises
+    AssemblyError, also where no command is found.
     """
     nominal = kinematics.machine.nominal
-    start, _ = kinematics.inverse(command, nominal, tool)
-    joints = compensated_joints(kinematics, command, parameters, tool)
-    reached = kinematics.forward(joints, nominal, start)
-    return command_of_pose(kinematics, reached, command, tool)
+    x, q = kinematics.inverse(command, nominal, tool)
+    nx = x.shape[1]
+    equations = _compensated_equations(kinematics.machine)
+    longest = newton.longest_step(kinematics.machine.lever)
+
+    def solve(z: Array, p: Array, rows: Index) -> tuple[Array, Mask]:
+        def unmet(values: Array, at: Index) -> list[Array]:
+            return equations(values, p, command[rows[at]], tool)
+
+        return newton.solve(unmet, z, limited=2 * nx, longest=longest)
+
+    z = np.hstack([x, x, q])
+    start, missed = z.copy(), np.ones(len(x), dtype=bool)
+    for steps in (1, *PATH_STEPS):
+        rows = np.flatnonzero(missed)
+        followed, lost = start[rows], np.zeros(rows.size, dtype=bool)
+        for share in np.linspace(0.0, 1.0, steps + 1)[1:]:
+            p = nominal + share * (parameters - nominal)
+            followed, failed = solve(followed, p, rows)
+            lost |= failed
+        z[rows], missed[rows] = followed, lost
+    if missed.any():
+        poses = np.flatnonzero(missed)
+        raise AssemblyError(
+            f"{kinematics.machine.name}: no command of the nominal model was found that"
+            f" holds pose numbers {listed(poses)} at these parameters; give the"
+            " controller the parameters, or corrections of its joints",
+            poses,
+        )
+    return command_of_pose(kinematics, z[:, nx : 2 * nx], command, tool)
+
+
+def _compensated_equations(machine: Machine) -> BatchedFunction:
+    """Equations of a machine whose controller has the nominal model, and their slopes.
+
+    Over the real pose, the pose that the controller means, and the joints: the machine
+    settles, the controller's closure holds, and the real pose is what the command wants.
+    Further inputs are real parameters, commands and tool.
+    """
+    e = machine_expressions(machine)
+    believed = ca.SX.sym("believed", e.x.numel())
+    nominal = ca.SX(ca.DM(machine.nominal))
+    (controller,) = ca.substitute([e.phi], [e.x, e.p], [believed, nominal])
+    pairs = zip(e.commanded, e.target, strict=True)
+    off = [held - wanted for held, wanted in pairs]
+    unmet = ca.vertcat(e.balance, controller, *off)
+    z = ca.vertcat(e.x, believed, e.q)
+    outputs = [unmet, ca.jacobian(unmet, z)]
+    return BatchedFunction("compensated", [z, e.p, e.c, e.tool], outputs)
 
 
 def command_of_pose(

@@ -149,11 +149,12 @@ class _Sampler:
         self._information, self._score = information, score
         self._members, self._rng = members, rng
         self._log_prior = log_prior(unknown)
-        self._axes = []
+        self._axes, self._rows = [], []
         self._group = np.zeros(len(score), dtype=np.intp)
         for g, rows in enumerate(members):
             self._group[rows] = g
-            values, vectors = np.linalg.eigh(information[np.ix_(rows, rows)])
+            self._rows.append(information[rows])
+            values, vectors = np.linalg.eigh(self._rows[g][:, rows])
             self._axes.append((np.maximum(values, 0.0), vectors))
 
     def prior(self, count: int) -> _Particles:
@@ -186,8 +187,9 @@ class _Sampler:
         """Size and coefficients of group g, in place: first the size, b_g integrated out."""
         rows = self._members[g]
         values, vectors = self._axes[g]
-        block = self._information[np.ix_(rows, rows)]
-        score = self._score[rows] - b @ self._information[:, rows] + b[:, rows] @ block
+        others = b.copy()
+        others[:, rows] = 0.0
+        score = self._score[rows] - others @ self._rows[g].T
         along = score @ vectors
         squares = SIZES[:, None] ** 2
         widened = 1.0 + power * values * squares

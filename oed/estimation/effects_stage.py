@@ -16,7 +16,7 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index, Mask
-from oed.base.linear_algebra import covariance_root
+from oed.base.linear_algebra import precision_root
 from oed.estimation import effect_sizes
 from oed.estimation.coordinates import IdentifiableCoordinates
 from oed.estimation.discrepancy import Discrepancy, SampledEffects
@@ -133,14 +133,14 @@ class _Settled:
     """Draws of effects under a most probable law, and their evidence.
 
     z, means    (m, r) of the coordinates, drawn given each draw of the effects, and means
-    covariance  (r, r) of z given the effects
+    root        (r, r) of the covariance of z given the effects
     """
 
     linear: ReadingsAbout
     draws: EffectDraws
     z: Array
     means: Array
-    covariance: Array
+    root: Array
     mode: Array
     log_evidence: float
 
@@ -157,8 +157,8 @@ class _Settled:
 
     def within(self) -> Array:
         """Covariance (n, n) of the parameters given the effects, SI."""
-        basis = self.linear.coordinates.basis
-        return np.asarray(basis @ self.covariance @ basis.T)
+        spread = self.linear.coordinates.basis @ self.root
+        return np.asarray(spread @ spread.T)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -191,14 +191,13 @@ class _Alternation:
             means, _ = self._coordinates(gram, draws)
             theta = linear.coordinates.to_theta(means.mean(axis=0))
         draws = self._draw(gram, DRAWS, 2 * SWEEPS)
-        means, covariance = self._coordinates(gram, draws)
-        root = covariance_root(covariance)
+        means, root = self._coordinates(gram, draws)
         z = means + self.rng.standard_normal(means.shape) @ root.T
         centre = np.zeros(linear.slopes.shape[1])
         alone = ResidualModel(self.structure, linear.residual, linear.slopes, centre)
         evidence = float(alone.solve(law).log_marginal[0]) - 0.5 * float(mode @ mode)
         evidence += draws.log_evidence
-        return _Settled(linear, draws, z, means, covariance, mode, evidence)
+        return _Settled(linear, draws, z, means, root, mode, evidence)
 
     def _widened(self, draws: EffectDraws) -> Array:
         """Columns of the effects at the root mean square of their coefficients."""
@@ -242,11 +241,13 @@ class _Alternation:
         return most_probable(about, self.prior, near)
 
     def _coordinates(self, gram: Array, draws: EffectDraws) -> tuple[Array, Array]:
-        """Means (m, r) of z given each draw of the effects, and covariance (r, r)."""
+        """Means (m, r) of z given each draw of the effects, and root (r, r) of its
+        covariance.
+        """
         r = len(gram) - 1 - self.columns.shape[1]
-        covariance = np.linalg.inv(gram[:r, :r] + np.eye(r))
+        root = precision_root(gram[:r, :r] + np.eye(r))
         score = gram[:r, r, None] - gram[:r, r + 1 :] @ draws.coefficients.T
-        return np.asarray((covariance @ score).T), np.asarray(covariance)
+        return np.asarray((score.T @ root) @ root.T), root
 
 
 def _scaled_columns(columns: Array, sizes: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
 from oed.estimation.estimate import Estimate, FitStage
-from oed.estimation.fitter import minimise
+from oed.estimation.fitter import TRIALS, minimise
 from oed.estimation.readings_problem import ReadingsProblem
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
@@ -64,6 +64,16 @@ class ReadingsFit:
     def residuals(self, theta: Array) -> Array:
         """y - f(theta) (N,), SI."""
         return self.y - self.measurement.readings(self.series, theta)
+
+    def closing(self, start: Array, end: Array) -> Array:
+        """Parameters (n,) from the start towards the end: there, or after half the way
+        or less, the first at which all poses close.
+        """
+        for share in 0.5 ** np.arange(TRIALS):
+            theta = start + share * (end - start)
+            if np.isfinite(self.measurement.try_readings(self.series, theta)).all():
+                return theta
+        return start
 
     def solve(
         self, noise: Noise, coordinates: IdentifiableCoordinates, theta: Array

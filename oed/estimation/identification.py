@@ -31,6 +31,7 @@ from oed.estimation.law_stage import (
     structure_and_prior,
 )
 from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
 from oed.noise.covariance import Noise, as_noise
 from oed.noise.law_noise import noise_under
 from oed.noise.process import stated_laws
@@ -90,20 +91,27 @@ def identify(
     stated = measurement.noise(series) if noise is None else as_noise(noise)
     theta = measurement.start if start is None else start
     residuals_before = residuals = fit.residuals(theta)
-    done = []
-    for patterns in stages[:-1]:
-        theta, residuals, stage = preliminary_stage(
-            fit, stated, theta, residuals, patterns
-        )
-        done.append(stage)
-    if discrepancy is not None:
-        rng = np.random.default_rng(0) if rng is None else rng
-        estimate = _stage_with_effects(
-            fit, stated, theta, residuals, stages[-1], discrepancy, rng
-        )
-    else:
-        last = integrated_stage if estimate_noise else last_stage
-        estimate = last(fit, stated, theta, residuals, stages[-1])
+    try:
+        done = []
+        for patterns in stages[:-1]:
+            theta, residuals, stage = preliminary_stage(
+                fit, stated, theta, residuals, patterns
+            )
+            done.append(stage)
+        if discrepancy is not None:
+            rng = np.random.default_rng(0) if rng is None else rng
+            estimate = _stage_with_effects(
+                fit, stated, theta, residuals, stages[-1], discrepancy, rng
+            )
+        else:
+            last = integrated_stage if estimate_noise else last_stage
+            estimate = last(fit, stated, theta, residuals, stages[-1])
+    except AssemblyError as error:
+        raise IdentificationError(
+            "every reading has a pose at the start, and after a step of the fit"
+            f" {error.indices.size} poses do not close; give smaller tolerances, or free"
+            " fewer parameters in a stage before"
+        ) from error
     estimate = dataclasses.replace(
         estimate,
         residuals_before=residuals_before,
@@ -133,6 +141,7 @@ def _stage_with_effects(
     ]
 
     def linearise(about: Array) -> ReadingsAbout:
+        about = fit.closing(exact.theta, about)
         coordinates = fit.coordinates(about, stated, exact.prior_sd)
         jacobian = fit.measurement.jacobian(fit.series, about)
         slopes = structure.standardise(jacobian @ coordinates.basis)
@@ -149,20 +158,21 @@ def _stage_with_effects(
         starts,
         rng,
     )
-    first = dataclasses.replace(exact, theta=fitted.theta)
+    theta = fit.closing(exact.theta, fitted.theta)
+    first = dataclasses.replace(exact, theta=theta)
     final = settle_law(fit, stated, first, fitted.structure, prior, fitted.mode)
     estimate = integrate_settled(fit, first, final)
     null = estimate.coordinates.null_basis
-    residuals = fit.residuals(fitted.theta)
+    residuals = fit.residuals(theta)
     white = stated.whiten(residuals - fitted.sampled.changes)
     law_alone = noise_under(structure, prior.laws(fitted.mode[None]))
-    jacobian = fit.measurement.jacobian(fit.series, fitted.theta)
+    jacobian = fit.measurement.jacobian(fit.series, theta)
     return dataclasses.replace(
         estimate,
-        theta=fitted.theta,
+        theta=theta,
         chi2=float(white @ white),
         dof=len(fit.y) - fitted.sampled.freedom(law_alone, jacobian),
-        z=estimate.coordinates.from_theta(fitted.theta),
+        z=estimate.coordinates.from_theta(theta),
         covariance=fitted.covariance + null @ null.T,
         residuals=residuals,
         effects=fitted.sampled,

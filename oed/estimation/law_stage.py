@@ -189,7 +189,8 @@ def integrate_settled(
     """
     coordinates = settled.coordinates
     posterior = integrate(settled.model, settled.prior, settled.mode)
-    theta = coordinates.to_theta(posterior.mean)
+    theta = coordinates.to_theta(settled.model.centre)
+    theta = fit.closing(theta, coordinates.to_theta(posterior.mean))
     residuals = fit.residuals(theta)
     basis, null = coordinates.basis, coordinates.null_basis
     stage = dataclasses.replace(first.stages[-1], iterations=settled.iterations)

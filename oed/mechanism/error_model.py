@@ -6,14 +6,13 @@ nominal pose, Eqs. (22)-(25) of Tian et al. (2016) read
 
     dq_m = -(C X)^-1 C A dp,            remaining = (A - X (C X)^-1 C A) dp,
 
-and C remaining = 0. `oed.compensate.exact` does the same through the closure.
+and C remaining = 0. The joints of a redundant machine are not determined by C X alone:
+dq_m is the slope of those at which all its equations hold, as in `oed.compensate.exact`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-
-import numpy as np
 
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
@@ -56,9 +55,7 @@ def error_model(
     x, q = kinematics.inverse(command, p, tool)
     by_joint = kinematics.slopes.over_joints(x, q, p)
     by_parameter = kinematics.slopes.over_parameters(x, q, p)
-    commanded = kinematics.commanded_jacobian(x, tool)
-    inverse = np.linalg.pinv(commanded @ by_joint)
-    joints = -inverse @ (commanded @ by_parameter)
+    joints = kinematics.joint_slopes(x, q, p, command, tool)
     rotation, point, twist = kinematics.frames(x, tool)
     return ErrorModel(
         command=command,

@@ -83,6 +83,8 @@ class InverseKinematics:
         start = [ca.vertcat(*part) for part in machine.start(e.c_by_name, e.p_by_name)]
         inputs = [e.x, e.q, e.p, e.c, e.tool]
         by_x, by_joint = ca.jacobian(e.phi, e.x), ca.vertcat(*joint_slopes(e))
+        by_p = [ca.jacobian(unmet, e.p)]
+        self._by_parameter = BatchedFunction("by_parameter", inputs, by_p)
         self._start = BatchedFunction("start", [e.c, e.p], start)
         self._inverse = BatchedFunction("inverse", inputs, [unmet, slope])
         self._mode = BatchedFunction("mode", inputs, [by_x, slope, by_joint])
@@ -237,6 +239,14 @@ class InverseKinematics:
     def _why_not(self, command: Array, p: Array, tool: Array) -> str:
         _, failed = self._newton(self._starts(command, p), command, p, tool)
         return OUT_OF_REACH if failed[0] else MIRRORED
+
+    def joint_slopes(
+        self, x: Array, q: Array, p: Array, command: Array, tool: Array
+    ) -> Array:
+        """See `Kinematics.joint_slopes`."""
+        _, slope = self._inverse(x, q, p, command, tool)
+        by_parameter = self._by_parameter(x, q, p, command, tool)[0]
+        return -newton.solve_linear(slope, by_parameter)[:, x.shape[1] :]
 
     # -- paths -------------------------------------------------------------------------
 

@@ -120,6 +120,12 @@ class Kinematics:
         tool = np.zeros(3) if tool is None else np.asarray(tool, dtype=float)
         return self._inverse.solve(command, parameters, tool)
 
+    def joint_slopes(
+        self, x: Array, q: Array, p: Array, command: Array, tool: Array
+    ) -> Array:
+        """Slopes (n, nq, np) over the parameters of what `inverse` returned, the joints."""
+        return self._inverse.joint_slopes(x, q, p, command, tool)
+
     @property
     def home_mode(self) -> Array:
         """Signs (2 + nq,) of the assembly mode, of home. Raises AssemblyError."""

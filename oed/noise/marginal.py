@@ -14,11 +14,13 @@ weighted: estimates are means over laws, not those of the best one.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.base.linear_algebra import triangle_of_sums
 from oed.noise.law_mode import find_mode, root_about
 from oed.noise.prior import NoisePrior
 from oed.noise.process import Laws, Whitening
@@ -65,41 +67,49 @@ class ResidualModel:
 
     def _solve(self, laws: Laws) -> Solutions:
         whitening = Whitening(self.structure, laws)
-        gram = whitening.gram(np.column_stack([self.residual, self.slopes]))
-        slope = gram[:, 1:, 0]
-        information = gram[:, 1:, 1:]
-        b = slope - self.centre
-        precision = information + np.eye(b.shape[1])
-        covariance = np.asarray(np.linalg.inv(precision), dtype=float)
-        step = np.einsum("lij,lj->li", covariance, b)
-        square = gram[:, 0, 0]
-        quadratic = square + self.centre @ self.centre
-        quadratic = quadratic - np.einsum("li,li->l", b, step)
-        log_size = np.linalg.slogdet(precision)[1] + whitening.log_determinant
-        misfit = square - 2.0 * np.einsum("li,li->l", slope, step)
-        misfit = misfit + np.einsum("li,lij,lj->l", step, information, step)
-        return Solutions(
-            log_marginal=-0.5 * (log_size + quadratic),
-            mean=self.centre + step,
-            covariance=covariance,
-            misfit=misfit,
-        )
+        gram = whitening.gram(np.column_stack([self.slopes, self.residual]))
+        prior = np.column_stack([np.eye(len(self.centre)), -self.centre])
+        products = gram + prior.T @ prior
+        products[:, -1, -1] += np.finfo(float).eps  # readings may have no error at all
+        triangle = triangle_of_sums(products)
+        diagonals = np.einsum("lii->li", triangle)
+        log_size = 2.0 * np.log(diagonals[:, :-1]).sum(axis=1)
+        log_size = log_size + whitening.log_determinant
+        log_marginal = -0.5 * (log_size + diagonals[:, -1] ** 2)
+        centre = np.broadcast_to(self.centre, (len(laws), len(self.centre)))
+        return Solutions(log_marginal, triangle, centre)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Solutions:
-    """Of L laws: log marginal likelihood, posterior of z, misfit.
+    """Of L laws: log marginal likelihood, and posterior of z.
 
     log_marginal  (L,)
-    mean          (L, r) of z
-    covariance    (L, r, r) of z
-    misfit        (L,) sum of squared whitened residuals at the mean
+    triangle      (L, r + 1, r + 1) Cholesky factor of the products of slopes and residual,
+                  with the prior
+    centre        (L, r) the z about which they are
     """
 
     log_marginal: Array
-    mean: Array
-    covariance: Array
-    misfit: Array
+    triangle: Array
+    centre: Array
+
+    @functools.cached_property
+    def root(self) -> Array:
+        """Root (L, r, r) of the covariance of z, triangular."""
+        inverse = np.linalg.inv(self.triangle[:, :-1, :-1])
+        return np.asarray(np.triu(inverse.swapaxes(1, 2)))
+
+    @functools.cached_property
+    def mean(self) -> Array:
+        """Mean (L, r) of z."""
+        step = np.einsum("lij,lj->li", self.root, self.triangle[:, -1, :-1])
+        return np.asarray(self.centre + step)
+
+    @property
+    def misfit(self) -> Array:
+        """Sum (L,) of squared whitened residuals at the mean."""
+        return np.asarray(self.triangle[:, -1, -1] ** 2 - (self.mean**2).sum(axis=1))
 
 
 def concatenate_solutions(parts: Sequence[Solutions]) -> Solutions:
@@ -139,9 +149,8 @@ class NoisePosterior:
         A law is drawn by its weight, then z under that law.
         """
         number = rng.choice(len(self.weights), size=count, p=self.weights)
-        roots = np.linalg.cholesky(self.solutions.covariance)
         normal = rng.standard_normal((count, len(self.mean)))
-        spread = np.einsum("mij,mj->mi", roots[number], normal)
+        spread = np.einsum("mij,mj->mi", self.solutions.root[number], normal)
         return self.solutions.mean[number] + spread, self.draws[number]
 
 
@@ -174,7 +183,8 @@ def integrate(
     weights /= weights.sum()
     mean = weights @ solutions.mean
     offsets = solutions.mean - mean
-    covariance = np.einsum("l,lij->ij", weights, solutions.covariance)
+    of_law = solutions.root
+    covariance = np.einsum("l,lik,ljk->ij", weights, of_law, of_law, optimize=True)
     covariance += np.einsum("l,li,lj->ij", weights, offsets, offsets)
     return NoisePosterior(
         prior=prior,

@@ -165,7 +165,8 @@ class Whitening:
         alone += taken_out(inner, inner[..., :0], self._amounts)[1]
         if not self._wide.shape[-1]:
             return alone
-        return np.asarray(alone + np.linalg.slogdet(self._of_wide)[1])
+        diagonals = np.diagonal(self._root_of_wide, axis1=-2, axis2=-1)
+        return np.asarray(alone + 2.0 * np.log(diagonals).sum(axis=1))
 
     @functools.cached_property
     def _wide(self) -> Array:
@@ -173,9 +174,9 @@ class Whitening:
         return common_columns(self.structure, self.laws)
 
     @functools.cached_property
-    def _of_wide(self) -> Array:
-        """1 + V^T C^-1 V (L, k, k)."""
-        return self._gram_of_noise(self._wide) + np.eye(self._wide.shape[-1])
+    def _root_of_wide(self) -> Array:
+        """Cholesky factor of 1 + V^T C^-1 V (L, k, k)."""
+        return _root_above_one(self._gram_of_noise(self._wide))
 
     @property
     def _amounts(self) -> Array:
@@ -196,10 +197,10 @@ class Whitening:
         whole = self._gram_of_noise(np.concatenate(parts, axis=-1))
         across = whole[:, count:, :count]
         # kept for the determinant, which is mostly asked for next
-        of_wide = whole[:, count:, count:] + np.eye(wide.shape[-1])
-        self.__dict__["_of_wide"] = of_wide
-        solved = np.linalg.solve(of_wide, across)
-        return whole[:, :count, :count] - across.swapaxes(1, 2) @ solved
+        root = _root_above_one(whole[:, count:, count:])
+        self.__dict__["_root_of_wide"] = root
+        half = np.linalg.solve(root, across)
+        return whole[:, :count, :count] - half.swapaxes(1, 2) @ half
 
     def _gram_of_noise(self, values: Array) -> Array:
         """The same without what all readings share."""
@@ -209,6 +210,10 @@ class Whitening:
         columns, count = scaled.shape[:2]
         rows = differences.reshape(columns, count, -1).swapaxes(0, 1)
         whole = rows @ solved.reshape(columns, count, -1).transpose(1, 2, 0)
+        # raised by what rounds off the sums: what is left of them stays positive definite
+        # where shared errors take nearly all, under noise far below the stated one
+        diagonal = np.einsum("lmm->lm", whole)
+        diagonal *= 1.0 + np.sqrt(rows.shape[-1]) * np.finfo(float).eps
         half, inner = self._columns
         products = self._run_products(half, differences)
         return whole - taken_out(inner, products, self._amounts)[0]
@@ -254,6 +259,11 @@ class Whitening:
         decay = self._decay
         fresh = np.sqrt(1.0 - decay**2) * white
         return along_chains(decay.ravel(), fresh.ravel()).reshape(white.shape)
+
+
+def _root_above_one(gram: Array) -> Array:
+    """Cholesky factor of 1 + G (L, k, k)."""
+    return np.asarray(np.linalg.cholesky(gram + np.eye(gram.shape[-1])))
 
 
 def common_columns(structure: ReadingStructure, laws: Laws) -> Array:

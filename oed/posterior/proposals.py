@@ -80,10 +80,9 @@ class LawProposal:
         """Points (m, r + d) and log densities (m,), up to a constant."""
         laws = draw_laws(self.kernels, rng, count)
         solutions = self.model.solve(self.fitted.prior.laws(laws))
-        roots = np.linalg.cholesky(solutions.covariance)
         white = draw_student(rng, solutions.mean.shape)
-        z = solutions.mean + np.einsum("mij,mj->mi", roots, white)
-        log_size = np.log(np.einsum("mii->mi", roots)).sum(axis=1)
+        z = solutions.mean + np.einsum("mij,mj->mi", solutions.root, white)
+        log_size = np.log(np.einsum("mii->mi", solutions.root)).sum(axis=1)
         log_density = self.kernels.log_density(laws) + log_student(white) - log_size
         return np.hstack([z, laws]), log_density
 

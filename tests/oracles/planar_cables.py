@@ -66,3 +66,13 @@ def recorded(
         points.append(optimize.root(missed, start, tol=1e-13).x)
     exact = robot.lengths(np.array(points))
     return np.asarray(exact + noise * rng.standard_normal(exact.shape))
+
+
+def settled(robot: Robot, drums: Array) -> Array:
+    """Point (2,) where a mover on equally stiff cables of these drum readings (4,) rests."""
+
+    def stretched(at: Array) -> Array:
+        return np.asarray((robot.lengths(at[None])[0] - drums) * (1.0 + robot.scales))
+
+    solution = optimize.least_squares(stretched, np.zeros(2), xtol=1e-15, ftol=1e-15)
+    return np.asarray(solution.x)

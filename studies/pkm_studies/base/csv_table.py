@@ -1,7 +1,7 @@
 """A CSV file of another program: any separator, decimal commas, lines above the header.
 
 The numbers start at the first line with as many cells as most lines have, at least half
-of them numbers. The line above them with as many cells is the header, or else a comment
+of their filled cells numbers. The line above them with as many cells is the header, or else a comment
 with as many names; without one, columns have the names 1, 2, 3. Facts above the header, as in `Feed,1500`, are no
 readings, and a header that is repeated within the file is passed over.
 """
@@ -162,8 +162,9 @@ def _first_numbers(lines: Sequence[Line], width: int, file: str) -> int:
 
 
 def _has_numbers(cells: Sequence[str]) -> bool:
-    """Whether half of the cells of a line are numbers, or more."""
-    return 2 * sum(map(_is_number, cells)) >= len(cells)
+    """Whether half of the filled cells of a line are numbers, or more."""
+    numbers = sum(map(_is_number, cells))
+    return 0 < sum(map(bool, cells)) <= 2 * numbers
 
 
 def _columns_of_numbers(lines: Sequence[Sequence[str]]) -> list[int]:

@@ -11,6 +11,7 @@ from oed.base.linear_algebra import (
     canonical_rows,
     covariance_root,
     eigenvectors,
+    precision_root,
     right_singular,
     symmetric_root,
 )
@@ -81,3 +82,18 @@ def test_a_root_does_not_follow_rounding(rng: np.random.Generator) -> None:
     disturbed = covariance + breath + breath.T
     change = covariance_root(disturbed) - covariance_root(covariance)
     assert np.abs(change).max() < 1e-11
+
+
+def test_a_root_of_a_precision_has_what_is_determined_far_better() -> None:
+    """1 + s^2 u u^T: variance 1 / (1 + s^2) along u, 1 across; its inverse loses the first."""
+    u = np.array([3.0, -2.0, 5.0, 1.0, 4.0]) / np.sqrt(55.0)
+    strength = 1e6
+    precision = np.eye(5) + strength**2 * np.outer(u, u)
+    root = precision_root(precision)
+    assert np.tril(root, -1) == pytest.approx(np.zeros((5, 5)))
+    assert np.linalg.norm(root.T @ u) == pytest.approx(1.0 / strength, rel=1e-3)
+    across = linalg.null_space(u[None])
+    assert across.T @ root @ root.T @ across == pytest.approx(np.eye(4), abs=1e-3)
+    stacked = precision_root(np.stack([precision, 4.0 * np.eye(5)]))
+    assert stacked[0] == pytest.approx(root)
+    assert stacked[1] == pytest.approx(0.5 * np.eye(5))

@@ -1,17 +1,21 @@
 """Exact compensation of the gantry against its closed form."""
 
+import dataclasses
+
 import numpy as np
 import pytest
-from oracles import planar_geometry
+from oracles import planar_cables, planar_geometry
 
+from oed.compensate import component_errors
 from oed.compensate.exact import (
     compensated_joints,
     corrected_commands,
     joint_corrections,
     undriven_components,
 )
+from oed.mechanism.inverse import AssemblyError
 from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, planar_2dof
+from pkm_models.machines import a3_head, cables_planar, cables_spatial, planar_2dof
 
 PLANAR = Kinematics(planar_2dof.machine)
 COMMAND = np.array([[0.0, 0.0], [1.0, 0.5], [-1.3, 1.4]])
@@ -58,3 +62,39 @@ def test_the_largest_errors_without_a_drive_are_named() -> None:
     assert f"{undriven[0]} 3" in sentence
     assert all(name in sentence for name in undriven)
     assert undriven_components(planar_2dof.machine, np.ones((2, 2))) == ()
+
+
+def test_a_redundant_machine_holds_the_command_by_the_corrected_one(
+    rng: np.random.Generator,
+) -> None:
+    """Four cables for two coordinates: real joints belong to no nominal command."""
+    kinematics = Kinematics(cables_planar.build({"anchor": planar_cables.ANCHORS}))
+    machine = kinematics.machine
+    robot = planar_cables.drawn(rng)
+    far = dataclasses.replace(robot, zeros=10.0 * robot.zeros)
+    truth = np.array([far.by_name()[p.name] for p in machine.parameters])
+    command = rng.uniform(-0.4, 0.4, (5, 2))
+    sent = corrected_commands(kinematics, command, truth)
+    drawing = planar_cables.Robot(planar_cables.ANCHORS, np.zeros(4), np.zeros(4))
+    held = [planar_cables.settled(far, drums) for drums in drawing.lengths(sent)]
+    assert np.abs(sent - command).max() > 1e-2
+    assert np.array(held) == pytest.approx(command, abs=2e-8)
+
+
+def test_a_command_that_no_nominal_one_holds_is_refused() -> None:
+    """Cables this far off turn a platform over on the way; the other poses are exact."""
+    kinematics = Kinematics(cables_spatial.machine)
+    machine, rng = kinematics.machine, np.random.default_rng(0)
+    low, high = np.array([(c.lower, c.upper) for c in machine.command]).T
+    share, place = rng.uniform(size=(2, 6, len(low)))
+    command = 0.5 * share * (low + (high - low) * place - machine.home_command)
+    command += machine.home_command
+    tolerance = np.array([p.tolerance for p in machine.parameters])
+    truth = machine.nominal + tolerance * rng.standard_normal(len(tolerance))
+    with pytest.raises(AssemblyError, match="give the controller the parameters") as e:
+        corrected_commands(kinematics, command, truth)
+    held = np.delete(command, e.value.indices, axis=0)
+    assert e.value.indices.tolist() == [1]
+    joints = kinematics.inverse(corrected_commands(kinematics, held, truth))[1]
+    left = component_errors(kinematics, held, joints, truth)
+    assert np.abs(left).max() < 1e-9

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from kernel.plan_catalogues import linear_option, searched, stage_after
+from oed.base.linear_algebra import symmetric_root
 from oed.design.criterion.protocol import pairwise_traces
 from oed.design.row_exchange import LEAST_SHARE, RowExchange
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option
-from oed.design.stages.stage.knowledge import square_roots
 from oed.design.stages.stage.profiled import profile
 
 
@@ -94,7 +94,7 @@ def test_roots_do_not_turn_where_eigenvalues_are_equal(
     covariance = np.diag([2.0, 2.0, 2.0, 0.5])
     change = 1e-14 * rng.standard_normal((4, 4))
     near = covariance + change + change.T
-    one, other = square_roots(np.array([covariance, near]))
+    one, other = symmetric_root(np.array([covariance, near]))
     assert one @ one == pytest.approx(covariance, abs=1e-14)
     assert np.abs(one - other).max() < 1e-12
 

@@ -18,7 +18,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_slopes import PoseAdjoints
 from oed.model.expressions import machine_expressions
 from oed.model.machine import Machine
-from pkm_models.machines import a3_head, linear_delta
+from pkm_models.machines import a3_head, cables_planar, linear_delta
 
 A3 = Kinematics(a3_head.machine)
 NOMINAL = a3_head.machine.nominal
@@ -31,6 +31,18 @@ SMALL = 1e-7
 def direction(rng: np.random.Generator) -> np.ndarray:
     tolerance = np.array([p.tolerance for p in a3_head.machine.parameters])
     return tolerance * rng.standard_normal(len(NOMINAL))
+
+
+def test_joints_of_a_redundant_machine_follow_all_its_equations(
+    rng: np.random.Generator,
+) -> None:
+    """A cable that starts elsewhere is paid out by as much: no other cable pulls at it."""
+    machine = cables_planar.machine
+    command = rng.uniform(-0.3, 0.3, (4, 2))
+    model = error_model(Kinematics(machine), command)
+    zero = [p.name for p in machine.parameters].index("l2")
+    assert np.abs(model.joints[:, :, zero] - [0.0, -1.0, 0.0, 0.0]).max() < 1e-12
+    assert np.abs(model.remaining).max() < 1e-12
 
 
 def test_an_error_model_is_the_slope_of_exact_errors(direction: np.ndarray) -> None:

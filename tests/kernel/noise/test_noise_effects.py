@@ -8,8 +8,9 @@ import pytest
 from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
 from oed.noise.law_noise import noise_under
+from oed.noise.marginal import ResidualModel
 from oed.noise.prior import noise_prior
-from oed.noise.process import Laws, Whitening
+from oed.noise.process import Laws, Whitening, stated_laws
 from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
 
@@ -96,3 +97,33 @@ def test_what_effects_explain_is_not_far_off(
     law = laws.take([0])
     kept = robust_residuals(structure, law, residual, slopes)
     assert kept == pytest.approx(residual)
+
+
+@pytest.mark.parametrize("scale", [1e-2, 1e-4, 1e-7])
+def test_the_evidence_of_a_law_far_below_the_stated_noise_is_no_garbage(
+    structure: ReadingStructure, scale: float
+) -> None:
+    """Against a triangle of all columns, which squares no condition number."""
+    rng = np.random.default_rng(7)
+    law = stated_laws(structure, scale=scale)
+    # more effects than readings: they take all that is not noise
+    effects = 50.0 * rng.standard_normal((len(structure), 2 * len(structure)))
+    wide = dataclasses.replace(structure, effects=effects)
+    slopes = 1e3 * rng.standard_normal((len(structure), 6))
+    residual, centre = rng.standard_normal(len(structure)), rng.standard_normal(6)
+    solutions = ResidualModel(wide, residual, slopes, centre).solve(law)
+    columns = np.column_stack([effects, slopes, residual]) / scale
+    prior = np.eye(columns.shape[1])[:-1]
+    prior[-6:, -1] = -centre
+    triangle = np.linalg.qr(np.vstack([columns, prior]), mode="r")
+    log_size = 2.0 * np.log(np.abs(np.diag(triangle)[:-1])).sum()
+    log_size += 2.0 * len(structure) * np.log(scale)
+    exact = -0.5 * (log_size + triangle[-1, -1] ** 2)
+    if scale < 1e-6:  # rounding hides what is left: such a law must not look probable
+        assert solutions.log_marginal[0] < exact
+        return
+    assert solutions.log_marginal[0] == pytest.approx(exact, rel=2e-3)
+    _, root = np.split(np.linalg.inv(triangle[:-1, :-1]), [-6])
+    spread = np.sqrt(np.diag(root[:, -6:] @ root[:, -6:].T))
+    own = np.linalg.norm(solutions.root[0], axis=1)
+    assert own == pytest.approx(spread, rel=3e-2)

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
+from oed.base.linear_algebra import precision_root
 from oed.design.stages.bound.combination_bound import CombinationBound
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option
@@ -157,7 +158,7 @@ def bound_uncaptured(
 
     information  (n, n) about the machine before
     """
-    root = np.linalg.cholesky(np.linalg.inv(information))
+    root = precision_root(information)
     errors = rng.standard_normal((MACHINES, len(information))) @ root.T
     uncaptured = _uncaptured(options, errors, rng)
     squared = [np.sum((errors @ factor.T) ** 2, axis=1) for factor in goal.factors]

@@ -18,9 +18,10 @@ from functools import cached_property
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
+from oed.base.linear_algebra import symmetric_root
 from oed.design.stages.option import Option
 from oed.design.stages.stage import travel
-from oed.design.stages.stage.knowledge import Knowledge, multiply_each, square_roots
+from oed.design.stages.stage.knowledge import Knowledge, multiply_each
 from oed.design.stages.stage.profiled import ProfiledInformation
 
 #: capture probability from which no machines are drawn
@@ -75,7 +76,7 @@ class DrawnMachines:
             noise = information.noise
             known = self._known_part(before, information)
             normals = rng.standard_normal(before.shape)
-            drawn = multiply_each(square_roots(noise), self.pattern_of, normals)
+            drawn = multiply_each(symmetric_root(noise), self.pattern_of, normals)
             errors = multiply_each(covariances, self.group_of, known - drawn)
             # A machine without losses has the error of its covariance. One with losses
             # is farther off: its mean square over the noise counts.

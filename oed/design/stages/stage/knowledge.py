@@ -17,6 +17,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
+from oed.base.linear_algebra import symmetric_root
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ class Knowledge:
             return self.errors
         normals = rng.standard_normal((self.machines, self.columns))
         return multiply_each(
-            square_roots(self.covariances), self.covariance_of, normals
+            symmetric_root(self.covariances), self.covariance_of, normals
         )
 
 
@@ -87,17 +88,6 @@ def as_knowledge(prior: Prior) -> Knowledge:
         lost_readings=np.zeros(len(covariances), dtype=bool),
         mean_square_error=np.asarray(covariances.mean(axis=0)),
     )
-
-
-def square_roots(covariances: Array) -> Array:
-    """Symmetric R (P, n, n), R R = covariances, positive semidefinite up to rounding.
-
-    This root is the only one: errors drawn by it do not depend on rounding, as they do
-    by eigenvectors, which have any sign and turn where eigenvalues are equal.
-    """
-    values, vectors = np.linalg.eigh(covariances)
-    scaled = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    return np.asarray(scaled @ np.swapaxes(vectors, 1, 2))
 
 
 def multiply_each(matrices: Array, matrix_of: Index, vectors: Array) -> Array:

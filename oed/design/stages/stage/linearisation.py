@@ -22,8 +22,9 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index
+from oed.base.linear_algebra import symmetric_root
 from oed.design.stages.option import Option
-from oed.design.stages.stage.knowledge import multiply_each, square_roots
+from oed.design.stages.stage.knowledge import multiply_each
 from oed.measurement.reading_noise import reading_covariances
 
 #: share of a reading's noise below which its residual is neglected
@@ -86,7 +87,7 @@ def _draw_errors(
     """Parameter errors (machines, p), SI, of machines drawn after the stage."""
     measurement = option.measurement
     normals = rng.standard_normal((len(posterior_of), posterior.shape[1]))
-    scaled = multiply_each(square_roots(posterior), posterior_of, normals)
+    scaled = multiply_each(symmetric_root(posterior), posterior_of, normals)
     free = np.flatnonzero(measurement.free)
     errors = np.zeros((len(scaled), len(measurement.nominal)))
     of_parameters = scaled[:, option.parameter_columns]

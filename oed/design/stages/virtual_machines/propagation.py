@@ -22,7 +22,7 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.base.arrays import Array
-from oed.design.stages.stage.knowledge import square_roots
+from oed.base.linear_algebra import symmetric_root
 from oed.design.stages.stage.prediction import PlanStage
 from oed.design.stages.virtual_machines.readings import (
     VirtualReadings,
@@ -216,7 +216,7 @@ class _Propagation:
             return None
         root = np.eye(int(measurement.free.sum()))
         n = len(self.start)
-        root[:n, :n] = square_roots(self.start[None])[0]
+        root[:n, :n] = symmetric_root(self.start[None])[0]
         return root
 
     def _draw(self, measurement: Measurement, rng: np.random.Generator) -> Array:
