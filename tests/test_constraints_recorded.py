@@ -186,7 +186,7 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
     series = measurement.series("lock1", locked_poses(0))
     y = 1e-4 * np.arange(1.0, 10.0)
     sheet = tmp_path / "simulated.csv"
-    csv_output.save(sheet, from_series([series], y, measurement))
+    sheet.write_text(csv_output.to_csv(from_series([series], y, measurement)), "utf-8")
     again = csv_input.load(sheet, measurement)
     assert again.y == pytest.approx(y, abs=1e-12)
 

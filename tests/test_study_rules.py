@@ -170,10 +170,8 @@ def test_a_set_up_of_retained_readings_is_mounted_already() -> None:
 def test_readings_of_a_file_are_retained(tmp_path: Path) -> None:
     resolved, first = chosen(text(KNOWN))
     y = resolved.measurement.readings(first.series, resolved.measurement.nominal)
-    dataset.save(
-        tmp_path / "first.csv",
-        dataset.from_series(first.series, y, resolved.measurement),
-    )
+    readings = dataset.from_series(first.series, y, resolved.measurement)
+    (tmp_path / "first.csv").write_text(dataset.to_csv(readings), "utf-8")
     _, second = chosen(text(KNOWN + 'keep_readings = "first.csv"\n'), tmp_path)
     assert second.retained == 3
     assert sum(map(len, second.series)) == 6

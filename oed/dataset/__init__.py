@@ -23,7 +23,7 @@ from oed.base.lazy import attributes
 
 if TYPE_CHECKING:
     from oed.dataset.csv_input import from_tables, load, load_sessions
-    from oed.dataset.csv_output import save, to_csv
+    from oed.dataset.csv_output import to_csv
     from oed.dataset.data import ColumnLayout, Dataset, from_series
     from oed.dataset.readings_file import ReadingsError
 
@@ -35,7 +35,6 @@ __all__ = [
     "from_tables",
     "load",
     "load_sessions",
-    "save",
     "to_csv",
 ]
 
@@ -44,7 +43,7 @@ __getattr__ = attributes(
     __name__,
     {
         "csv_input": ("from_tables", "load", "load_sessions"),
-        "csv_output": ("save", "to_csv"),
+        "csv_output": ("to_csv",),
         "data": ("ColumnLayout", "Dataset", "from_series"),
         "readings_file": ("ReadingsError",),
     },

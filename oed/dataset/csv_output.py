@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from oed.base import csv_text
 from oed.base.arrays import Array
-from oed.base.whole_file import whole_file
 from oed.dataset.columns import (
     REQUIRED,
     SIGMA,
@@ -22,12 +20,6 @@ from oed.dataset.columns import (
 from oed.dataset.data import ColumnLayout, Dataset, consecutive
 from oed.dataset.dialect import commented
 from oed.measurement.measurement import Series
-
-
-def save(path: Path, dataset: Dataset) -> None:
-    """Write a readings file, whole or not at all. Raises OSError."""
-    with whole_file(path) as part:
-        part.write_text(to_csv(dataset), encoding="utf-8", newline="")
 
 
 def to_csv(
