@@ -274,8 +274,8 @@ class Kinematics:
     def at_reference_tool(self, command: Array, tool: Array) -> Array:
         """Commands (n, n_dof) of the reference tool at the poses of those of a tool (3,).
 
-        A tool beside the axis moves with the platform's turn. Where a pose cannot be
-        assembled, it is as at home.
+        A tool beside the axis moves with the platform's turn. Where one of the poses
+        cannot be assembled, all are turned as home is.
         """
         if not np.any(tool):
             return command

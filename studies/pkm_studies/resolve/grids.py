@@ -195,15 +195,14 @@ def check_workspace(
     command: Array,
     keys: Mapping[str, str],
     place: Place,
-    whose: str = "",
 ) -> None:
     """Raises InputError for the first command outside the machine's workspace."""
     for _, name, value, lower, upper in machine.out_of_range(command)[:1]:
         unit, key = command_units(machine)[name], keys.get(name, name)
         stated, low, high = (format_as(v, unit, key) for v in (value, lower, upper))
         raise place.key(key).error(
-            f"{stated}{whose} is outside the workspace of {machine.name}",
-            f"{name} goes from {low} to {high}{whose}",
+            f"{stated} is outside the workspace of {machine.name}",
+            f"{name} goes from {low} to {high}",
         )
 
 
@@ -224,8 +223,7 @@ def check_tool_workspace(
     if outside:
         rows = command[sorted(outside)]
         at_reference = kinematics.at_reference_tool(rows, np.array(tool))
-        whose = " with the reference tool" if any(tool) else ""
-        check_workspace(machine, at_reference, keys, place, whose)
+        check_workspace(machine, at_reference, keys, place)
 
 
 def solve_held(
