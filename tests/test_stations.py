@@ -130,3 +130,30 @@ def test_the_machines_page_says_towards_what_an_axis_tilts(capsys) -> None:
         parameters = [c for c in entry["columns"] if c["role"] == "parameter"]
         assert parameters
         assert all(c["about"] for c in parameters), entry["name"]
+
+
+def test_the_workspace_holds_for_the_reference_tool(tmp_path: Path) -> None:
+    """A nest 300 mm beside the axis rises by 300 mm sin 14 deg where the platform tilts.
+
+    The reference tool stays in the middle: the pose is inside, whatever the nest's z.
+    """
+    high = 550.0 + 300.0 * np.sin(np.radians(14.0))
+    grid = f"""
+[[design.reference]]
+name = "tilted"
+setup = "one"
+x_mm = [{300.0 * np.cos(np.radians(14.0)):.6f}]
+y_mm = [0.0]
+z_mm = [{high:.6f}]
+rx_deg = [0.0]
+ry_deg = [-14.0]
+spin_deg = [0.0]
+"""
+    far = STUDY.replace("[50.0, 0.0, 0.0]", "[300.0, 0.0, 0.0]")
+    (plan,) = sample.resolved(far + grid, tmp_path).reference_plans
+    kinematics = Measurement(machine, []).kinematics
+    home = kinematics.at_reference_tool(plan.series[0].command, np.array([0.3, 0, 0]))
+    np.testing.assert_allclose(home[0, :3], [0.0, 0.0, 0.55], atol=1e-6)
+    beyond = grid.replace(f"z_mm = [{high:.6f}]", f"z_mm = [{high + 300.0:.6f}]")
+    error = sample.refused(far + beyond, folder=tmp_path)
+    assert "z_mm" in str(error)

@@ -230,15 +230,8 @@ def compensated_errors(
     wanted_x, _ = kinematics.inverse(poses, kinematics.machine.nominal, tool)
     rotation, point, _ = kinematics.frames(wanted_x, tool)
     true_rotation, true_point = _frames(kinematics, poses, identified, parameters, tool)
-    m = len(parameters)
-    twist = twist_between(
-        np.tile(rotation, (m, 1, 1)),
-        np.tile(point, (m, 1)),
-        true_rotation.reshape(-1, 3, 3),
-        true_point.reshape(-1, 3),
-    )
-    twists = twist.reshape(m, len(poses), 6)
-    return components_against(kinematics, command, twists, "home", tool)
+    twist = twist_between(rotation, point, true_rotation, true_point)
+    return components_against(kinematics, command, twist, "home", tool)
 
 
 def controller_errors(

@@ -280,9 +280,15 @@ def _commands(
         columns = [column_name(c.name, c.unit) for c in machine.command]
         remedy = f"fill {', '.join(columns)}, or the joints"
         raise merged.error("no pose is given", remedy, int(rows[0]), columns[0])
-    workspace = machine.workspace(measurement.setups[name].tool)
-    place = f"workspace of {machine.name}"
-    checks.check_range(merged, workspace, command, rows, place)
+    tool = measurement.setups[name].tool
+    outside = sorted({row for row, *_ in machine.out_of_range(command, tool)})
+    if outside:
+        # a tool beside the axis moves with the platform's turn
+        at_reference = measurement.kinematics.at_reference_tool(
+            command[outside], np.array(tool)
+        )
+        place = f"workspace of {machine.name}"
+        checks.check_range(merged, machine.command, at_reference, rows[outside], place)
     return command
 
 

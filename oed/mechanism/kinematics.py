@@ -277,6 +277,25 @@ class Kinematics:
         rotation, tip, twist = self._frame(x, tool)
         return rotation, tip, twist
 
+    def at_reference_tool(self, command: Array, tool: Array) -> Array:
+        """Commands (n, n_dof) of the reference tool at the poses of those of a tool (3,).
+
+        A tool beside the axis moves with the platform's turn. Where one of the poses
+        cannot be assembled, all are turned as home is.
+        """
+        if not np.any(tool):
+            return command
+        try:
+            x, _ = self.inverse(command, None, tool)
+        except AssemblyError:
+            return self.machine.with_tool(command, -tool)
+        from_point = self.frames(x, np.zeros(3))[1] - self.frames(x, tool)[1]
+        moved = [
+            self.machine.with_tool(c, d)
+            for c, d in zip(command, from_point, strict=True)
+        ]
+        return np.array(moved)
+
     def error_components(self, command: Array, twist: Array) -> Array:
         """Pose error components (n, k) of twists (n, 6) [m, rad] at commands (n, n_dof)."""
         return self._components(command, twist)[0]

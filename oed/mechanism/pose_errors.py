@@ -33,12 +33,14 @@ def pose_error(
 def twist_between(
     rotation: Array, point: Array, other_rotation: Array, other_point: Array
 ) -> Array:
-    """Displacement (n, 6) from one frame to another: [points, rotation vector].
+    """Displacement (..., 6) from frames to others: [points, rotation vector].
 
-    Rotations (n, 3, 3), points (n, 3), all in the base frame.
+    Rotations (..., 3, 3), points (..., 3), all in the base frame.
     """
-    turn = Rotation.from_matrix(other_rotation @ np.swapaxes(rotation, 1, 2))
-    return np.hstack([other_point - point, turn.as_rotvec()])
+    turn = other_rotation @ np.swapaxes(rotation, -1, -2)
+    vector = Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_rotvec()
+    shift = other_point - point
+    return np.concatenate([shift, vector.reshape(shift.shape)], axis=-1)
 
 
 def component_errors(

@@ -48,8 +48,9 @@ def list_entries(
 
 
 def _entry_lines(entry: CatalogueEntry) -> list[str]:
-    """What it is, its source, its frames and its columns."""
-    columns = [f"{c['name']}: {c['role']}: {c['about']}" for c in entry.columns]
+    """What it is, its source, its frames and its columns; parameters fill a page."""
+    listed = [c for c in entry.columns if c["role"] != "parameter"]
+    columns = [f"{c['name']}: {c['role']}: {c['about']}" for c in listed]
     return [entry.about, f"source: {entry.source}", *entry.frames, *columns]
 
 

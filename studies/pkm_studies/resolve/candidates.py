@@ -136,7 +136,7 @@ def circles(
     ends = np.tile(machine.home_command, (2, 1))
     ends[:, columns.index(across)] = lower, upper
     tool = measurement.setups[table.setup].tool
-    grids.check_workspace(machine, ends, {across: key}, place, tool)
+    grids.check_tool_workspace(measurement.kinematics, ends, {across: key}, place, tool)
     return Circles(
         title=table.title or f"{table.setup}: circles over {across}",
         setup=table.setup,

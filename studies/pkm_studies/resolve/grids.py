@@ -16,7 +16,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement, Series
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate, Machine
 from pkm_studies.base.errors import Place, suggest
@@ -195,16 +195,35 @@ def check_workspace(
     command: Array,
     keys: Mapping[str, str],
     place: Place,
-    tool: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> None:
     """Raises InputError for the first command outside the machine's workspace."""
-    for _, name, value, lower, upper in machine.out_of_range(command, tool)[:1]:
+    for _, name, value, lower, upper in machine.out_of_range(command)[:1]:
         unit, key = command_units(machine)[name], keys.get(name, name)
         stated, low, high = (format_as(v, unit, key) for v in (value, lower, upper))
         raise place.key(key).error(
             f"{stated} is outside the workspace of {machine.name}",
             f"{name} goes from {low} to {high}",
         )
+
+
+def check_tool_workspace(
+    kinematics: Kinematics,
+    command: Array,
+    keys: Mapping[str, str],
+    place: Place,
+    tool: Sequence[float],
+) -> None:
+    """The same of a tool's commands.
+
+    The workspace moves with the tool as it points at home. Where a command is outside
+    it, it counts whether the reference tool is outside as well.
+    """
+    machine = kinematics.machine
+    outside = {row for row, *_ in machine.out_of_range(command, tuple(tool))}
+    if outside:
+        rows = command[sorted(outside)]
+        at_reference = kinematics.at_reference_tool(rows, np.array(tool))
+        check_workspace(machine, at_reference, keys, place)
 
 
 def solve_held(
@@ -346,19 +365,21 @@ def grid_series(
     setup = measurement.setups[table.setup]
     kind = poses.form(table, place)
     if table.pairs_mm is not None:
-        command, run = _pairs(table, machine, setup, place)
+        command, run = _pairs(table, measurement.kinematics, setup, place)
         return planned_series(measurement, table.setup, command, run, place), 0
     if kind is not None:
         given = poses.given_poses(
             table, kind, measurement.kinematics, setup.tool, place
         )
         keys = dict.fromkeys(command_units(machine), kind)
-        check_workspace(machine, given.command, keys, place, setup.tool)
+        check_tool_workspace(
+            measurement.kinematics, given.command, keys, place, setup.tool
+        )
         return planned_series(measurement, table.setup, *given, place), 0
     command, hold, keys = grid_commands(table.coordinates, machine, place)
     if hold is not None:
         command = mid_range(command, hold, machine, setup)
-    check_workspace(machine, command, keys, place, setup.tool)
+    check_tool_workspace(measurement.kinematics, command, keys, place, setup.tool)
     command, lost = solve_held(
         measurement, table.setup, command, hold, place, strict=strict
     )
@@ -376,13 +397,14 @@ def mid_range(command: Array, hold: str, machine: Machine, setup: Setup) -> Arra
 
 
 def _pairs(
-    table: GridTable, machine: Machine, setup: Setup, place: Place
+    table: GridTable, kinematics: Kinematics, setup: Setup, place: Place
 ) -> tuple[Array, list[str]]:
     """Commands and runs of point pairs: two poses a run, of which the first is zero."""
     if table.coordinates or table.runs_by is not None:
         raise place.key("pairs_mm").error(
             "pairs say all about the poses", "remove the coordinates and runs_by"
         )
+    machine = kinematics.machine
     translations = [c.unit == "m" for c in machine.command]
     compares = setup.instrument.reference == "run"
     if not compares or not all(translations) or len(translations) != 3:
@@ -395,5 +417,5 @@ def _pairs(
     if not points.size:
         raise place.key("pairs_mm").error("the list is empty", "give at least one pair")
     keys = dict.fromkeys(command_units(machine), "pairs_mm")
-    check_workspace(machine, points, keys, place, setup.tool)
+    check_tool_workspace(kinematics, points, keys, place, setup.tool)
     return points, [f"pair {i // 2 + 1}" for i in range(len(points))]

@@ -101,6 +101,6 @@ def reference_command(
         )
     if hold is not None:
         command = grids.mid_range(command, hold, machine, setup)
-    grids.check_workspace(machine, command, keys, at, setup.tool)
+    grids.check_tool_workspace(measurement.kinematics, command, keys, at, setup.tool)
     command, _ = grids.solve_held(measurement, name, command, hold, at, strict=True)
     return np.asarray(command[0])

@@ -114,10 +114,7 @@ def _remaining_twists(
     start = np.tile(x, (m, 1))
     reached = kinematics.forward_per_pose(q, np.repeat(true, n, 0), start)
     rotation, point, _ = kinematics.frames(reached, NO_TOOL)
-    twists = compensate.twist_between(
-        np.tile(wanted_rotation, (m, 1, 1)),
-        np.tile(wanted_point, (m, 1)),
-        rotation,
-        point,
+    shape = (m, n, 3)
+    return compensate.twist_between(
+        wanted_rotation, wanted_point, rotation.reshape(*shape, 3), point.reshape(shape)
     )
-    return twists.reshape(m, n, 6)
