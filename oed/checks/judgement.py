@@ -138,7 +138,8 @@ def estimated_law(
         laws = prior.laws(mode[None])
         z = model.solve(laws).mean[0]
     scale = dict(zip(structure.names, laws.scale[0].tolist(), strict=True))
-    return CheckedLaw(scale, laws, solution.theta), model
+    share = dict(zip(structure.names, laws.carried[0].tolist(), strict=True))
+    return CheckedLaw(scale, share, laws, solution.theta), model
 
 
 def _goodness_under(law: CheckedLaw, model: ResidualModel) -> tuple[Goodness, float]:

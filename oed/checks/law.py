@@ -25,11 +25,13 @@ class CheckedLaw:
     """A noise law that is not tied to a set of readings.
 
     scale  of each group of readings, `set-up.channel`, over the stated noise
+    share  of the variance of each group that is carried along
     law    its other numbers, as one of some laws
     theta  (n,) parameters at which slopes over renewed unknowns are taken
     """
 
     scale: Mapping[str, float]
+    share: Mapping[str, float]
     law: Laws
     theta: Array
 
@@ -44,7 +46,8 @@ class CheckedLaw:
     def laws(self, structure: ReadingStructure) -> Laws:
         """The law for readings of a structure; groups it does not know are as stated."""
         scale = np.array([[self.scale.get(name, 1.0) for name in structure.names]])
-        return dataclasses.replace(self.law, scale=scale)
+        share = np.array([[self.share.get(name, 0.0) for name in structure.names]])
+        return dataclasses.replace(self.law, scale=scale, carried=share)
 
     def with_scale(self, least: float, most: float) -> CheckedLaw:
         """The law with scales no smaller and no larger than these."""

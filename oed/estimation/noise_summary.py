@@ -16,7 +16,7 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.model.instrument import Setup
 from oed.noise.marginal import NoisePosterior
-from oed.noise.prior import CARRIED, COURSE, RUN
+from oed.noise.prior import COURSE, RUN
 from oed.noise.process import Laws
 from oed.result.goodness import NoiseRecord
 
@@ -62,8 +62,9 @@ def _numbers(
         stated = _stated(setup, channel, posterior.structure.sigma_of_group(g))
         sigma, unit = stated.sigma, stated.unit
         scale = laws.scale[:, g]
-        far = (scale > SCATTER) if weights @ scale > 1.0 else (scale < 1.0 / SCATTER)
-        yield number("reading", name, unit, sigma * scale, sigma, far)
+        alone = scale * _scatter_within_run(laws, g, posterior.structure.longest)
+        far = (alone > SCATTER) if weights @ alone > 1.0 else (alone < 1.0 / SCATTER)
+        yield number("reading", name, unit, sigma * alone, sigma, far)
         level, known = _run_errors(stated, scale, laws)
         if stated.shared > 0.0 if stated.is_level else RUN in posterior.prior.names:
             whole = sigma * np.hypot(level, known)
@@ -79,15 +80,32 @@ def _numbers(
             far = seat - expected > SHARED * sigma
             seated[setup.name] = number("seat", setup.name, unit, seat, expected, far)
     yield from seated.values()
-    if CARRIED in posterior.prior.names:
+    shares = posterior.prior.share_names
+    if shares:
         statement = posterior.structure.statement
         share = statement.carried_share
-        far = laws.carried - share > MOST_CARRIED
-        yield number("carried", "", "1", laws.carried, share, far)
+        several = posterior.structure.names if len(shares) > 1 else ("",)
+        for name, values in zip(several, laws.carried.T, strict=False):
+            far = values - share > MOST_CARRIED
+            yield number("carried", name, "1", values, share, far)
         never = np.zeros(len(laws), dtype=bool)
         # beyond the longest run, readings cannot tell how far it goes
         reach = np.minimum(laws.reach, posterior.structure.longest)
         yield number("reach", "", "readings", reach, statement.reach, never)
+
+
+def _scatter_within_run(laws: Laws, group: int, longest: int) -> Array:
+    """Scatter (L,) about the mean of the longest run, over that of a single reading.
+
+    What is carried farther than a run is none of its scatter, and no residual shows it.
+    With decay d, the mean correlation of two of n readings is
+    2 d (n (1 - d) - (1 - d^n)) / (n (n - 1) (1 - d)^2).
+    """
+    fresh = -np.expm1(-1.0 / laws.reach)
+    whole = -np.expm1(-longest / laws.reach)
+    pairs = max(longest * (longest - 1), 1)
+    related = 2.0 * (1.0 - fresh) * (longest * fresh - whole) / (pairs * fresh**2)
+    return np.asarray(np.sqrt(1.0 - laws.carried[:, group] * related))
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

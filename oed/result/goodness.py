@@ -30,7 +30,8 @@ class MistakeRecord(Record, frozen=True):
 class NoiseRecord(Record, frozen=True):
     """One number of the noise law as estimated.
 
-    kind     reading, run, seat, course at the session's end (standard deviations),
+    kind     reading (about the mean of its run), run, seat, course at the session's end
+             (standard deviations),
              carried (share of the variance) or reach (in readings)
     of       set-up and channel, or set-up; empty for all readings
     stated   what the stated noise has
