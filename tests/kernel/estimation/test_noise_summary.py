@@ -16,8 +16,9 @@ from oed.measurement import draw_parameters
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws
+from pkm_models.instruments import laser_ball_bar
 from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines import planar_2dof
+from pkm_models.machines import planar_2dof, prs_spindle
 
 M = a3_plans.measurement()
 SERIES = a3_plans.circles(M, 12)
@@ -100,3 +101,34 @@ def test_each_channel_has_its_own_noise_however_far_another_is_overstated() -> N
     assert sizes == pytest.approx(truth, rel=0.35)
     assert all(n.departs for n in scatter)
     assert not any(n.departs for n in numbers if n.kind == "carried")
+
+
+def test_the_scatter_of_a_channel_is_that_of_all_its_sources() -> None:
+    """A laser's x, y, z share range and angles; a scale is that of one source."""
+    m = Measurement(
+        prs_spindle.machine,
+        [mount(laser_ball_bar.instrument, "laser", at_x=0.0, at_y=-0.7, at_z=0.2)],
+    )
+    command = np.random.default_rng(4).uniform(
+        [0.1, -0.3, -0.3], [0.3, 0.3, 0.3], (6, 3)
+    )
+    series = m.series("laser", command)
+    structure = reading_structure(m, [series], m.nominal)
+    prior = noise_prior(structure)
+    draws = np.zeros((1, prior.dimensions))
+    draws[0] = WHITE
+    scale = np.array([1.0, 0.4, -0.8, 1.5, -2.0])
+    draws[0, :5] = scale
+    laws = prior.laws(draws)
+    numbers = noise_numbers(
+        SimpleNamespace(  # type: ignore[arg-type]
+            prior=prior, structure=structure, draws=draws, weights=np.ones(1)
+        ),
+        m.setups,
+    )
+    root = structure.restore(np.diag(laws.scale[0, structure.group])).T
+    variance = (root**2).sum(axis=1)
+    for g, one in enumerate(n for n in numbers if n.kind == "reading"):
+        expected = np.sqrt(variance[structure.group == g].mean())
+        unit = 1e-6 if one.unit == "um" else np.deg2rad(1.0 / 3600.0)
+        assert one.value * unit == pytest.approx(expected, rel=1e-5)
