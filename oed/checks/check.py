@@ -59,7 +59,15 @@ class CheckedSession:
     def with_goodness(
         self, fitted: Goodness, *, noise_is_a_guess: bool
     ) -> CheckedSession:
-        """The check with the figures of the fit that is delivered, and their findings."""
+        """The check with the figures of the fit that is delivered, and their findings.
+
+        Where that fit does not use the law, the readings are judged by the check's.
+        """
+        known = self.goodness
+        if fitted.law_p_high is None and known is not None:
+            fitted = dataclasses.replace(
+                fitted, law_p_low=known.law_p_low, law_p_high=known.law_p_high
+            )
         findings = [f for f in self.findings if f.kind not in FIT_KINDS]
         findings += _fit_findings(
             self.session, self.search, fitted, self.explanations, noise_is_a_guess

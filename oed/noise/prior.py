@@ -29,6 +29,9 @@ from oed.noise.structure import (
 #: sd of the log of a group's noise over the stated one, and sd from which on its tails
 #: are heavy: at four it is not 5 times the stated noise but 25 times
 SCALE_SD, HEAVY_FROM = 0.4, 4.0
+#: least coordinate of a scale, a 600th of the stated noise: readings are rounded there,
+#: and sums of squares beside larger effects keep their digits
+LEAST_COORDINATE = -5.5
 #: factor to which a stated noise is good: one standard deviation of that log
 KNOWN_TO = float(np.exp(SCALE_SD))
 #: sd of that log where the stated noise is an assumption: it may be wrong by a decade
@@ -210,7 +213,8 @@ def heavy_scale(u: Array) -> Array:
 
     Both tails are heavier than normal: noise may be far from a data sheet, either way.
     """
-    return u * (1.0 + (u / HEAVY_FROM) ** 2)
+    kept = np.maximum(u, LEAST_COORDINATE)
+    return np.asarray(kept * (1.0 + (kept / HEAVY_FROM) ** 2))
 
 
 def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
@@ -240,7 +244,7 @@ def noise_prior(
              all groups have one scale, and their weights are near the assumed ones. Where
              a course's terms leave few in all, it is not in the model
     has_common_share  whether the errors of all groups have one share carried along;
-             otherwise each has its own, where the groups have a scale each
+             otherwise each has its own, where there are enough readings for each group
     """
     statement = structure.statement
     is_few = freedom < LEAST_OF_WEIGHTS * len(structure.names)
@@ -249,7 +253,7 @@ def noise_prior(
     scales = structure.names
     if is_common:
         scales = ("all readings", *(scales if groups > 1 else ()))
-    one_share = has_common_share or is_common or groups == 1
+    one_share = has_common_share or is_few or groups == 1
     shares = (CARRIED,) if one_share else tuple(f"{CARRIED} of {n}" for n in scales)
     carried = () if statement.carried == 0.0 else (*shares, REACH)
     of_kind = {

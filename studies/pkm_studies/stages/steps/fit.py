@@ -10,6 +10,7 @@ from oed.base.arrays import Array
 from oed.checks.judgement import goodness_of_delivered
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.estimation import fit_warnings, identification, run_prediction
+from oed.estimation.held_parameters import contradicted_parameters
 from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import GoodnessSection
@@ -19,7 +20,11 @@ from pkm_studies.stages.fit.effects import (
     judged_with_effects,
     with_effects,
 )
-from pkm_studies.stages.fit.estimate import combination_estimates, estimate_section
+from pkm_studies.stages.fit.estimate import (
+    combination_estimates,
+    estimate_section,
+    with_held,
+)
 from pkm_studies.stages.fit.goodness import (
     surprises,
     with_delivered,
@@ -55,7 +60,13 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
     estimate = fit_warnings.with_warnings(measurement, estimate)
     state = with_delivered(state, fitted_as)
+    held = []
+    if readings.truth is None:
+        held = contradicted_parameters(
+            measurement, readings.series, readings.y, estimate
+        )
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
+    section = with_held(section, held)
     if state.identifiability is not None:
         verdict = state.identifiability.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)
