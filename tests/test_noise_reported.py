@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import sample
 import test_bad_fit
+from scipy import stats
 
 from oed.noise.law import reach_words
 from pkm_studies.commands import cli
@@ -59,6 +60,31 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     shared = noise["run cup.length"]
     assert shared["value"] > noise["reading cup.length"]["value"]
     assert 0.0 < noise["reach"]["value"] <= bar_readings.POINTS
+
+
+@pytest.mark.usefixtures("no_search_for_mistakes")
+def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
+    tmp_path: Path,
+) -> None:
+    """Circles shifted by 2 um: not by the stated noise of 0.5 um, but by a law of runs."""
+    readings = bar_readings.a3_readings(2)
+    shift = np.repeat([2e-6, -2e-6, 1.5e-6, -1.5e-6], bar_readings.POINTS)
+    goodness = fit(tmp_path, readings.with_y(readings.y + shift), ESTIMATED)
+    text = (tmp_path / "fit/result.json").read_text(encoding="utf-8")
+    estimate = json.loads(text)["estimate"]
+    chi2 = float(np.sum((np.array(estimate["residuals"]) / 0.5) ** 2))  # um
+    assert goodness["chi2"] == pytest.approx(chi2, rel=1e-9)
+    assert (estimate["chi2"], estimate["dof"]) == (goodness["chi2"], goodness["dof"])
+    p = stats.chi2.sf(chi2, goodness["dof"])
+    assert p < 1e-12
+    assert goodness["p_high"] < 1e-9
+    assert goodness["law_p_high"] > 0.01
+    ratio = np.sqrt(chi2 / goodness["dof"])
+    assert any(f"{ratio:.1f} times the stated" in w for w in estimate["warnings"])
+    page = (tmp_path / "fit/report.html").read_text(encoding="utf-8")
+    assert "more than the stated noise explains" in page
+    assert "as the stated noise predicts" not in page
+    assert "By the noise law as estimated" in page
 
 
 @pytest.mark.usefixtures("no_search_for_mistakes")

@@ -103,7 +103,9 @@ def test_every_step_takes_the_noise_of_the_readings(
     sd = stated(text)
     structure = reading_structure(measurement, data.series, measurement.nominal)
     np.testing.assert_allclose(structure.unit, sd, rtol=1e-12)
-    assert structure.sigma_of_group(2) == pytest.approx(np.sqrt(np.mean(sd[2::3] ** 2)))
+    assert np.sqrt(structure.variances.sum(axis=1)[2]) == pytest.approx(
+        np.sqrt(np.mean(sd[2::3] ** 2))
+    )
     diagnosed = problem.prepare(measurement, data.series, data.y, data.covariates)
     np.testing.assert_allclose(diagnosed.sigma, sd, rtol=1e-12)
     estimate = identification.identify(measurement, data.series, data.y)

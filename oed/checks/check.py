@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from oed.checks.times import wrong_times
 LEAST_VALUES = 8
 #: outliers that are tried as an exchanged pair, at most
 MOST_PAIRED = 6
+#: kinds of findings on how large the residuals are
+FIT_KINDS = ("fit", "guess", "too_small")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,16 +37,43 @@ class CheckedSession:
     findings      the most harmful first
     goodness      of the readings without those set aside and those in doubt; None where
                   they have no fit
-    outliers      readings to set aside or in doubt, and how far each is; None where a
-                  mistake explains the readings, or more deviate than can be outliers
+    search        readings far from what all others predict; None where they have no fit
     explanations  mistakes that explain readings which do not fit
     """
 
     session: SessionReadings
     findings: tuple[CheckFinding, ...]
     goodness: Goodness | None
-    outliers: OutlierSearch | None
+    search: OutlierSearch | None
     explanations: tuple[Explanation, ...]
+
+    @property
+    def outliers(self) -> OutlierSearch | None:
+        """Readings to set aside or in doubt, and how far each is.
+
+        None where a mistake explains the readings, or more deviate than can be outliers.
+        """
+        many = self.search is None or self.search.exhausted
+        return None if many or self.explanations else self.search
+
+    def with_goodness(
+        self, fitted: Goodness, *, noise_is_a_guess: bool
+    ) -> CheckedSession:
+        """The check with the figures of the fit that is delivered, and their findings.
+
+        Where that fit does not use the law, the readings are judged by the check's.
+        """
+        known = self.goodness
+        if fitted.law_p_high is None and known is not None:
+            fitted = dataclasses.replace(
+                fitted, law_p_low=known.law_p_low, law_p_high=known.law_p_high
+            )
+        findings = [f for f in self.findings if f.kind not in FIT_KINDS]
+        findings += _fit_findings(
+            self.session, self.search, fitted, self.explanations, noise_is_a_guess
+        )
+        findings.sort(key=lambda finding: finding.severity)
+        return dataclasses.replace(self, findings=tuple(findings), goodness=fitted)
 
     @property
     def bad_fit(self) -> bool:
@@ -123,7 +153,7 @@ def check_session(
         session=session,
         findings=tuple(findings),
         goodness=fitted,
-        outliers=outliers if single else None,
+        search=outliers,
         explanations=tuple(explanations),
     )
 
@@ -149,7 +179,7 @@ def _fit_findings(
     session: SessionReadings,
     outliers: OutlierSearch | None,
     fitted: Goodness | None,
-    explanations: list[Explanation],
+    explanations: Sequence[Explanation],
     noise_is_a_guess: bool,
 ) -> list[CheckFinding]:
     """Residuals too large or too small for the stated noise."""

@@ -23,12 +23,17 @@ class Goodness:
     dof     its expectation: values less effectively determined directions
     p_low   probability of a smaller sum
     p_high  probability of a larger sum
+    law_p_low, law_p_high  the same of the sum under the law that is estimated, with a
+            scatter within what a statement is good for (`oed.checks.judgement`); None
+            where no law is
     """
 
     chi2: float
     dof: float
     p_low: float
     p_high: float
+    law_p_low: float | None = None
+    law_p_high: float | None = None
 
     @property
     def ratio(self) -> float | None:
@@ -37,8 +42,10 @@ class Goodness:
 
     @property
     def too_large(self) -> bool:
-        """Whether the stated noise does not explain the residuals."""
-        return self.p_high < ALARM
+        """Whether neither the stated noise nor its law explains the residuals."""
+        is_by_law = self.law_p_high is not None and (self.ratio or 0.0) <= GUESS
+        p_high = self.law_p_high if is_by_law else self.p_high
+        return p_high is not None and p_high < ALARM
 
     def is_bad(self, *, noise_is_a_guess: bool) -> bool:
         """Whether neither the stated noise nor an estimated one explains the residuals."""
@@ -47,8 +54,8 @@ class Goodness:
 
     @property
     def too_small(self) -> bool:
-        """Whether the stated noise would leave larger residuals."""
-        return self.p_low < ALARM
+        """Whether the stated noise, or its law, would leave larger residuals."""
+        return (self.p_low if self.law_p_low is None else self.law_p_low) < ALARM
 
 
 def goodness(solution: Fit) -> Goodness:
@@ -66,10 +73,14 @@ def goodness_of_estimate(
     estimate: Estimate,
     doubtful: Mask | None = None,
 ) -> Goodness:
-    """Goodness of an estimate's fit against the noise that the set-ups state.
+    """Goodness of an estimate's parameters against the noise that the set-ups state.
 
     doubtful  (N,) values that are fitted, and that the figures leave out
     """
+    if estimate.effects is not None:
+        p_low = float(special.chdtr(estimate.dof, estimate.chi2))
+        p_high = float(special.chdtrc(estimate.dof, estimate.chi2))
+        return Goodness(estimate.chi2, estimate.dof, p_low, p_high)
     noise = measurement.noise(series)
     jacobian = measurement.jacobian(series, estimate.theta)
     slopes = measurement.in_prior_units(jacobian, estimate.prior_sd > 0.0)

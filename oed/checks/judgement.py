@@ -8,22 +8,31 @@ Whether single readings scatter as stated is judged after them.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import linalg, special
 
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array, Index, Mask
 from oed.checks.evidence import LinearReadings, linear_readings
 from oed.checks.fit import Fit, residual_weights
-from oed.checks.goodness import Goodness, goodness, goodness_of
+from oed.checks.goodness import (
+    Goodness,
+    goodness,
+    goodness_of,
+    goodness_of_estimate,
+)
 from oed.checks.law import CheckedLaw
 from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.session import SessionReadings
+from oed.estimation.estimate import Estimate
+from oed.measurement.measurement import Measurement, Series
 from oed.noise.law_noise import factor_of
 from oed.noise.marginal import ResidualModel, most_probable
 from oed.noise.prior import KNOWN_TO, LEAST_FREEDOM, noise_prior
 from oed.noise.process import Laws, stated_laws
 from oed.noise.robust import robust_residuals
+from oed.noise.structure import ReadingStructure
 from oed.result.trust import ALARM, GUESS
 
 #: rounds of tails and law
@@ -97,7 +106,10 @@ def _by_law(
     law, model = estimated_law(linear, search.rest)
     if law.size(linear.structure) > GUESS:
         return None
-    fitted, p_strain = _goodness_under(law, model)
+    p_low, p_high, p_strain = _probabilities_under(law, model)
+    fitted = dataclasses.replace(
+        goodness(search.rest), law_p_low=p_low, law_p_high=p_high
+    )
     if fitted.too_large:
         return None
     return _judgement(search, fitted, p_strain)
@@ -137,22 +149,56 @@ def estimated_law(
         mode = most_probable(model, prior, mode)
         laws = prior.laws(mode[None])
         z = model.solve(laws).mean[0]
+    return _checked_law(structure, laws, solution.theta), model
+
+
+def _checked_law(structure: ReadingStructure, laws: Laws, theta: Array) -> CheckedLaw:
     scale = dict(zip(structure.names, laws.scale[0].tolist(), strict=True))
-    return CheckedLaw(scale, laws, solution.theta), model
+    share = dict(zip(structure.names, laws.carried[0].tolist(), strict=True))
+    return CheckedLaw(scale, laws, theta, share)
 
 
-def _goodness_under(law: CheckedLaw, model: ResidualModel) -> tuple[Goodness, float]:
-    """Goodness under a law, and the probability of its strain.
+def goodness_of_delivered(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    estimate: Estimate,
+    doubtful: Mask | None = None,
+) -> Goodness:
+    """Goodness of the parameters that are delivered, of readings y (N,), SI.
 
-    chi2 is that of the stated scale. Too large are residuals that are so for the largest
-    scale which a stated one is good for, too small those for the least.
+    doubtful  (N,) values that are fitted, and that chi2 leaves out
+
+    Where the law is estimated, the readings are judged by it as well.
+    """
+    fitted = goodness_of_estimate(measurement, series, estimate, doubtful)
+    posterior, robust = estimate.noise_posterior, estimate.robust_readings
+    if posterior is None or robust is None or estimate.effects is not None:
+        return fitted
+    structure = posterior.structure
+    jacobian = measurement.jacobian(series, estimate.theta)
+    slopes = structure.standardise(jacobian @ estimate.coordinates.basis)
+    residual = structure.standardise(estimate.residuals + robust - y)
+    model = ResidualModel(structure, residual, slopes, estimate.z)
+    laws = posterior.prior.laws(posterior.mode[None])
+    law = _checked_law(structure, laws, estimate.theta)
+    p_low, p_high, _ = _probabilities_under(law, model)
+    return dataclasses.replace(fitted, law_p_low=p_low, law_p_high=p_high)
+
+
+def _probabilities_under(
+    law: CheckedLaw, model: ResidualModel
+) -> tuple[float, float, float]:
+    """Probabilities of less and of more under a law, and that of its strain.
+
+    Too large are residuals that are so for the largest scale which a stated one is good
+    for, too small those for the least.
     """
     stated, p_stated = _under_scale(law, model, 1.0)
     large, p_large = _under_scale(law, model, KNOWN_TO)
     small, _ = _under_scale(law, model, 1.0 / KNOWN_TO)
     p_low, p_high = max(stated.p_low, small.p_low), max(stated.p_high, large.p_high)
-    fitted = dataclasses.replace(stated, p_low=p_low, p_high=p_high)
-    return fitted, max(p_stated, p_large)
+    return p_low, p_high, max(p_stated, p_large)
 
 
 def _under_scale(

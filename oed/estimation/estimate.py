@@ -48,9 +48,8 @@ class Estimate:
     residuals_before  (N,) the same at the start
     noise             noise used, SI; of the most probable law where it was estimated
     dof               readings less effectively determined directions
-    chi2              sum of squared residuals whitened by the stated noise, of a fit
-                      with that noise: whether the readings agree with it. With effects,
-                      of what they leave at their mean
+    chi2              sum of squared `residuals` whitened by the stated noise. With
+                      effects, of what they leave at their mean
     stages            the stages of the fit
     warnings          sentences that a user must read
     noise_posterior   of the noise law; None where the noise is as stated

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
@@ -15,6 +16,12 @@ from oed.result.trust import FAR, GUESS, chi2_is_large
 NEAR = 2.0
 #: parameters that a warning names, the widest first
 MOST_NAMED = 6
+
+
+def with_warnings(measurement: Measurement, estimate: Estimate) -> Estimate:
+    """The estimate with its sentences."""
+    sentences = warnings(measurement, estimate)
+    return dataclasses.replace(estimate, warnings=tuple(sentences))
 
 
 def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:

@@ -117,8 +117,7 @@ def identify(
         residuals_before=residuals_before,
         stages=(*done, *estimate.stages),
     )
-    sentences = fit_warnings.warnings(measurement, estimate)
-    return dataclasses.replace(estimate, warnings=tuple(sentences))
+    return fit_warnings.with_warnings(measurement, estimate)
 
 
 def _stage_with_effects(

@@ -108,11 +108,13 @@ def _by_stated_weights(
     (stage,) = first.stages
     before = first.residuals_before
     estimate = last_stage(robust, wider, first.theta, before, stage.patterns)
+    residuals = fit.residuals(estimate.theta)
+    white = stated.whiten(residuals)
     return dataclasses.replace(
         estimate,
-        residuals=fit.residuals(estimate.theta),
+        residuals=residuals,
         stages=(dataclasses.replace(stage, iterations=estimate.stages[-1].iterations),),
-        chi2=first.chi2,
+        chi2=float(white @ white),
         dof=first.dof,
         robust_readings=robust.y,
         law_check=check,
@@ -192,6 +194,7 @@ def integrate_settled(
     theta = coordinates.to_theta(settled.model.centre)
     theta = fit.closing(theta, coordinates.to_theta(posterior.mean))
     residuals = fit.residuals(theta)
+    white = first.noise.whiten(residuals)
     basis, null = coordinates.basis, coordinates.null_basis
     stage = dataclasses.replace(first.stages[-1], iterations=settled.iterations)
     return dataclasses.replace(
@@ -201,6 +204,7 @@ def integrate_settled(
         coordinates=coordinates,
         z=posterior.mean,
         residuals=residuals,
+        chi2=float(white @ white),
         noise=settled.noise,
         stages=(stage,),
         noise_posterior=posterior,

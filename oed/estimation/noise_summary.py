@@ -16,7 +16,7 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.model.instrument import Setup
 from oed.noise.marginal import NoisePosterior
-from oed.noise.prior import CARRIED, COURSE, RUN
+from oed.noise.prior import COURSE, RUN
 from oed.noise.process import Laws
 from oed.result.goodness import NoiseRecord
 
@@ -43,6 +43,13 @@ def _numbers(
     posterior: NoisePosterior, setups: Mapping[str, Setup]
 ) -> Iterator[NoiseRecord]:
     laws, weights = posterior.prior.laws(posterior.draws), posterior.weights
+    structure, shares = posterior.structure, posterior.prior.share_names
+    # channels with common sources have part of the noise of each
+    variances = structure.variances.sum(axis=1)
+    of_channels = structure.variances.T / variances
+    scales = np.sqrt(laws.scale**2 @ of_channels)
+    within = laws.scale * _scatter_within_run(laws, structure.longest)
+    scatter = np.sqrt(within**2 @ of_channels)
 
     def number(
         kind: str, of: str, unit: str, values: Array, stated: float | None, far: Mask
@@ -56,14 +63,14 @@ def _numbers(
         return NoiseRecord(kind, of, mean / factor, sd / factor, fine, known, departs)
 
     seated: dict[str, NoiseRecord] = {}
-    for g, name in enumerate(posterior.structure.names):
+    for g, name in enumerate(structure.names):
         setup_name, _, channel = name.rpartition(".")
         setup = setups[setup_name]
-        stated = _stated(setup, channel, posterior.structure.sigma_of_group(g))
+        stated = _stated(setup, channel, float(np.sqrt(variances[g])))
         sigma, unit = stated.sigma, stated.unit
-        scale = laws.scale[:, g]
-        far = (scale > SCATTER) if weights @ scale > 1.0 else (scale < 1.0 / SCATTER)
-        yield number("reading", name, unit, sigma * scale, sigma, far)
+        scale, alone = scales[:, g], scatter[:, g]
+        far = (alone > SCATTER) if weights @ alone > 1.0 else (alone < 1.0 / SCATTER)
+        yield number("reading", name, unit, sigma * alone, sigma, far)
         level, known = _run_errors(stated, scale, laws)
         if stated.shared > 0.0 if stated.is_level else RUN in posterior.prior.names:
             whole = sigma * np.hypot(level, known)
@@ -79,15 +86,31 @@ def _numbers(
             far = seat - expected > SHARED * sigma
             seated[setup.name] = number("seat", setup.name, unit, seat, expected, far)
     yield from seated.values()
-    if CARRIED in posterior.prior.names:
-        statement = posterior.structure.statement
+    if shares:
+        statement = structure.statement
         share = statement.carried_share
-        far = laws.carried - share > MOST_CARRIED
-        yield number("carried", "", "1", laws.carried, share, far)
+        several = structure.names if len(shares) > 1 else ("",)
+        for name, values in zip(several, laws.carried.T, strict=False):
+            far = values - share > MOST_CARRIED
+            yield number("carried", name, "1", values, share, far)
         never = np.zeros(len(laws), dtype=bool)
         # beyond the longest run, readings cannot tell how far it goes
-        reach = np.minimum(laws.reach, posterior.structure.longest)
+        reach = np.minimum(laws.reach, structure.longest)
         yield number("reach", "", "readings", reach, statement.reach, never)
+
+
+def _scatter_within_run(laws: Laws, longest: int) -> Array:
+    """Scatter (L, G) about the mean of the longest run, over that of a single reading.
+
+    What is carried farther than a run is none of its scatter, and no residual shows it.
+    With decay d, the mean correlation of two of n readings is
+    2 d (n (1 - d) - (1 - d^n)) / (n (n - 1) (1 - d)^2).
+    """
+    fresh = -np.expm1(-1.0 / laws.reach)
+    whole = -np.expm1(-longest / laws.reach)
+    pairs = max(longest * (longest - 1), 1)
+    related = 2.0 * (1.0 - fresh) * (longest * fresh - whole) / (pairs * fresh**2)
+    return np.asarray(np.sqrt(1.0 - laws.carried * related[:, None]))
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -72,7 +72,7 @@ def _factored(
         before=np.where(begins, place, place - channels),
         decay=decay if share else np.zeros(len(order)),
         single=np.full(len(order), 1.0 - share),
-        carried=share,
+        carried=np.full(len(order), share),
         shared=shared[order],
         scale=np.ones(len(order)),
         unmix=sparse.csr_array(inverse),

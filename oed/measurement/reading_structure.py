@@ -12,7 +12,6 @@ from oed.base.arrays import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_noise import (
     reading_covariances,
-    reading_sigma,
     run_errors,
 )
 from oed.noise.course import course_terms
@@ -34,7 +33,7 @@ def reading_structure(
 ) -> ReadingStructure:
     """Structure of readings, with the slopes of renewed unknowns taken at theta (n,)."""
     names: dict[str, int] = {}
-    parts = _Parts([], [], [], [], [], [], [])
+    parts = _Parts([], [], [], [], [], [])
     blocks: list[sparse.csr_array] = []
     runs = 0
     for s in series:
@@ -52,7 +51,6 @@ def reading_structure(
         parts.position.append(np.repeat(place, count))
         common = [c.shared * sd for c, sd in zip(channels, setup.sigma, strict=True)]
         parts.shared.append(np.tile(common, len(s)))
-        parts.sigma.append(reading_sigma(setup, s).ravel())
         stated = [c.name in setup.statement.levels for c in channels]
         parts.stated.append(np.tile(stated, len(s)))
         blocks.append(_decoupling(reading_covariances(measurement.of(s), s)))
@@ -83,7 +81,6 @@ def reading_structure(
         kinds=kinds,
         course=_course(measurement, series, group, statement),
         statement=statement,
-        sigma=np.concatenate(parts.sigma),
     )
 
 
@@ -134,7 +131,6 @@ class _Parts:
     position: list[Array]
     shared: list[Array]
     stated: list[Array]
-    sigma: list[Array]
 
 
 def common_statement(

@@ -148,6 +148,8 @@ class Instrument:
     orientation            how its angles make the orientation that it reads
     single                 whether a set-up reads one channel, which it has to name
     fixed_point            whether the tool point is the same at all poses
+    held                   further unknowns of `s`, which are held and tested; `observe`
+                           takes them as their nominal values where they are absent
 
     >>> from pkm_models.instruments.ball_bar import instrument
     >>> [channel.name for channel in instrument.channels]
@@ -175,6 +177,7 @@ class Instrument:
     inner: tuple[InnerReading, ...] = ()
     single: bool = False
     fixed_point: bool = False
+    held: tuple[Parameter, ...] = ()
 
     def for_machine(self, machine: Machine) -> Instrument:
         """The instrument with the channels and settings that it has on a machine."""

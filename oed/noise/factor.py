@@ -35,7 +35,7 @@ class Errors:
     before   (k,) the reading before in its chain; itself for the first
     decay    (k,) correlation with what is carried there; 0 for the first
     single   (k,) variances, or sparse (k, k) covariance, of what is not carried
-    carried  variance of what is carried along
+    carried  (k,) variances of what is carried along, alike within a chain
     shared   (k, K) errors that a segment shares
     scale    (k,)
     unmix    (k, k) sparse P^-1, lower triangular; None: 1
@@ -46,7 +46,7 @@ class Errors:
     before: Index
     decay: Array
     single: Array | sparse.csr_array
-    carried: float
+    carried: Array
     shared: Array
     scale: Array
     unmix: sparse.csr_array | None = None

@@ -74,14 +74,14 @@ class Chains:
         self._precision = 1.0 / errors.single
         self._chain = _chain_numbers(errors.before)
         self._size = len(errors.order)
-        self._carried = errors.carried > 0.0
+        self._carried = bool(errors.carried.any())
         if self._carried:
             self._condition(errors)
 
     def _condition(self, errors: Errors) -> None:
         order = np.lexsort((np.arange(self._size), self._chain))
         decay = errors.decay[order]
-        fresh = errors.carried * (1.0 - decay**2)
+        fresh = errors.carried[order] * (1.0 - decay**2)
         diagonal = self._precision[order] + 1.0 / fresh
         diagonal[:-1] += decay[1:] ** 2 / fresh[1:]
         neighbour = -decay[1:] / fresh[1:]

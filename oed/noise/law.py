@@ -120,7 +120,7 @@ class NoiseLaw:
             before=layout.before,
             decay=decay if carried else np.zeros(len(order)),
             single=single,
-            carried=carried,
+            carried=np.full(len(order), carried),
             shared=shared[:, shared.any(axis=0)],
             scale=scale,
             unmix=unmix,
@@ -154,8 +154,10 @@ def stated_law(runs: Runs) -> NoiseLaw:
 
 
 def law_of(laws: Laws, row: int, channel: Index) -> NoiseLaw:
-    """One of some laws, for readings whose channels (N,) have a scale each."""
-    carried = float(laws.carried[row])
+    """One of some laws of a common share, for readings whose channels (N,) have a
+    scale each.
+    """
+    carried = float(laws.carried[row, 0])
     return NoiseLaw(
         run_sd=float(laws.level[row]),
         ar1_sd=float(np.sqrt(carried)),

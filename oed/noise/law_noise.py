@@ -170,7 +170,8 @@ def errors_of(structure: ReadingStructure, laws: Laws) -> Errors:
     ordered, position = chain[order], structure.position[order]
     first = np.diff(ordered, prepend=-1) > 0
     steps = np.diff(position, prepend=0.0)
-    carried, place = float(laws.carried[0]), np.arange(len(order))
+    carried = laws.carried[0, structure.group][order]
+    place = np.arange(len(order))
     decay = np.exp(-np.where(first, np.inf, steps) / laws.reach[0])
     new_run = np.diff(structure.run[ordered], prepend=-1) > 0
     starts = np.flatnonzero(new_run)
@@ -183,8 +184,8 @@ def errors_of(structure: ReadingStructure, laws: Laws) -> Errors:
         order=order,
         starts=starts,
         before=np.where(first, place, place - 1),
-        decay=decay if carried else np.zeros(len(order)),
-        single=np.full(len(order), 1.0 - carried),
+        decay=decay if carried.any() else np.zeros(len(order)),
+        single=1.0 - carried,
         carried=carried,
         shared=shared,
         scale=laws.scale[0, structure.group][order],
@@ -234,7 +235,7 @@ class ReadingErrors:
             whole,
             single=variance / whole.scale**2,
             carried=carried,
-            decay=whole.decay if carried else np.zeros(len(whole.decay)),
+            decay=whole.decay if carried.any() else np.zeros(len(whole.decay)),
             shared=(whole.shared * amounts)[:, amounts > 0.0],
         )
         return LinearFactor(changed)
@@ -260,7 +261,8 @@ def errors_of_readings(
     instruments  (N,) name of the instrument of each reading
     """
     names, whole = np.asarray(instruments), errors_of(structure, laws)
-    single = (1.0 - laws.carried[0]) * laws.scale[0, structure.group] ** 2
+    share, scale = laws.carried[0, structure.group], laws.scale[0, structure.group]
+    single = (1.0 - share) * scale**2
     stated = np.minimum(single, 1.0)
     variances = {
         instrument_source(name): np.where(names == name, stated, 0.0)
@@ -301,7 +303,7 @@ def _names(structure: ReadingStructure, errors: ReadingErrors) -> tuple[str, ...
         has = np.zeros(len(structure), dtype=bool)
         has[errors.whole.order] = errors.whole.shared[:, columns].any(axis=1)
         by_reading[name] = has
-    if errors.whole.carried:
+    if errors.whole.carried.any():
         by_reading[CARRIED] = np.ones(len(structure), dtype=bool)
     names: dict[str, None] = {}
     for number in np.unique(run):

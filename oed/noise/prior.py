@@ -10,7 +10,7 @@ A stated amount is the middle of a narrow prior, and 0 takes the part out of the
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from scipy import special
@@ -29,6 +29,9 @@ from oed.noise.structure import (
 #: sd of the log of a group's noise over the stated one, and sd from which on its tails
 #: are heavy: at four it is not 5 times the stated noise but 25 times
 SCALE_SD, HEAVY_FROM = 0.4, 4.0
+#: least coordinate of a scale, a 600th of the stated noise: readings are rounded there,
+#: and sums of squares beside larger effects keep their digits
+LEAST_COORDINATE = -5.5
 #: factor to which a stated noise is good: one standard deviation of that log
 KNOWN_TO = float(np.exp(SCALE_SD))
 #: sd of that log where the stated noise is an assumption: it may be wrong by a decade
@@ -149,7 +152,7 @@ class NoisePrior:
 
         return Laws(
             scale=self._scale(u),
-            carried=self._share(of_name[CARRIED]) if CARRIED in of_name else nothing,
+            carried=self._shares(of_name, nothing),
             reach=self._reach(of_name.get(REACH, nothing)),
             level=size(RUN),
             seat=size(SEAT),
@@ -171,11 +174,19 @@ class NoisePrior:
             return np.asarray(np.exp(ASSUMED_SCALE_SD * by_group))
         return np.asarray(np.exp(SCALE_SD * heavy_scale(by_group)))
 
-    def _share(self, u: Array) -> Array:
-        """Share (L,) of the variance that is carried along."""
-        stated = self.statement.carried
+    @property
+    def share_names(self) -> list[str]:
+        """Names of the shares carried along: one for all groups, of each, or none."""
+        return [name for name in self.names if name.startswith(CARRIED)]
+
+    def _shares(self, of_name: Mapping[str, Array], nothing: Array) -> Array:
+        """Shares (L,) or (L, groups) of the variance that are carried along."""
+        names, stated = self.share_names, self.statement.carried
+        if not names:
+            return nothing
         share = self.amounts.carried if stated is None else share_about(stated)
-        return share(u)
+        shares = share(np.stack([of_name[name] for name in names], axis=1))
+        return shares[:, 0] if len(names) == 1 else shares
 
     def _reach(self, u: Array) -> Array:
         """Reach (L,) of what is carried along, in readings."""
@@ -188,21 +199,22 @@ class NoisePrior:
         The middle of the prior, an error that is carried far, and one that is carried
         over a few readings alone: each may be a mode of its own.
         """
-        if CARRIED not in self.names:
+        shares = [self.names.index(name) for name in self.share_names]
+        if not shares:
             return np.zeros((1, self.dimensions))
-        starts = np.zeros((3, self.dimensions))
-        place = [self.names.index(CARRIED), self.names.index(REACH)]
-        starts[1, place] = 1.5, 0.5
-        starts[2, place] = 2.5, -1.5
+        starts, reach = np.zeros((3, self.dimensions)), self.names.index(REACH)
+        starts[1, shares], starts[1, reach] = 1.5, 0.5
+        starts[2, shares], starts[2, reach] = 2.5, -1.5
         return starts
 
 
 def heavy_scale(u: Array) -> Array:
     """Log of the noise over the stated one, in SCALE_SD, of normal coordinates.
 
-    The upper tail is heavier: noise may be far above a data sheet.
+    Both tails are heavier than normal: noise may be far from a data sheet, either way.
     """
-    return u * (1.0 + (np.maximum(u, 0.0) / HEAVY_FROM) ** 2)
+    kept = np.maximum(u, LEAST_COORDINATE)
+    return np.asarray(kept * (1.0 + (kept / HEAVY_FROM) ** 2))
 
 
 def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
@@ -216,17 +228,23 @@ def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
     third = HEAVY_FROM**2 / 3.0
     root = np.sqrt((0.5 * HEAVY_FROM**2 * half) ** 2 + third**3)
     shift = 0.5 * HEAVY_FROM**2 * half
-    above = np.cbrt(shift + root) + np.cbrt(shift - root)
-    u = np.where(half > 0.0, above, half)
-    return -0.5 * u**2
+    u = np.cbrt(shift + root) + np.cbrt(shift - root)
+    return np.asarray(-0.5 * u**2)
 
 
-def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:
+def noise_prior(
+    structure: ReadingStructure,
+    freedom: float = np.inf,
+    *,
+    has_common_share: bool = False,
+) -> NoisePrior:
     """The prior that goes with readings of a structure.
 
     freedom  readings beyond the unknowns. Where an assumed noise has few for each group,
              all groups have one scale, and their weights are near the assumed ones. Where
              a course's terms leave few in all, it is not in the model
+    has_common_share  whether the errors of all groups have one share carried along;
+             otherwise each has its own, where there are enough readings for each group
     """
     statement = structure.statement
     is_few = freedom < LEAST_OF_WEIGHTS * len(structure.names)
@@ -235,7 +253,9 @@ def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePr
     scales = structure.names
     if is_common:
         scales = ("all readings", *(scales if groups > 1 else ()))
-    carried = () if statement.carried == 0.0 else (CARRIED, REACH)
+    one_share = has_common_share or is_few or groups == 1
+    shares = (CARRIED,) if one_share else tuple(f"{CARRIED} of {n}" for n in scales)
+    carried = () if statement.carried == 0.0 else (*shares, REACH)
     of_kind = {
         LEVEL: RUN,
         RENEWED: SEAT,

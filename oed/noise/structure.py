@@ -12,7 +12,7 @@ import functools
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import inv, spsolve
 
 from oed.base.arrays import Array, Index, Mask
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -32,7 +32,6 @@ class ReadingStructure:
     run        (C,) run of each chain
     position   (N,) place along the chain, in readings
     unit       (N,) standard deviation of the stated noise that is not shared, SI
-    sigma      (N,) the same as stated for each channel, where these have common sources
     decouple   (N, N) sparse: readings whose channels have common sources, made
                independent and of unit noise; None where division by `unit` does it
     columns    (N, K) errors that a run shares, in units of the stated noise
@@ -56,7 +55,6 @@ class ReadingStructure:
     statement: NoiseStatement = NOTHING_STATED
     course: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
     effects: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
-    sigma: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     @property
     def has_effects(self) -> bool:
@@ -118,11 +116,16 @@ class ReadingStructure:
         of_chain[self.chain] = self.group
         return of_chain
 
-    def sigma_of_group(self, group: int) -> float:
-        """Root mean square of the stated noise of a group's single readings, SI."""
-        members = (self.sigma if self.sigma.size else self.unit)[self.group == group]
-        least, most = float(members.min()), float(members.max())
-        return most if least == most else float(np.sqrt(np.mean(members**2)))
+    @functools.cached_property
+    def variances(self) -> Array:
+        """Mean variances (G, G), SI, of each group's readings by each decoupled group."""
+        mixing = sparse.csr_array(sparse.diags_array(self.unit))
+        if self.decouple is not None:
+            mixing = sparse.csr_array(inv(self.decouple.tocsc()))
+        place = (np.arange(len(self)), self.group)
+        members = sparse.csr_array((np.ones(len(self)), place))
+        squares = (members.T @ mixing.power(2) @ members).toarray()
+        return np.asarray(squares / np.bincount(self.group)[:, None])
 
     def standardise(self, values: Array) -> Array:
         """Values (N,) or (N, m), SI, in units of the stated noise, channels decoupled."""

@@ -40,6 +40,28 @@ class CombinationEstimate(Record, frozen=True):
     unit: str
 
 
+class HeldParameter(Record, frozen=True):
+    """A parameter that the model holds exactly, and that the readings contradict.
+
+    parameters    one, or several that are moved together
+    held, estimate, sd  where it is held, and freed, in `unit`; means of several
+    p_value       of the held value, times the number of such tests
+    changes       {parameter: change with this one freed}, of those that change most, in
+                  their `units`
+    tool_mm       rms shift of the tool by these changes, at the poses read
+    """
+
+    parameters: list[str]
+    held: float
+    estimate: float
+    sd: float
+    unit: str
+    p_value: float
+    changes: dict[str, float]
+    units: dict[str, str]
+    tool_mm: float
+
+
 class EffectSizeRecord(Record, frozen=True):
     """An effect beside the geometry, in the readings.
 
@@ -111,6 +133,8 @@ class EstimateSection(Record, frozen=True):
     # themselves. `sent` names it: `mixture` takes up what is known of the effects
     controller: dict[str, float] = {}
     sent: str = MIXTURE
+    # what the model holds exactly, and the readings contradict
+    held: list[HeldParameter] = []
     # circles and lines of the readings
     runs: list[RunCurve] = []
 

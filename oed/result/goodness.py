@@ -30,7 +30,8 @@ class MistakeRecord(Record, frozen=True):
 class NoiseRecord(Record, frozen=True):
     """One number of the noise law as estimated.
 
-    kind     reading, run, seat, course at the session's end (standard deviations),
+    kind     reading (about the mean of its run), run, seat, course at the session's end
+             (standard deviations),
              carried (share of the variance) or reach (in readings)
     of       set-up and channel, or set-up; empty for all readings
     stated   what the stated noise has
@@ -71,7 +72,10 @@ class LeftOutRun(Record, frozen=True):
 class GoodnessSection(Record, frozen=True):
     """Goodness of fit against the stated noise, and what a check of the readings says.
 
-    chi2, dof, p_low, p_high  without `outliers` and `doubtful`
+    chi2, dof  of the parameters that are delivered, as in `estimate`, without `outliers`
+               and `doubtful`; p_low, p_high  probabilities of less and of more
+    law_p_low, law_p_high  of less and of more under the law that is estimated, with a
+               scatter of single readings within what a statement is good for
     bad_fit    whether nothing fitted to the readings can be trusted
     outliers   gross errors, which no fit includes
     doubtful   readings that may be gross errors or noise; fits include them
@@ -99,6 +103,8 @@ class GoodnessSection(Record, frozen=True):
     left_out: list[LeftOutRun] = []
     left_out_score: Number = None
     left_out_sd: Number = None
+    law_p_low: Number = None
+    law_p_high: Number = None
 
     @property
     def fit_words(self) -> str:

@@ -127,7 +127,9 @@ def _of_residuals(
     if goodness is not None and goodness.chi2 is not None and goodness.dof is not None:
         chi2, dof = goodness.chi2, goodness.dof
         is_large = goodness.p_high is not None and goodness.p_high < ALARM
-    is_estimated = goodness is not None and bool(goodness.noise)
+    is_estimated = goodness is not None and (
+        bool(goodness.noise) or (goodness.law_p_high or 0.0) >= ALARM
+    )
     ratio = noise_ratio(chi2, dof)
     if ratio is None or not is_large or (is_estimated and ratio <= GUESS):
         return []

@@ -21,23 +21,18 @@ from oed.model.machine import Expr, Parameter, Values
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    return [frames[0].point[2] + s["offset"]]
-
-
-def _over_tilted_bed(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     point = frames[0].point
-    slope = s["tilt_y"] * point[0] - s["tilt_x"] * point[1]
-    return [point[2] + s["offset"] + slope]
-
-
-def _at_contact(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    point = frames[0].point
-    bed = k["bed_slope_x"] * point[0] + k["bed_slope_y"] * point[1]
-    return [point[2] + s["offset"] - bed]
+    along_x = s.get("tilt_y", 0.0) - k.get("bed_slope_x", 0.0)
+    along_y = -s.get("tilt_x", 0.0) - k.get("bed_slope_y", 0.0)
+    return [point[2] + s["offset"] + along_x * point[0] + along_y * point[1]]
 
 
 SOURCE = "touch probe of delta printers; height over the bed at the trigger"
 OFFSET = Parameter("offset", 0.0, 0.05e-3, "m", "trigger offset")
+TILTS = (
+    Parameter("tilt_x", 0.0, 5e-3, "rad", "tilt of the bed about x"),
+    Parameter("tilt_y", 0.0, 5e-3, "rad", "tilt of the bed about y"),
+)
 COST = Cost(setup=120.0, reading=10.0)
 HEIGHT = Channel(
     "height",
@@ -65,6 +60,7 @@ instrument = Instrument(
     nuisances=(OFFSET,),
     cost=COST,
     observe=_observe,
+    held=TILTS,
 )
 
 tilted_bed = Instrument(
@@ -73,13 +69,9 @@ tilted_bed = Instrument(
     about="touch probe: height of the tool over a bed whose tilts are unknown",
     channels=(HEIGHT,),
     settings=(),
-    nuisances=(
-        OFFSET,
-        Parameter("tilt_x", 0.0, 5e-3, "rad", "tilt of the bed about x"),
-        Parameter("tilt_y", 0.0, 5e-3, "rad", "tilt of the bed about y"),
-    ),
+    nuisances=(OFFSET, *TILTS),
     cost=COST,
-    observe=_over_tilted_bed,
+    observe=_observe,
 )
 
 contact = Instrument(
@@ -93,6 +85,7 @@ contact = Instrument(
     ),
     nuisances=(OFFSET,),
     cost=COST,
-    observe=_at_contact,
+    observe=_observe,
+    held=TILTS,
     implied=0.0,
 )

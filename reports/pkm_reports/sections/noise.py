@@ -12,6 +12,8 @@ from pkm_reports.page.missing import or_nan
 
 #: runs that the table shows
 SHOWN: Final = 8
+#: probability below which a sum of squares is not what the noise predicts
+UNLIKELY: Final = 0.01
 MEANING: Final = {
     "reading": "Scatter of single readings",
     "run": "Error that a run shares",
@@ -31,11 +33,21 @@ def goodness(checked: GoodnessSection) -> str:
         f" {_probability(low)}"
     )
     verdict = judgement(
-        or_nan(checked.dof), is_large=high < ALARM, is_small=low < ALARM
+        or_nan(checked.dof), is_large=high < UNLIKELY, is_small=low < ALARM
     )
     return (
-        f"χ² is {chi2} for {dof} degrees of freedom{checked.chi2_words} ({chance}):"
-        f" {verdict}."
+        f"χ² is {chi2} for {dof} degrees of freedom{checked.chi2_words} by the stated"
+        f" noise ({chance}): {verdict}.{_under_law(checked)}"
+    )
+
+
+def _under_law(checked: GoodnessSection) -> str:
+    """How the same readings agree with the estimated law; empty without one."""
+    if checked.law_p_high is None:
+        return ""
+    return (
+        " By the noise law as estimated, with a scatter within a factor 1.5 of the"
+        f" stated one, a larger misfit has probability {_probability(checked.law_p_high)}."
     )
 
 
@@ -49,7 +61,7 @@ def judgement(dof: float, *, is_large: bool, is_small: bool = False) -> str:
         )
     if is_large:
         return (
-            "far more than the stated noise explains: the model lacks something, or the"
+            "more than the stated noise explains: the model lacks something, or the"
             " noise is larger"
         )
     if is_small:

@@ -218,6 +218,11 @@ class Measured(Scheduled):
         return noise_is_a_guess(self.study, self.measurement, count)
 
     @property
+    def goodness(self) -> GoodnessSection:
+        """How well the readings are fitted, in the result."""
+        return written(self.result.goodness, "goodness")
+
+    @property
     def doubtful_values(self) -> Mask | None:
         """Mask (N,) of fitted values that may be gross errors; None without a check."""
         return None if self.checked is None else self.checked.doubtful_values
@@ -259,11 +264,6 @@ class Fitted(Measured):
     posterior: Posterior | None = None
     corrected: CorrectedEstimate | None = None
     diagnosis: Diagnosis | None = None
-
-    @property
-    def goodness(self) -> GoodnessSection:
-        """How well the readings are fitted, in the result."""
-        return written(self.result.goodness, "goodness")
 
     @property
     def estimate_section(self) -> EstimateSection:

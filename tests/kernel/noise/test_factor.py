@@ -11,7 +11,8 @@ from oed.base.arrays import Array, Index
 from oed.noise.factor import DenseFactor, Errors, LinearFactor
 from oed.noise.hold_out import Chains, DenseInnovations, LinearInnovations
 
-N, STARTS, CARRIED = 14, (0, 6), 0.6
+N, STARTS = 14, (0, 6)
+CARRIED = np.repeat([0.6, 0.3, 0.9], (6, 4, 4))  # of each chain
 
 
 @pytest.fixture
@@ -37,11 +38,11 @@ def ordered_covariance(errors: Errors) -> Array:
     """Covariance (N, N) in order, entry by entry."""
     carried = np.zeros((N, N))
     for j in range(N):
-        carried[j, j] = CARRIED
+        carried[j, j] = CARRIED[j]
         b, step = j, 1.0
         while errors.before[b] != b:
             step, b = step * errors.decay[b], errors.before[b]
-            carried[j, b] = carried[b, j] = step * CARRIED
+            carried[j, b] = carried[b, j] = step * CARRIED[j]
     same = np.zeros((N, N))
     same[:6, :6] = same[6:, 6:] = 1.0
     total = np.diag(errors.single) + carried + same * (errors.shared @ errors.shared.T)

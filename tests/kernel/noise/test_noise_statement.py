@@ -64,7 +64,7 @@ def test_an_assumed_noise_has_one_scale_that_follows_the_readings(
     names = ("noise of all readings", "noise of a", "noise of b")
     two = prior.NoisePrior(names, 2, statement=statement, is_common=True)
     scales = two.laws(np.array([[-1.0, 0, 0], [1.0, 0, 0], [0.0, -1.0, 0.0]])).scale
-    expected = [[0.1, 0.1], [10.0, 10.0], [np.exp(-prior.SCALE_SD), 1.0]]
+    expected = [[0.1, 0.1], [10.0, 10.0], [np.exp(-17 / 16 * prior.SCALE_SD), 1.0]]
     assert scales == pytest.approx(np.array(expected))
 
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 import numpy as np
-from scipy import special
 
 from oed.base import units
 from oed.base.arrays import Array
+from oed.checks.goodness import Goodness
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.compensate.effects.fit import EffectReadings
@@ -66,13 +66,13 @@ def expected_effects(state: Measured, plain: Estimate) -> ExpectedColumns | None
     return expected_columns(given.problem(plain.theta), allowed)
 
 
-def _predicts(state: Measured, without: GoodnessSection, estimate: Estimate) -> bool:
+def _predicts(state: Measured, without: Goodness | None, estimate: Estimate) -> bool:
     """Whether effects predict readings from others, and do not only follow them.
 
     The misfit of readings left out is at most a share of that of the fit without effects.
     """
     series = state.readings.series
-    if without.chi2 is None or len(estimate.residuals) > MOST_LEFT_OUT:
+    if without is None or len(estimate.residuals) > MOST_LEFT_OUT:
         return True
     errors = left_out_errors(state.measurement, series, estimate)
     mean_square = float(np.mean((errors / state.measurement.sigma(series)) ** 2))
@@ -184,17 +184,11 @@ def judged_with_effects(
     become remarks.
     """
     checked = state.checked
-    ratio = trust.noise_ratio(estimate.chi2, estimate.dof)
-    figures = msgspec.structs.replace(
-        section,
-        chi2=estimate.chi2,
-        dof=estimate.dof,
-        p_low=float(special.chdtr(estimate.dof, estimate.chi2)),
-        p_high=float(special.chdtrc(estimate.dof, estimate.chi2)),
-    )
     if checked is None or not checked.bad_fit:
-        return state, figures
-    resolved_by_effects = _is_good(estimate) and _predicts(state, section, estimate)
+        return state, section
+    ratio = trust.noise_ratio(estimate.chi2, estimate.dof)
+    without = checked.goodness
+    resolved_by_effects = _is_good(estimate) and _predicts(state, without, estimate)
     if not (resolved_by_effects and alarm.may_be_resolved(checked.findings)):
         return state, section
     opening = alarm.allowed_effects_sentence(ratio)
@@ -205,4 +199,4 @@ def judged_with_effects(
         warnings=tuple(true.get(w, w) for w in state.warnings),
     )
     sentences = [true.get(sentence, sentence) for sentence in section.findings]
-    return resolved, msgspec.structs.replace(figures, findings=sentences, bad_fit=False)
+    return resolved, msgspec.structs.replace(section, findings=sentences, bad_fit=False)

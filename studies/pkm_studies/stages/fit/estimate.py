@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from oed.base import units
 from oed.base.arrays import Array
+from oed.base.text import rounded
 from oed.estimation.estimate import AT_PRIOR, WEAK, Estimate
 from oed.identifiability.identifiability import Identifiability
 from oed.measurement.measurement import Measurement, Series
-from oed.result import CombinationEstimate, EstimateSection, ParameterEstimate
+from oed.result import (
+    CombinationEstimate,
+    EstimateSection,
+    HeldParameter,
+    ParameterEstimate,
+)
 from pkm_studies.stages.describe import displayed_command
 
 
@@ -53,6 +60,28 @@ def estimate_section(
         residuals_before=[float(v) for v in before],
         covariance=_covariance(measurement, estimate),
         commands=_commands(measurement, series),
+    )
+
+
+def with_held(section: EstimateSection, held: list[HeldParameter]) -> EstimateSection:
+    """The section with held parameters that the readings contradict, as warnings."""
+    sentences = [_held_sentence(one) for one in held]
+    return replace(section, held=held, warnings=[*sentences, *section.warnings])
+
+
+def _held_sentence(one: HeldParameter) -> str:
+    names = " and ".join(one.parameters)
+    together = " together" if len(one.parameters) > 1 else ""
+    changes = [
+        f"{name} by {rounded(value)} {one.units[name]}"
+        for name, value in one.changes.items()
+    ]
+    return (
+        f"{names} {'is' if not together else 'are'} held at {one.held:.5g} {one.unit},"
+        f" which the readings contradict (p {one.p_value:.1g}): freed{together},"
+        f" {one.estimate:.5g} ± {rounded(one.sd)} {one.unit}, with changes of"
+        f" {', '.join(changes)}, and of the tool by {rounded(one.tool_mm)} mm rms at the"
+        " poses read"
     )
 
 

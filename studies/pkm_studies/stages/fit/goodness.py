@@ -21,7 +21,9 @@ from oed.dataset.file_rows import file_of
 from oed.estimation.run_prediction import RunPrediction
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 from pkm_studies.resolve.noise import noise_is_a_guess
+from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.stages.run_state import Measured
 
 #: runs that a sentence names, at most
 NAMED = 3
@@ -47,11 +49,37 @@ def check_dataset(
         noise_is_a_guess=guess,
         noise_is_estimated=resolved.study.noise.estimate is not False,
     )
-    if not resolved.study.noise.assumed:
+    return _by_assumption(checked, is_assumed=resolved.study.noise.assumed)
+
+
+def _by_assumption(checked: CheckedSession, *, is_assumed: bool) -> CheckedSession:
+    """The check without what an assumed noise cannot say."""
+    if not is_assumed:
         return checked
     # smaller residuals than an assumption say nothing of the readings
     findings = tuple(f for f in checked.findings if f.kind != "too_small")
     return dataclasses.replace(checked, findings=findings)
+
+
+def with_delivered(state: Measured, fitted: Goodness) -> Measured:
+    """The state whose check has the figures of the parameters that are delivered.
+
+    The check looked at a fit of its own, by the stated noise.
+    """
+    checked = state.checked
+    if checked is None:
+        return state.with_sections(goodness=fit_figures(fitted))
+    if state.study.identify.effects != NONE:
+        # its sentences are on the geometry alone
+        figures = dataclasses.asdict(fitted)
+        return state.with_sections(goodness=replace(state.goodness, **figures))
+    judged = checked.with_goodness(fitted, noise_is_a_guess=state.noise_is_a_guess)
+    judged = _by_assumption(judged, is_assumed=state.study.noise.assumed)
+    before = {finding.sentence for finding in checked.findings}
+    others = [warning for warning in state.warnings if warning not in before]
+    sentences = [finding.sentence for finding in judged.findings]
+    state = state.replace(checked=judged, warnings=(*sentences, *others))
+    return state.with_sections(goodness=goodness_section(judged))
 
 
 def goodness_section(checked: CheckedSession) -> GoodnessSection:
@@ -76,9 +104,7 @@ def fit_figures(fitted: Goodness | None) -> GoodnessSection:
     """The section with the figures of a fit alone; without a fit, none are known."""
     if fitted is None:
         return GoodnessSection(None, None, None, None)
-    return GoodnessSection(
-        chi2=fitted.chi2, dof=fitted.dof, p_low=fitted.p_low, p_high=fitted.p_high
-    )
+    return GoodnessSection(**dataclasses.asdict(fitted))
 
 
 def _evidence(explanation: Explanation) -> str:

@@ -84,10 +84,11 @@ def _words(numbers: Sequence[NoiseRecord], stated_as: str, longest: int) -> list
         if not number.departs:
             continue
         size = f"{rounded(number.value)} ± {rounded(number.sd, 1)}"
+        of = f" of {number.of}" if number.of else ""
         if number.kind == "carried":
             phrases.append(
-                f"a share of {size} of the variance of single readings is carried along"
-                f" a run, {reach_words(reach[0], longest)}"
+                f"a share of {size} of the variance of single readings{of} is carried"
+                f" along a run, {reach_words(reach[0], longest)}"
             )
             continue
         stated = (

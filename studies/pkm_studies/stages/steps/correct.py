@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -142,6 +143,10 @@ def _with_section(
         corrected.estimate,
         state.doubtful_values,
     )
+    estimate = dataclasses.replace(
+        corrected.estimate, chi2=goodness.chi2, dof=goodness.dof
+    )
+    corrected = dataclasses.replace(corrected, estimate=estimate)
     section = sections.corrected_section(
         corrected,
         gap,

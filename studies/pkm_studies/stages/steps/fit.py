@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import msgspec
 
 from oed.base.arrays import Array
-from oed.checks.goodness import goodness_of_estimate
+from oed.checks.judgement import goodness_of_delivered
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.estimation import fit_warnings, identification, run_prediction
+from oed.estimation.held_parameters import contradicted_parameters
 from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
-from oed.result import EstimateSection, GoodnessSection
+from oed.result import GoodnessSection
 from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.effects import (
@@ -18,8 +21,16 @@ from pkm_studies.stages.fit.effects import (
     judged_with_effects,
     with_effects,
 )
-from pkm_studies.stages.fit.estimate import combination_estimates, estimate_section
-from pkm_studies.stages.fit.goodness import fit_figures, surprises, with_left_out
+from pkm_studies.stages.fit.estimate import (
+    combination_estimates,
+    estimate_section,
+    with_held,
+)
+from pkm_studies.stages.fit.goodness import (
+    surprises,
+    with_delivered,
+    with_left_out,
+)
 from pkm_studies.stages.fit.noise import (
     with_assumption,
     with_noise,
@@ -54,7 +65,19 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     if columns is not None:
         estimate = _identify(state, start, columns)
     _refuse_mode_jump(state, estimate.theta)
+    fitted_as = goodness_of_delivered(
+        measurement, readings.series, readings.y, estimate, state.doubtful_values
+    )
+    estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
+    estimate = fit_warnings.with_warnings(measurement, estimate)
+    state = with_delivered(state, fitted_as)
+    held = []
+    if readings.truth is None:
+        held = contradicted_parameters(
+            measurement, readings.series, readings.y, estimate
+        )
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
+    section = with_held(section, held)
     if state.identifiability is not None:
         verdict = state.identifiability.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)
@@ -65,7 +88,6 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     goodness = with_left_out(_goodness(state, estimate), runs)
     if columns is not None:
         state, goodness = judged_with_effects(state, goodness, estimate)
-    section = _without_resolved_warning(section, goodness, estimate)
     if columns is not None:
         section = with_effects(section, estimate, columns, measurement, readings.series)
     fitted = promote(
@@ -73,19 +95,6 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     )
     fitted = fitted.with_sections(estimate=section, goodness=goodness)
     return fitted.with_warnings(*section.warnings, *surprises(runs))
-
-
-def _without_resolved_warning(
-    section: EstimateSection,
-    goodness: GoodnessSection,
-    estimate: identification.Estimate,
-) -> EstimateSection:
-    """The section without the warning of residuals that rows in doubt explain."""
-    if goodness.bad_fit or not goodness.doubtful:
-        return section
-    resolved = fit_warnings.large_residuals(estimate)
-    warnings = [w for w in section.warnings if w not in resolved]
-    return msgspec.structs.replace(section, warnings=warnings)
 
 
 def _identify(
@@ -119,14 +128,8 @@ def with_finding(
 
 
 def _goodness(state: Measured, estimate: identification.Estimate) -> GoodnessSection:
-    """The check's section with the estimated noise; of the fit where there was none."""
-    section = state.result.goodness
-    if section is None:
-        fitted = goodness_of_estimate(
-            state.measurement, state.readings.series, estimate
-        )
-        section = fit_figures(fitted)
-    section = with_noise(section, estimate, state.measurement.setups)
+    """The section with the estimated noise."""
+    section = with_noise(state.goodness, estimate, state.measurement.setups)
     if not state.study.noise.assumed:
         return section
     used = {s.setup for s in state.readings.series}
