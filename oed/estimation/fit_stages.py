@@ -70,7 +70,7 @@ class ReadingsFit:
         or less, the first at which all poses close.
         """
         for share in 0.5 ** np.arange(TRIALS):
-            theta = start + share * (end - start)
+            theta: Array = start + share * (end - start)
             if np.isfinite(self.measurement.try_readings(self.series, theta)).all():
                 return theta
         return start
