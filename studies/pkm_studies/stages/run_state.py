@@ -69,11 +69,11 @@ class Stream(enum.IntEnum):
     UNMODELLED = 17
     REFERENCES = 18
     TOOLS = 19
-    VISIT = 20
+    LAPLACE = 20
     SIZES = 21
     FORECAST = 22
     MIXTURE = 23
-    LAPLACE = 24
+    VISIT = 24
     MIXTURE_ACCURACY = 25
     PLANNED_COURSES = 26
     HOW_MANY = 27
