@@ -95,7 +95,8 @@ def test_the_command_lists_the_statements(capsys: pytest.CaptureFixture[str]) ->
             assert entry["columns"]
             for c in entry["columns"]:
                 assert c["about"]
-                assert f"{c['name']}: {c['role']}: {c['about']}" in printed
+                shown = f"{c['name']}: {c['role']}: {c['about']}" in printed
+                assert shown == (c["role"] != "parameter")
                 assert c["name"].rpartition("_")[2] in units.UNITS
     assert "R = Rx(read_alpha) Ry(read_beta) Rz(read_gamma)" in printed
 
