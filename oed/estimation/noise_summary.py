@@ -58,7 +58,8 @@ def _numbers(
         factor = units.factor(fine) if kind in ERRORS else 1.0
         mean = float(weights @ values)
         sd = float(np.sqrt(weights @ (values - mean) ** 2))
-        known = None if stated is None else stated / factor
+        # roots of mean squares are as stated but for their rounding
+        known = None if stated is None else float(f"{stated / factor:.12g}")
         departs = bool(weights @ far > SURE)
         return NoiseRecord(kind, of, mean / factor, sd / factor, fine, known, departs)
 

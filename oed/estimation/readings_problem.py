@@ -36,7 +36,8 @@ class ReadingsProblem:
         # a small reading may be the difference of lengths as large as the machine
         factors = self.measurement.reading_length_factors(self.series)
         size = np.maximum(np.abs(self.y), self.measurement.machine.lever / factors)
-        return READINGS_ROUNDED * size / self.noise.sigma
+        # whitening divides by what the other errors leave of each one
+        return READINGS_ROUNDED * size * np.sqrt(self.noise.precision_diagonal())
 
     def theta(self, machines: Index, z: Array) -> Array:
         """Parameters (s, n), SI, of some machines at z (s, k)."""

@@ -29,9 +29,9 @@ from oed.noise.structure import (
 #: sd of the log of a group's noise over the stated one, and sd from which on its tails
 #: are heavy: at four it is not 5 times the stated noise but 25 times
 SCALE_SD, HEAVY_FROM = 0.4, 4.0
-#: least coordinate of a scale, a 600th of the stated noise: readings are rounded there,
+#: least coordinate of a scale, a 170th of the stated noise: readings are rounded there,
 #: and sums of squares beside larger effects keep their digits
-LEAST_COORDINATE = -5.5
+LEAST_COORDINATE = -5.0
 #: factor to which a stated noise is good: one standard deviation of that log
 KNOWN_TO = float(np.exp(SCALE_SD))
 #: sd of that log where the stated noise is an assumption: it may be wrong by a decade
