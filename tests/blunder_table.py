@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from blunder_table_forms import OF_FORMS
 from blunder_table_others import OF_OTHER_MACHINES
 from blunders import (
     LENGTH,
@@ -286,4 +287,4 @@ OF_PARTS = [
     ),
 ]
 
-BLUNDERS = [*OF_FILE, *OF_PARTS, *OF_OTHER_MACHINES]
+BLUNDERS = [*OF_FILE, *OF_PARTS, *OF_OTHER_MACHINES, *OF_FORMS]

@@ -9,6 +9,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
 from oed.checks import copies, sentences
+from oed.checks.conditions import doubtful_conditions
 from oed.checks.explain import Explanation, explain
 from oed.checks.findings import CheckFinding, Severity
 from oed.checks.fit import fit
@@ -142,6 +143,7 @@ def check_session(
         *_copies(session, ranges),
         *_senses(session),
         *wrong_times(session),
+        *doubtful_conditions(session),
         *_fit_findings(session, outliers, fitted, explanations, noise_is_a_guess),
     ]
     if single and outliers is not None:
@@ -162,10 +164,13 @@ def _explanations(
     session: SessionReadings, alternatives: Alternatives, judgement: Judgement
 ) -> list[Explanation]:
     """Mistakes, where the readings without their outliers do not fit."""
-    if len(session) < LEAST_VALUES or judgement.stated:
+    outliers, fitted = judgement.outliers, judgement.fitted
+    is_small = judgement.stated and fitted is not None and fitted.too_small
+    if len(session) < LEAST_VALUES or (judgement.stated and not is_small):
         return []
-    outliers = judgement.outliers
     solution = None if outliers is None else outliers.rest
+    if is_small:
+        return explain(session, solution, alternatives, of_noise=True)
     if not judgement.sound:
         return explain(session, solution, alternatives)
     # what an effect can mimic, the noise law holds as well here
@@ -208,6 +213,9 @@ def _copies(session: SessionReadings, ranges: Ranges) -> list[CheckFinding]:
         equal = copies.equal_readings(session)
         if equal:
             findings.append(sentences.doubled(session, equal))
+    between = copies.interpolated_readings(session)
+    if between.size:
+        findings.append(sentences.interpolated(session, between))
     findings += [
         sentences.coarse(session, one) for one in copies.coarse_columns(session)
     ]

@@ -73,6 +73,34 @@ def equal_readings(session: SessionReadings) -> list[EqualReadings]:
     return groups
 
 
+def interpolated_readings(session: SessionReadings) -> Index:
+    """Readings, by number, that are the mean of their neighbours in a run to the last
+    digit, more often than chance allows.
+    """
+    between: list[int] = []
+    expected = 0.0
+    frame = session.values[session.shown]
+    places = np.flatnonzero(session.shown)
+    for rows in frame.groupby(["setup", "run", "channel"], sort=False).indices.values():
+        members = places[rows]
+        step = resolution(session, members)
+        if len(members) < 3 or step <= 0.0:
+            continue
+        y = session.y[members]
+        bend = y[:-2] - 2.0 * y[1:-1] + y[2:]
+        # half a step of rounding, twice
+        at = np.abs(bend) <= 1.001 * step
+        between += session.reading_of_value[members[1:-1][at]].tolist()
+        noise = 2.0 * float(
+            np.median(session.measurement.sigma(session.series)[members])
+        )
+        wide = np.sqrt(2.0 * np.pi) * max(_spread(bend), noise)
+        expected += len(bend) * min(3.0 * step / wide, 1.0)
+    if not between or special.pdtrc(len(between) - 1, expected) >= FALSE_ALARM:
+        return np.empty(0, dtype=np.intp)
+    return np.unique(np.array(between, dtype=np.intp))
+
+
 def _taken_at_a_stop(series: Series, table: Array) -> bool:
     """Whether joints were recorded where the reading had one value, as at a contact."""
     is_recorded = bool(np.isnan(series.command).all())

@@ -35,6 +35,8 @@ MOST_READINGS = 1000
 LOG_ODDS, SHARE = 10.0, 0.007
 #: misfit over the noise that may remain where a mistake explains readings
 EXPLAINED = 3.0
+#: misfit that readings count as having which cannot be fitted
+MISFIT_WITHOUT_FIT = 100.0
 #: kinds that may explain what a specific mistake explains as well, and misfit that is
 #: noise: a specific mistake that leaves no more ends the search
 GENERAL = ("contradiction", "change", "disorder", "size", "run")
@@ -71,19 +73,21 @@ def explain(
     alternatives: Alternatives,
     *,
     thorough: bool = True,
+    of_noise: bool = False,
 ) -> list[Explanation]:
     """Mistakes that explain the readings of a session, likeliest first.
 
     solution  fit of the readings as given; None where they cannot be fitted
     thorough  whether mistakes are fitted that the linear model does not favour; not
               needed where a noise law explains the readings
+    of_noise  whether the stated noise alone may be mistaken, as where they fit too well
     """
     measurement = alternatives.measurement
     given = Given(dataclasses.replace(_sample(session), measurement=measurement))
     before = np.inf if solution is None else solution.ratio
     screening = Screening(given)
     nothing = as_given(given, screening.as_given().scale)
-    chosen = candidates(given, screening, thorough=thorough)
+    chosen = candidates(given, screening, thorough=thorough, of_noise=of_noise)
     fitted: list[Undone] = []
     for some in (chosen.first, chosen.then):
         fitted += [one for c in some if (one := undone(given, c)) is not None]
@@ -135,9 +139,11 @@ def _explanations(
 def _explains(one: Explanation) -> bool:
     """Whether a mistake leaves no misfit, or less than half of it in orders of magnitude.
 
-    What remains then is the noise, or an effect.
+    What remains then is the noise, or an effect. Where the readings as given have no fit,
+    half of nothing known is no measure.
     """
-    return bool(np.isnan(one.after) or one.after <= max(EXPLAINED, np.sqrt(one.before)))
+    before = one.before if np.isfinite(one.before) else MISFIT_WITHOUT_FIT
+    return bool(np.isnan(one.after) or one.after <= max(EXPLAINED, np.sqrt(before)))
 
 
 def _sample(session: SessionReadings) -> SessionReadings:
@@ -225,7 +231,8 @@ def _with_amounts(trial: MistakeTrial, scale: float, log_prior: float) -> Undone
     if size < SIGNIFICANT:
         return None
     solution, log_density = _with_evidence(fitted.solution)
-    cost = LOG_SIZES + 0.5 * float(np.log1p(size**2))
+    ratios = np.sqrt(np.mean(fitted.amounts**2)) / fitted.sd
+    cost = LOG_SIZES + 0.5 * float(np.log1p(ratios**2).sum())
     total = log_prior + log_density + trial.scaling(fitted.amounts) - cost
     words = trial.words(fitted.amounts, fitted.sd)
     return Undone(trial.kind, words, total, solution.ratio)

@@ -160,6 +160,10 @@ class Screening:
             return IMPOSSIBLE
         white = self.noise.whiten(y - predicted)
         slopes = self.noise.whiten(slopes)
+        if trial.noise is not None:
+            white, slopes = white / trial.noise, slopes / trial.noise[:, None]
+            score = self._of_rows(white, slopes, np.ones(len(y), dtype=bool))
+            return score.plus(-float(np.log(trial.noise).sum()))
         if trial.parts is not None:
             sides = (trial.parts, ~trial.parts)
             one, other = (self._of_rows(white, slopes, side) for side in sides)
@@ -225,5 +229,5 @@ def log_density_of_any(given: Given, values: Index) -> float:
 
 def _values_alone(trial: MistakeTrial) -> Array | None:
     """The values (N,) of a trial that changes values alone; None for another one."""
-    others = (trial.table, trial.missing, trial.columns, trial.parts)
+    others = (trial.table, trial.missing, trial.columns, trial.parts, trial.noise)
     return trial.y if all(one is None for one in others) else None

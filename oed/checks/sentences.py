@@ -18,6 +18,7 @@ from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
+from oed.checks.typed import other_number
 from oed.checks.words import capital
 from oed.dataset.file_rows import Row
 from oed.result.goodness import without_rows
@@ -25,6 +26,10 @@ from oed.result.trust import GUESS
 
 #: rows that a sentence names, at most
 NAMED = 6
+#: ratio of probabilities below which readings do not tell two mistakes apart
+TIE = 10.0
+#: factors between units of noise, and within which a misfit is such a factor
+STEPS_OF_UNITS, NEAR = (1e3, 3600.0, 1e6), 1.5
 #: residual over noise beyond which its decimals say nothing
 LARGE = 100.0
 
@@ -34,11 +39,15 @@ def explained(explanations: Sequence[Explanation]) -> list[CheckFinding]:
     if not explanations:
         return []
     best = explanations[0]
-    others = [f"{one.what} ({_percent(one)})" for one in explanations[1:NAMED]]
-    also = f" Also possible: {'; or '.join(others)}." if others else ""
+    alike = [k for k in explanations[1:NAMED] if TIE * k.probability > best.probability]
+    tie = "".join(f"; or {one.what} ({_percent(one)})" for one in alike)
+    cannot = ". These readings cannot tell which" if alike else ""
+    others = [k for k in explanations[1:NAMED] if k not in alike]
+    also = "; or ".join(f"{one.what} ({_percent(one)})" for one in others)
+    also = f" Also possible: {also}." if also else ""
     sentence = (
         f"The readings look mistaken: {best.what} ({_percent(best)};"
-        f" {misfits(best.before, best.after)}).{also}"
+        f" {misfits(best.before, best.after)}){tie}{cannot}.{also}"
     )
     return [CheckFinding(Severity.MISTAKE, best.kind, sentence)]
 
@@ -83,11 +92,22 @@ def too_large(
     cause = "the noise is understated, or an effect is not in the model"
     if fitted.ratio is not None and fitted.ratio > GUESS:
         cause = (
-            "noise is not that large: an effect of this size is not in the model, or the"
-            " readings have a mistake that is not a usual one"
+            f"{_other_unit(fitted.ratio)}an effect of this size is not in the model, or"
+            " the readings have a mistake that is not a usual one"
         )
     sentence = f"{sentence} {many}None of the usual mistakes explains it: {cause}."
     return CheckFinding(Severity.BAD_FIT, "fit", sentence)
+
+
+def _other_unit(ratio: float) -> str:
+    """That the noise may be stated in another unit, where the residuals look like it."""
+    for factor in STEPS_OF_UNITS:
+        if factor / NEAR < ratio < factor * NEAR:
+            return (
+                f"the noise may be stated in another unit ({factor:g} times it would fit);"
+                " or "
+            )
+    return ""
 
 
 def _one_of(rows: Sequence[Row]) -> str:
@@ -176,6 +196,16 @@ def doubled(session: SessionReadings, groups: Sequence[EqualReadings]) -> CheckF
     return CheckFinding(Severity.COPIES, "doubled", sentence, rows)
 
 
+def interpolated(session: SessionReadings, readings: Index) -> CheckFinding:
+    """Rows between their neighbours to the last digit."""
+    rows = session.rows(readings)
+    sentence = (
+        f"{_count(rows)} {'lies' if len(rows) == 1 else 'lie'} half-way between the"
+        f" neighbours to the last digit: interpolated, not measured? ({_listing(rows)})"
+    )
+    return CheckFinding(Severity.COPIES, "interpolated", sentence, rows)
+
+
 def coarse(session: SessionReadings, one: CoarseReadings) -> CheckFinding:
     """Readings rounded more coarsely than their noise."""
     column = session.column(one.channel)
@@ -216,7 +246,10 @@ def outliers(
         )
         findings.append(CheckFinding(Severity.OUTLIER, "exchanged", sentence, rows))
     for one in found_rows.gross:
-        sentence = f"{_contradiction(session, one)}: the row is set aside."
+        sentence = (
+            f"{_contradiction(session, one)}: the row is set aside."
+            f"{other_number(session, one)}"
+        )
         row = session.rows([one.reading])
         findings.append(CheckFinding(Severity.OUTLIER, "outlier", sentence, row))
     return findings
@@ -243,7 +276,7 @@ def _contradiction(session: SessionReadings, one: FarReading) -> str:
     sd = session.fine(channel, abs(one.error / one.pull))
     return (
         f"{capital(_place(session, one.value))} is {abs(one.pull):.3g} sigma from the"
-        f" {predicted} that all other readings predict (sd {sd})"
+        f" {predicted} that all other readings predict for the pose of this row (sd {sd})"
     )
 
 

@@ -12,7 +12,13 @@ import pandas as pd
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
 from oed.checks.law import CheckedLaw
-from oed.dataset.columns import ReadingsColumn, column_name, parse_column, written
+from oed.dataset.columns import (
+    ReadingsColumn,
+    column_name,
+    is_covariate,
+    parse_column,
+    written,
+)
 from oed.dataset.data import consecutive
 from oed.dataset.file_rows import Row, named_rows
 from oed.measurement.measurement import Measurement, Series
@@ -60,6 +66,11 @@ class SessionReadings:
         ]
         sizes = np.concatenate(counts)
         return np.repeat(np.arange(len(sizes), dtype=np.intp), sizes)
+
+    @property
+    def firsts(self) -> Index:
+        """First value (n,) of each reading."""
+        return np.unique(self.reading_of_value, return_index=True)[1]
 
     def channel_count(self, setup: str) -> int:
         """Number of channels of a set-up."""
@@ -189,6 +200,11 @@ def session(
     if covariates is not None:
         if "row" in covariates:
             values["row"] = named_rows(covariates)[number]
-        for name in {"order", "direction", "time"} & set(covariates.columns):
+        for name in filter(_is_used, covariates.columns):
             values[name] = covariates[name].to_numpy()[number]
     return plain
+
+
+def _is_used(name: str) -> bool:
+    """Whether checks look at a column of the covariates."""
+    return name == "order" or is_covariate(name)

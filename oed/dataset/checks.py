@@ -21,6 +21,7 @@ from oed.dataset.columns import (
     sigma_units,
     tension_columns,
 )
+from oed.dataset.notations import notations
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table import cell_remedy
 from oed.measurement.measurement import Measurement
@@ -29,6 +30,8 @@ from oed.model.machine import Coordinate
 
 #: SI amount by which a value may exceed its coordinate's range
 RANGE_SLACK = 1e-9
+#: other meanings of a column that a remedy names
+NAMED = 2
 #: names that a remedy lists
 LISTED = 24
 
@@ -125,10 +128,23 @@ def check_range(
             remedy = (
                 f"{coordinate.name} goes from {lower / factor:.6g} to"
                 f" {upper / factor:.6g} in this column's unit"
+                f"{_other_meaning(table, coordinate, values[:, k])}"
             )
             raise table.error(
                 f"outside the {name}", remedy, int(rows[i]), coordinate.name
             )
+
+
+def _other_meaning(table: ReadingsFile, coordinate: Coordinate, values: Array) -> str:
+    """Other meanings of a column, with which all its values are in the range, in words."""
+    lower, upper = coordinate.lower - RANGE_SLACK, coordinate.upper + RANGE_SLACK
+    name = table.columns[coordinate.name].name
+    fitting = [
+        words.format(name)
+        for words, meant in notations(coordinate, values).items()
+        if ((lower <= meant(values)) & (meant(values) <= upper)).all()
+    ]
+    return f". All fit if {', or if '.join(fitting[:NAMED])}" if fitting else ""
 
 
 def filled_columns(

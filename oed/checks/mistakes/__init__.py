@@ -19,38 +19,49 @@ pose           commanded poses with wrong signs, columns or offsets
 program        another program of a fixed length: a circle at another height
 joints         legs numbered otherwise
 reference      differences from another pose of their run
+rounding       commands whose decimals were lost
+frames         poses in another frame, or with another meaning of their angles
+carried        readings that hold parts of others: a lag, differences, sums, means
+limits         clipped readings, revolutions not counted, noise in another unit
 amounts        wrong zeros inside an instrument, such as a dead length, offsets, factors,
-               other tools, set-ups that moved, wrong sizes
+               set-ups that moved, wrong sizes
+tools          other tool points of instrument, controller or study
 contradiction  two parts of a session that fit alone, a run that contradicts all others
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from oed.checks.mistakes import (
     amounts,
+    carried,
     columns,
     contradiction,
     copied,
+    frames,
     joints,
+    limits,
     order,
     pose,
     program,
     reference,
+    rounding,
     setups,
     sorting,
+    tools,
     values,
 )
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import Alternatives, MistakeTrial
 
-__all__ = ["PHYSICAL", "Alternatives", "Given", "MistakeTrial", "trials", "trials_near"]
+__all__ = ["PHYSICAL", "Alternatives", "Given", "MistakeTrial", "trials"]
 
 _MISTAKES = (
     values,
+    frames,
+    carried,
+    limits,
     columns,
     order,
     sorting,
@@ -58,9 +69,11 @@ _MISTAKES = (
     setups,
     pose,
     program,
+    rounding,
     joints,
     reference,
     amounts,
+    tools,
     contradiction,
 )
 
@@ -68,20 +81,10 @@ _MISTAKES = (
 PHYSICAL = ("offset", "run", "factor", "tool", "size", "change", "contradiction")
 
 
-#: mistakes that may concern the first or last rows of a set-up or run
-_OF_ROWS = (values, order, amounts)
-
-
-def trials(given: Given) -> Iterator[MistakeTrial]:
-    """Every mistake of a session, undone."""
+def trials(given: Given, *, of_noise: bool = False) -> Iterator[MistakeTrial]:
+    """Every mistake of a session, undone; those of its noise alone."""
+    if of_noise:
+        yield from limits.noise_trials(given)
+        return
     for mistake in _MISTAKES:
         yield from mistake.trials(given)
-
-
-def trials_near(given: Given, parts: Sequence[Scope]) -> Iterator[MistakeTrial]:
-    """Mistakes of rows that begin or end near those of some parts."""
-    near = dataclasses.replace(given, near=tuple(parts))
-    for mistake in _OF_ROWS:
-        for trial in mistake.trials(near):
-            if trial.scope.level == "rows":
-                yield trial

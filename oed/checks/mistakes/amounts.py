@@ -1,4 +1,4 @@
-"""Mistakes of an unknown amount: offsets, other tools, set-ups that moved, wrong sizes.
+"""Mistakes of an unknown amount: offsets, scales, set-ups that moved, wrong sizes.
 
 An effect of the machine, or a parameter far outside its tolerance, can look the same.
 
@@ -9,7 +9,8 @@ of sight: other channels change at other poses, and no offset of a channel says 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -19,15 +20,13 @@ from oed.checks.fit import Fit
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import with_moved
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, Words
+from oed.checks.mistakes.trial import MistakeTrial, Words, in_scopes, in_values
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.measurement.measurement import Series
 from oed.measurement.reading_noise import source_slopes
 from oed.model.instrument import InnerReading, Setup
 
-#: step of the tool's length for differences, m
-STEP = 1e-4
 #: name of a set-up whose unknowns part of the readings have anew
 AGAIN = " again"
 #: log prior of another factor in part of a set-up: it belongs to the instrument
@@ -41,17 +40,9 @@ WAYS = {"m": ("short", "long"), "rad": ("small", "large")}
 def trials(given: Given) -> Iterator[MistakeTrial]:
     """Zeros, offsets, scales, tools, set-ups that moved, and sizes far from nominal."""
     yield from _zeros(given)
-    for scope, channel, values in given.channel_scopes():
-        column = given.session.column(channel).name
-        subject = f"all readings of {column}{scope.within} are"
-        yield _offset(given, scope, subject, channel, values)
-        yield _scale(given, scope, subject, channel, values)
-    for scope, values in given.instruments:
-        channel = str(given.channel[values][0])
-        subject = f"all readings{scope.of} are"
-        yield _offset(given, scope, subject, channel, values)
-        yield _scale(given, scope, subject, channel, values)
-    yield from _tools(given)
+    yield from in_values(given, partial(_offset, given))
+    yield from in_values(given, partial(_scale, given))
+    yield from in_values(given, partial(_offsets_of_runs, given))
     yield from _moved_setups(given)
     yield from _sizes(given)
 
@@ -59,22 +50,32 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
 # -- readings --------------------------------------------------------------------------
 
 
-def _offset(
-    given: Given, scope: Scope, subject: str, channel: str, values: Mask
-) -> MistakeTrial:
-    session = given.session
+def _of_one(given: Given, scope: Scope, values: Mask) -> tuple[str, str] | None:
+    """Channel of values that one instrument reads, and their words; None for several."""
+    channel = str(given.channel[values][0])
+    if scope.level == "instrument":
+        return channel, f"all readings{scope.of} are"
+    if len(set(given.channel[values])) > 1:
+        return None
+    return channel, f"all readings of {given.names(values)}{scope.within} are"
+
+
+def _offset(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
+    session, one = given.session, _of_one(given, scope, values)
+    if one is None:
+        return None
+    channel, subject = one
     cause = "the bar length or the zero of the instrument is wrong"
-    if scope.level in ("run", "rows"):
+    if scope.is_part:
         cause = "the set-up moved or was zeroed again"
     alone = len(set(given.channel)) == 1
-    kind = "run" if scope.level in ("run", "rows") else "offset"
 
     def words(amounts: Array, sd: Array) -> str:
         size, error = (session.fine(channel, float(v[0])) for v in (amounts, sd))
         return f"{subject} off by {size} (sd {error}): {cause}"
 
     return MistakeTrial(
-        kind=kind,
+        kind="run" if scope.is_part else "offset",
         scope=scope,
         words=words,
         undo=lambda amounts: [session.with_y(session.y - amounts[0] * values)],
@@ -87,10 +88,39 @@ def _offset(
     )
 
 
-def _scale(
-    given: Given, scope: Scope, subject: str, channel: str, values: Mask
-) -> MistakeTrial:
-    session = given.session
+def _offsets_of_runs(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
+    """Each run of a file or a set-up off by an amount of its own."""
+    session, one = given.session, _of_one(given, scope, values)
+    parts = [run.values(session) & values for run in given.runs]
+    columns = np.column_stack([p for p in parts if p.any()]).astype(float)
+    if one is None or scope.is_part or columns.shape[1] < 2:
+        return None
+    channel, subject = one
+
+    def words(amounts: Array, sd: Array) -> str:
+        least, most = (session.fine(channel, f(amounts)) for f in (np.min, np.max))
+        return (
+            f"{subject} off by an amount of each run, {least} to {most}: the instrument"
+            " was not zeroed at each run, or moved between them"
+        )
+
+    return MistakeTrial(
+        kind="run",
+        scope=scope,
+        words=words,
+        undo=lambda amounts: [session.with_y(session.y - columns @ amounts)],
+        amounts=np.zeros(columns.shape[1]),
+        steps=np.full(columns.shape[1], float(given.sigma[values].min())),
+        family=f"offsets {channel} {scope.name}",
+        columns=columns,
+    )
+
+
+def _scale(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
+    session, one = given.session, _of_one(given, scope, values)
+    if one is None:
+        return None
+    channel, subject = one
     count = int(values.sum())
 
     def undo(amounts: Array) -> list[SessionReadings]:
@@ -112,7 +142,7 @@ def _scale(
         undo=undo,
         amounts=np.zeros(1),
         steps=np.array([1e-6]),
-        log_prior=SELDOM if scope.level in ("run", "rows") else 0.0,
+        log_prior=SELDOM if scope.is_part else 0.0,
         scaling=lambda amounts: -count * _log_size(1.0 + amounts[0]),
         linear_scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
         family=f"factor {channel} {scope.name}",
@@ -122,71 +152,6 @@ def _scale(
 
 def _log_size(factor: float) -> float:
     return float(np.log(max(abs(factor), 1e-12)))
-
-
-# -- tools -----------------------------------------------------------------------------
-
-
-def _tools(given: Given) -> Iterator[MistakeTrial]:
-    """Each set-up with a tool of another length, and all of them."""
-    session = given.session
-    machine = session.measurement.machine
-    if not any(c.unit == "rad" for c in machine.command):
-        return  # without rotation, the tool moves every reading alike
-    setups = [scope for scope in given.scopes if scope.level == "set-up"]
-    names = list(dict.fromkeys(s.setup for s in session.series))
-    choices = [(given.file, names)]
-    choices += [(scope, [name]) for scope, name in zip(setups, names, strict=False)]
-    for scope, members in choices:
-        shift = _with_tool(session, members)
-        at = scope.values(session)
-        yield MistakeTrial(
-            kind="tool",
-            scope=scope,
-            words=_tool_words(members if len(members) < len(names) else []),
-            undo=shift,
-            amounts=np.zeros(1),
-            steps=np.array([STEP]),
-            family=f"tool {scope.name}",
-            columns=np.where(at, _tool_slope(given, shift), 0.0)[:, None],
-        )
-
-
-def _tool_slope(given: Given, shift: Callable[[Array], list[SessionReadings]]) -> Array:
-    session = given.session
-    longer = shift(np.array([STEP]))[0].measurement
-    y = longer.readings(session.series, longer.nominal)
-    return (y - given.predicted) / STEP
-
-
-def _tool_words(names: list[str]) -> Callable[[Array, Array], str]:
-    of = f" of {names[0]}" if names else ""
-
-    def words(amounts: Array, sd: Array) -> str:
-        size, error = (units.number(float(v[0]), "mm") for v in (amounts, sd))
-        return (
-            f"the tool{of} is {abs(size):.4g} mm (sd {error:.2g} mm)"
-            f" {'longer' if size > 0.0 else 'shorter'} than stated"
-        )
-
-    return words
-
-
-def _with_tool(
-    session: SessionReadings, names: list[str]
-) -> Callable[[Array], list[SessionReadings]]:
-    """The session with tools of these set-ups longer by an amount, m."""
-
-    def shift(amounts: Array) -> list[SessionReadings]:
-        setups = []
-        for name, setup in session.measurement.setups.items():
-            x, y, z = setup.tool
-            longer = dataclasses.replace(setup, tool=(x, y, z + float(amounts[0])))
-            setups.append(longer if name in names else setup)
-        measurement = session.measurement.with_setups(setups)
-        return [dataclasses.replace(session, measurement=measurement)]
-
-    return shift
 
 
 # -- set-ups that moved ----------------------------------------------------------------
@@ -307,11 +272,8 @@ def _zeros(given: Given) -> Iterator[MistakeTrial]:
     setups = given.session.measurement.setups.values()
     inner = {one.name: one for s in setups for one in s.instrument.inner}
     for one in inner.values():
-        slopes = _slopes(given, one.name)
-        for scope in [*given.scopes, *given.parts]:
-            values = scope.values(given.session) & (slopes != 0.0)
-            if values.any():
-                yield _off(given, scope, one, np.where(values, slopes, 0.0), values)
+        off = partial(_off, given, one, _slopes(given, one.name))
+        yield from in_scopes([*given.scopes, *given.parts], off)
 
 
 def _slopes(given: Given, name: str) -> Array:
@@ -330,12 +292,16 @@ def _slopes(given: Given, name: str) -> Array:
 
 
 def _off(
-    given: Given, scope: Scope, inner: InnerReading, slopes: Array, values: Mask
-) -> MistakeTrial:
+    given: Given, inner: InnerReading, every: Array, scope: Scope
+) -> MistakeTrial | None:
     session = given.session
+    values = scope.values(session) & (every != 0.0)
+    if not values.any():
+        return None
+    slopes = np.where(values, every, 0.0)
     least = given.sigma[values] / np.abs(slopes[values])
     return MistakeTrial(
-        kind="offset" if scope.level in ("file", "set-up") else "run",
+        kind="run" if scope.is_part else "offset",
         scope=scope,
         words=_words(scope, inner),
         undo=lambda amounts: [session.with_y(session.y - amounts[0] * slopes)],
@@ -349,7 +315,7 @@ def _off(
 def _words(scope: Scope, inner: InnerReading) -> Words:
     unit = units.display(inner.unit)
     cause = f"{inner.zero} is wrong"
-    if scope.level in ("run", "rows"):
+    if scope.is_part:
         cause = "the instrument was zeroed again"
 
     def words(amounts: Array, sd: Array) -> str:

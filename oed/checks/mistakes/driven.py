@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -103,26 +104,30 @@ def turns_freely(lower: float, upper: float) -> bool:
     return bool(np.isfinite(span) and span >= TURN * (1.0 - RANGE_SLACK))
 
 
-def scaled(k: int, factor: float) -> Change:
-    """Column k times a factor."""
+def of_column(k: int, meant: Change) -> Change:
+    """Column k (n,) changed. NaN, which is no pose, raises ValueError later on."""
 
     def change(values: Array) -> Array:
-        scale = np.ones(values.shape[1])
-        scale[k] = factor
-        return values * scale
+        changed = values.copy()
+        changed[:, k] = meant(values[:, k])
+        return changed
 
     return change
+
+
+def scaled(k: int, factor: float) -> Change:
+    """Column k times a factor."""
+    return of_column(k, lambda values: factor * values)
 
 
 def shifted(k: int, amount: float) -> Change:
     """Column k plus an amount, SI."""
+    return of_column(k, lambda values: values + amount)
 
-    def change(values: Array) -> Array:
-        shift = np.zeros(values.shape[1])
-        shift[k] = amount
-        return values + shift
 
-    return change
+def in_turn(*changes: Change) -> Change:
+    """One change after another."""
+    return lambda values: functools.reduce(lambda v, change: change(v), changes, values)
 
 
 def permuted(order: tuple[int, ...]) -> Change:

@@ -25,14 +25,12 @@ Use = tuple[str, tuple[str, ...]]
 class Given:
     """A session whose mistakes are looked for; its measurement has all set-ups.
 
-    near          parts near whose ends others are looked for
     with_amounts  whether mistakes of an amount in the commands are looked for
 
     Raises AssemblyError where the nominal machine cannot be read.
     """
 
     session: SessionReadings
-    near: tuple[Scope, ...] = ()
     with_amounts: bool = True
 
     @functools.cached_property
@@ -114,7 +112,7 @@ class Given:
     @functools.cached_property
     def parts(self) -> list[Scope]:
         """The first and the last rows of set-ups and runs."""
-        return part_scopes(self.session, self.near or None)
+        return part_scopes(self.session)
 
     @functools.cached_property
     def runs(self) -> list[Scope]:
@@ -126,18 +124,22 @@ class Given:
         """Values (N,) that one instrument may have read in several set-ups."""
         return shared_instruments(self.session)
 
-    def shown_scopes(self) -> Iterator[tuple[Scope, Mask]]:
-        """Every scope with the values (N,) in it that an instrument showed."""
-        for scope in [*self.scopes, *self.parts]:
-            values = scope.values(self.session) & self.shown
-            if values.any():
-                yield scope, values
+    @functools.cached_property
+    def targets(self) -> list[Mask]:
+        """Values (N,) that one mistake may concern: all, those of a unit, of a channel."""
+        kinds = [self.unit == si for si in dict.fromkeys(self.unit)]
+        channels = [self.channel == name for name in dict.fromkeys(self.channel)]
+        return [self.shown, *[self.shown & one for one in (*kinds, *channels)]]
 
-    def channel_scopes(self) -> Iterator[tuple[Scope, str, Mask]]:
-        """Every scope with each channel of it, and these values (N,)."""
-        for scope, values in self.shown_scopes():
-            for channel in dict.fromkeys(self.channel[values]):
-                yield scope, str(channel), values & (self.channel == channel)
+    def names(self, values: Mask) -> str:
+        """Columns of some values (N,)."""
+        channels = dict.fromkeys(self.channel[values])
+        return ", ".join(self.session.column(str(name)).name for name in channels)
+
+    def is_all(self, scope: Scope, values: Mask) -> bool:
+        """Whether some values (N,) are all that an instrument showed in a scope."""
+        shown = scope.values(self.session) & self.shown
+        return scope.level == "instrument" or np.array_equal(values, shown)
 
 
 # -- one instrument in several set-ups -------------------------------------------------

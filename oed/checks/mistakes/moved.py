@@ -11,7 +11,7 @@ import pandas as pd
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, plain
+from oed.checks.mistakes.trial import MistakeTrial, OnScope, PoseTable, Undo, plain
 from oed.checks.session import SessionReadings
 from oed.measurement.measurement import Series
 from oed.mechanism.kinematics import AssemblyError
@@ -23,26 +23,39 @@ Moved = Callable[[Series], Series | None]
 CANNOT_BE = (AssemblyError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
 
-def moved_trial(
+def on_moved(
     given: Given,
     kind: str,
-    scope: Scope,
     sentence: str,
     moved: Moved,
     table: PoseTable,
-    log_prior: float = 0.0,
-) -> MistakeTrial:
-    """A trial whose readings of a scope were taken at moved poses."""
-    session = given.session
-    return MistakeTrial(
-        kind=kind,
-        scope=scope,
-        words=plain(sentence),
-        undo=lambda amounts: [with_moved(session, scope.readings, moved)],
-        log_prior=log_prior,
-        table=table,
-        mask=scope.values(session),
-    )
+    seldom: float = 0.0,
+) -> OnScope:
+    """Trials whose readings of a scope were taken at moved poses.
+
+    sentence  in which `{of}` or `{within}` is the scope
+    seldom    log prior in part of a file
+    """
+
+    def on(scope: Scope) -> MistakeTrial:
+        return MistakeTrial(
+            kind=kind,
+            scope=scope,
+            words=plain(sentence.format(of=scope.of, within=scope.within)),
+            undo=lambda amounts: [with_moved(given.session, scope.readings, moved)],
+            log_prior=0.0 if scope.level == "file" else seldom,
+            table=table,
+            mask=scope.values(given.session),
+        )
+
+    return on
+
+
+def undo_moved(given: Given, scope: Scope, moved: Callable[[float], Moved]) -> Undo:
+    """Readings of a scope at poses moved by an amount."""
+    return lambda amounts: [
+        with_moved(given.session, scope.readings, moved(float(amounts[0])))
+    ]
 
 
 def by_run(series: Series) -> list[Index]:

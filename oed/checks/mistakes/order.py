@@ -2,127 +2,258 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
+from scipy import optimize, special
 
+from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, members, plain
+from oed.checks.mistakes.scope import Scope, several_runs
+from oed.checks.mistakes.trial import MistakeTrial, in_scopes, members, plain
+from oed.dataset.columns import column_name
 
 #: rows by which readings are late, where those pushed out at an end are lost
 SHIFTS = (1, -1, 2, -2, 3, -3)
 #: readings of a run up to which every shift is tried that puts the last ones first
 MOST_TURNED = 60
+#: runs of one length up to which every exchange of them is tried
+MOST_PERMUTED = 5
+#: readings of a group in another order
+Turn = Callable[[Index], Index]
+#: orders of readings that were taken backward, in words
+BACKWARD: dict[str, Turn] = {
+    "reversed order": lambda rows: rows[::-1],
+    "reversed order after the first": lambda rows: np.append(rows[:1], rows[:0:-1]),
+}
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
     """Readings reversed and shifted, in each run, in one of them, and in the file."""
-    for subject, where, scope, groups in _groupings(given):
-        yield from _backward(given, subject, scope, groups)
+    for each in (True, False):
+        scopes = [given.file] if each else given.scopes
+        for words, turn in {**BACKWARD, **_sortings(given)}.items():
+            on = partial(_turned_round, given, words, turn, each)
+            yield from in_scopes(scopes, on)
         for shift in SHIFTS:
-            yield from _late(given, subject, where, scope, groups, shift)
-        if scope.level == "run" or scope.name == "":
-            yield from _turned(given, subject, where, scope, groups)
-    for scope in given.parts:
-        for shift in (1, -1):
-            subject = f"the readings{scope.of}"
-            yield from _late(given, subject, "", scope, [scope.readings], shift)
-    yield from _exchanged_runs(given)
+            parts = given.parts if not each and abs(shift) == 1 else []
+            on = partial(_late, given, shift, each)
+            yield from in_scopes([*scopes, *parts], on)
+        for scope in scopes:
+            if scope.level != "set-up":
+                yield from _turned(given, scope, each)
+    yield from _interleaved(given)
+    yield from _relabelled(given)
     yield from _exchanged_setups(given)
 
 
-def _groupings(
-    given: Given,
-) -> Iterator[tuple[str, str, Scope, list[Index]]]:
-    """Whose readings, where they stand, their scope, and groups in which to reorder."""
-    file = given.file
-    runs = [run.readings for run in given.runs]
-    yield "the readings of each run", "in each run ", file, runs
-    for scope in given.scopes:
-        if len(runs) == 1 and scope.level == "file":
-            continue
-        subject = (
-            f"the readings{scope.of}" if scope.name else "the readings of the file"
+def _groups(given: Given, scope: Scope, *, each: bool) -> list[Index]:
+    """Readings of a scope in groups that are reordered: its runs, or all together."""
+    if each or scope.level == "runs":
+        return [
+            s.readings for s in given.runs if np.isin(s.readings, scope.readings).all()
+        ]
+    return [scope.readings]
+
+
+def _subject(scope: Scope, *, each: bool) -> str:
+    if each:
+        return "the readings of each run"
+    return f"the readings{scope.of}" if scope.name else "the readings of the file"
+
+
+def _sortings(given: Given) -> dict[str, Turn]:
+    """Orders of rows sorted by a column: as a directory or a spreadsheet has them."""
+    series = given.session.series
+    command = np.vstack([s.command[s.index[:, 0]] for s in series])
+    keys = {"number": given.session.values["order"].to_numpy()[given.session.firsts]}
+    for value, c in zip(
+        command.T, given.session.measurement.machine.command, strict=True
+    ):
+        unit = units.factor(column_name(c.name, c.unit).rpartition("_")[2])
+        if np.isfinite(value).all():
+            keys[column_name(c.name, c.unit)] = np.round(value / unit, 6)
+    turns: dict[str, Turn] = {}
+    for name, key in keys.items():
+        as_text = np.array([f"{value:g}" for value in key])
+        turns[f"the order of their {name} as text (1, 10, 2, ...)"] = partial(
+            _unsorted, as_text
         )
-        where = "" if scope.name else "in the file "
-        yield subject, where, scope, [scope.readings]
+        turns[f"the order of their {name}"] = partial(_unsorted, key)
+    return turns
 
 
-def _backward(
-    given: Given, subject: str, scope: Scope, groups: list[Index]
-) -> Iterator[MistakeTrial]:
-    order = _reordered(given, groups, lambda rows: rows[::-1])
-    sentence = f"{subject} are in reversed order"
-    yield from _reordering(given, scope, sentence, order)
+def _unsorted(key: Array, rows: Index) -> Index:
+    """Readings that belong to rows where they stand sorted by a key (n,)."""
+    sources = np.empty_like(rows)
+    sources[np.argsort(key[rows], kind="stable")] = rows
+    return sources
 
 
-def _late(
-    given: Given,
-    subject: str,
-    where: str,
-    scope: Scope,
-    groups: list[Index],
-    shift: int,
-) -> Iterator[MistakeTrial]:
+def _is_one_run(given: Given, scope: Scope, *, each: bool) -> bool:
+    """Whether the file has one run alone, of which the same is tried already."""
+    return len(given.runs) == 1 and scope.level == "file" and not each
+
+
+def _turned_round(
+    given: Given, words: str, turn: Turn, each: bool, scope: Scope
+) -> MistakeTrial | None:
+    if _is_one_run(given, scope, each=each):
+        return None
+    order = _reordered(given, _groups(given, scope, each=each), turn)
+    sentence = f"{_subject(scope, each=each)} are in {words}"
+    return _reordering(given, scope, sentence, order)
+
+
+def _late(given: Given, shift: int, each: bool, scope: Scope) -> MistakeTrial | None:
     """Readings that stand some rows too late, put back; those pushed out are lost."""
+    groups = _groups(given, scope, each=each)
     if min(len(rows) for rows in groups) <= 2 * abs(shift):
-        return
+        return None
+    if _is_one_run(given, scope, each=each):
+        return None
     order = _reordered(given, groups, _roll(-shift))
     lost = [rows[-shift:] if shift > 0 else rows[:-shift] for rows in groups]
+    sentence = (
+        f"{_stand(scope, shift, each=each)} too {'late' if shift > 0 else 'early'}"
+    )
+    return _reordering(given, scope, sentence, order, np.concatenate(lost))
+
+
+def _stand(scope: Scope, shift: int, *, each: bool) -> str:
+    """That readings stand some rows from their place."""
+    where = "" if scope.name else "in the file "
+    subject = "the readings" if each or where else _subject(scope, each=each)
     count = f"{abs(shift)} row{'s' if abs(shift) > 1 else ''}"
-    way = "late" if shift > 0 else "early"
-    subject = "the readings" if where else subject
-    sentence = f"{subject} stand {where}{count} too {way}"
-    yield from _reordering(given, scope, sentence, order, np.concatenate(lost))
+    return f"{subject} stand {'in each run ' if each else where}{count}"
 
 
-def _turned(
-    given: Given, subject: str, where: str, scope: Scope, groups: list[Index]
-) -> Iterator[MistakeTrial]:
+def _turned(given: Given, scope: Scope, each: bool) -> Iterator[MistakeTrial]:
     """Readings that stand some rows too late, the last ones first."""
+    groups = _groups(given, scope, each=each)
     sizes = [len(rows) for rows in groups]
-    if max(sizes) > MOST_TURNED:
+    if max(sizes) > MOST_TURNED or _is_one_run(given, scope, each=each):
         return
-    subject = "the readings" if where else subject
     for shift in range(1, min(sizes)):
         order = _reordered(given, groups, _roll(-shift))
         late, way = min((shift, "late"), (max(sizes) - shift, "early"))
-        count = f"{late} row{'s' if late > 1 else ''}"
         sentence = (
-            f"{subject} stand {where}{count} too {way}, with those pushed out at the other"
-            " end"
+            f"{_stand(scope, late, each=each)} too {way}, with those pushed out at the"
+            " other end"
         )
-        yield from _reordering(given, scope, sentence, order)
+        trial = _reordering(given, scope, sentence, order)
+        if trial is not None:
+            yield trial
 
 
-def _roll(rows: int) -> Callable[[Index], Index]:
+def _roll(rows: int) -> Turn:
     return lambda readings: np.roll(readings, rows)
 
 
-def _exchanged_runs(given: Given) -> Iterator[MistakeTrial]:
-    """The readings of two runs of one length exchanged, and of all runs turned round."""
-    for one, other in itertools.combinations(given.runs, 2):
-        if len(one.readings) != len(other.readings):
+def _interleaved(given: Given) -> Iterator[MistakeTrial]:
+    """Readings taken point by point of several runs that stand run by run, or reversely."""
+    blocks = [(scope, _groups(given, scope, each=True)) for scope in given.scopes]
+    for one, other in itertools.pairwise(given.runs):
+        both = several_runs([one, other])
+        blocks.append((both, [one.readings, other.readings]))
+    known: set[bytes] = set()
+    for scope, groups in blocks:
+        places = np.concatenate(groups)
+        if len({len(rows) for rows in groups}) > 1 or len(groups) < 2:
             continue
-        order = _every(given)
-        order[one.readings], order[other.readings] = other.readings, one.readings
-        both = Scope("run", f"{one.name} and {other.name}", one.readings)
-        names = " and ".join(s.name.removeprefix("run ") for s in (one, other))
-        sentence = f"the readings of the runs {names} are exchanged"
-        yield from _reordering(given, both, sentence, order)
-    sizes = {len(run.readings) for run in given.runs}
-    if len(given.runs) < 3 or len(sizes) > 1:
-        return
-    for step, way in ((1, "next"), (-1, "previous")):
-        order = _every(given)
-        turned = [*given.runs[step:], *given.runs[:step]]
-        for run, source in zip(given.runs, turned, strict=True):
-            order[run.readings] = source.readings
+        if places.tobytes() in known:
+            continue
+        known.add(places.tobytes())
+        for by_point in (True, False):
+            shape = (-1, len(groups)) if by_point else (len(groups), -1)
+            order = _every(given)
+            order[places] = places.reshape(shape).T.ravel()
+            ways = ("point by point", "run by run")
+            taken, stand = ways if by_point else ways[::-1]
+            sentence = (
+                f"the readings{scope.of} are interleaved: taken {taken} of"
+                f" {len(groups)} runs, they stand {stand}"
+            )
+            trial = _reordering(given, scope, sentence, order)
+            if trial is not None:
+                yield trial
+
+
+def _relabelled(given: Given) -> Iterator[MistakeTrial]:
+    """Readings of runs of one length under the names of others: two, or any."""
+    by_size: dict[int, list[Scope]] = {}
+    for run in given.runs:
+        by_size.setdefault(len(run.readings), []).append(run)
+    for runs in by_size.values():
+        count = len(runs)
+        pairs = [
+            _swapped(count, a, b) for a, b in itertools.combinations(range(count), 2)
+        ]
+        others = [
+            (*range(1, count), 0),
+            (count - 1, *range(count - 1)),
+            _expected(given, runs),
+        ]
+        if count <= MOST_PERMUTED:
+            others = list(itertools.permutations(range(count)))
+        for sources in dict.fromkeys([*pairs, *others]):
+            trial = _with_runs_of(given, runs, sources)
+            if trial is not None:
+                yield trial
+
+
+def _swapped(count: int, one: int, other: int) -> tuple[int, ...]:
+    order = list(range(count))
+    order[one], order[other] = other, one
+    return tuple(order)
+
+
+def _expected(given: Given, runs: Sequence[Scope]) -> tuple[int, ...]:
+    """The run whose readings each run should have, as the nominal machine expects."""
+    cost = np.zeros((len(runs), len(runs)))
+    for i, run in enumerate(runs):
+        at = members(given.session, run.readings)
+        covariance = given.slopes[at] @ given.slopes[at].T + np.diag(
+            given.sigma[at] ** 2
+        )
+        for j, other in enumerate(runs):
+            away = given.session.y[members(given.session, other.readings)]
+            if len(away) != len(at):
+                return tuple(range(len(runs)))
+            away = away - given.predicted[at]
+            cost[i, j] = away @ np.linalg.solve(covariance, away)
+    return tuple(optimize.linear_sum_assignment(cost)[1].tolist())
+
+
+def _with_runs_of(
+    given: Given, runs: Sequence[Scope], sources: Sequence[int]
+) -> MistakeTrial | None:
+    """Each run with the readings that stand under another one."""
+    count = len(runs)
+    moved = [k for k in range(count) if sources[k] != k]
+    if not moved:
+        return None
+    order = _every(given)
+    for run, source in zip(runs, sources, strict=True):
+        order[run.readings] = runs[source].readings
+    names = [run.name.removeprefix("run ") for run in runs]
+    sentence = "the readings of the runs stand under other names: " + ", ".join(
+        f"those of {names[k]} under {names[sources[k]]}" for k in moved
+    )
+    steps = {(sources[k] - k) % count for k in range(count)}
+    if len(moved) == 2:
+        sentence = f"the readings of the runs {names[moved[0]]} and {names[moved[1]]} are exchanged"
+    elif steps == {1} or steps == {count - 1}:
+        way = "next" if steps == {1} else "previous"
         sentence = f"the readings of each run stand under the {way} run"
-        yield from _reordering(given, given.file, sentence, order)
+    scope = several_runs([runs[k] for k in moved])
+    log_prior = -float(special.gammaln(1.0 + count)) if count > MOST_PERMUTED else 0.0
+    trial = _reordering(given, scope, sentence, order)
+    return None if trial is None else dataclasses.replace(trial, log_prior=log_prior)
 
 
 def _exchanged_setups(given: Given) -> Iterator[MistakeTrial]:
@@ -134,16 +265,16 @@ def _exchanged_setups(given: Given) -> Iterator[MistakeTrial]:
         order[one.readings], order[other.readings] = other.readings, one.readings
         names = " and ".join(s.name.removeprefix("set-up ") for s in (one, other))
         sentence = f"the readings of the set-ups {names} are exchanged"
-        yield from _reordering(given, one, sentence, order)
+        trial = _reordering(given, one, sentence, order)
+        if trial is not None:
+            yield trial
 
 
 def _every(given: Given) -> Index:
     return np.arange(1 + int(given.session.reading_of_value[-1]), dtype=np.intp)
 
 
-def _reordered(
-    given: Given, groups: Sequence[Index], turn: Callable[[Index], Index]
-) -> Index:
+def _reordered(given: Given, groups: Sequence[Index], turn: Turn) -> Index:
     """Readings to take, by number, with those of each group turned."""
     order = _every(given)
     for rows in groups:
@@ -157,7 +288,7 @@ def _reordering(
     sentence: str,
     order: Index,
     lost: Index | None = None,
-) -> Iterator[MistakeTrial]:
+) -> MistakeTrial | None:
     """The session with its readings in another order, poses in place.
 
     Nothing where readings of other channels would meet, or nothing changes.
@@ -168,17 +299,17 @@ def _reordering(
         given.channel[taken], given.channel
     )
     if not same or not given.shown.all():
-        return
+        return None
     y: Array = session.y[taken]
     missing = None
     if lost is not None:
         missing = np.isin(session.reading_of_value, lost)
     moved = y != session.y if missing is None else (y != session.y) & ~missing
     if not moved.any():
-        return
+        return None
     dropped = [] if lost is None else [int(k) for k in lost]
     changed = session.with_y(y)
-    yield MistakeTrial(
+    return MistakeTrial(
         kind="order",
         scope=scope,
         words=plain(sentence),

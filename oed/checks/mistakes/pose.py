@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -13,18 +13,20 @@ from oed.base.arrays import Array
 from oed.checks.mistakes.driven import (
     Change,
     commanded,
+    in_turn,
+    of_column,
     permuted,
     scaled,
     shifted,
     turns_freely,
 )
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, moved_trial, pose_table, with_moved
+from oed.checks.mistakes.moved import Moved, on_moved, pose_table, undo_moved
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, Undo, Words
-from oed.checks.session import SessionReadings
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable, Words, in_scopes
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
+from oed.dataset.notations import notations
 from oed.model.machine import Coordinate
 
 #: where an amount is sought first: shares of a coordinate's range, and steps of a turn
@@ -40,13 +42,12 @@ STEP = 1e-3
 def trials(given: Given) -> Iterator[MistakeTrial]:
     """All commands of the file, of a set-up and of a run with each change undone."""
     measurement = given.session.measurement
-    for sentence, change in _changes(measurement.machine.command):
+    for sentence, change in _changes(given):
         moved = commanded(measurement, change)
         table = pose_table(given, moved)
         if table is not None and not _same(given, table):
-            for scope in given.scopes:
-                words = f"{sentence}{scope.within}"
-                yield moved_trial(given, "pose", scope, words, moved, table)
+            on = on_moved(given, "pose", f"{sentence}{{within}}", moved, table)
+            yield from in_scopes(given.scopes, on)
     if not given.with_amounts:
         return
     for k, coordinate in enumerate(measurement.machine.command):
@@ -80,22 +81,27 @@ def searched_amounts(coordinate: Coordinate) -> Iterator[SearchedAmount]:
             yield SearchedAmount(amount, NEARBY * abs(amount), "")
 
 
-def _changes(command: Sequence[Coordinate]) -> Iterator[tuple[str, Change]]:
+def _changes(given: Given) -> Iterator[tuple[str, Change]]:
+    command = given.session.measurement.machine.command
     names = [column_name(c.name, c.unit) for c in command]
+    every = np.vstack([s.command[s.index[:, 0]] for s in given.session.series])
     for k, coordinate in enumerate(command):
-        if coordinate.lower < 0.0 < coordinate.upper or coordinate.unit == "rad":
-            yield f"the sign of {names[k]} is reversed", scaled(k, -1.0)
-        if coordinate.unit == "rad":
-            yield f"{names[k]} is in rad, not in deg", scaled(k, 1.0 / units.DEG)
-            yield f"{names[k]} is in deg of a sheet in rad", scaled(k, units.DEG)
-        for words, factor in (("half of", 2.0), ("twice", 0.5)):
-            yield f"{names[k]} is {words} what it should be", scaled(k, factor)
+        for words, meant in notations(coordinate, every[:, k]).items():
+            yield words.format(names[k]), of_column(k, meant)
     for j, k in itertools.combinations(range(len(command)), 2):
-        if command[j].unit == command[k].unit:
-            order = list(range(len(command)))
-            order[j], order[k] = k, j
-            what = f"the columns {names[j]} and {names[k]} are exchanged"
-            yield what, permuted(tuple(order))
+        if command[j].unit != command[k].unit:
+            continue
+        order = list(range(len(command)))
+        order[j], order[k] = k, j
+        exchanged = permuted(tuple(order))
+        yield f"the columns {names[j]} and {names[k]} are exchanged", exchanged
+        for signs in ((1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+            first, second = ("-" if sign < 0.0 else "" for sign in signs)
+            yield (
+                f"the axes of the poses stand otherwise: {names[j]} is {first}{names[k]},"
+                f" {names[k]} is {second}{names[j]}",
+                in_turn(exchanged, scaled(j, signs[0]), scaled(k, signs[1])),
+            )
 
 
 def _same(given: Given, table: PoseTable) -> bool:
@@ -121,20 +127,28 @@ def _displaced(
         table = pose_table(given, moved(amount), [near], [1.0 / STEP])
         if table is None or _same(given, table):
             continue
-        for scope in given.scopes:
-            if rows != "file" and scope.level == "run":
-                continue
-            yield MistakeTrial(
+
+        def on(
+            scope: Scope,
+            rows: str = rows,
+            moved: Callable[[float], Moved] = moved,
+            table: PoseTable = table,
+        ) -> MistakeTrial | None:
+            if rows != "file" and scope.is_part:
+                return None
+            return MistakeTrial(
                 kind="pose" if rows == "file" else "teach",
                 scope=scope,
                 words=_displacement_words(coordinate, rows, scope),
-                undo=_undo(given.session, scope, moved),
+                undo=undo_moved(given, scope, moved),
                 amounts=np.array([amount]),
                 steps=np.array([STEP * spread]),
                 family=f"{k} {rows} {scope.name} {searched.basin}",
                 table=table,
                 mask=scope.values(given.session),
             )
+
+        yield from in_scopes(given.scopes, on)
 
 
 def _rows(given: Given, k: int, spread: float) -> tuple[str, ...]:
@@ -144,15 +158,6 @@ def _rows(given: Given, k: int, spread: float) -> tuple[str, ...]:
     table = pose_table(given, moved)
     is_used = table is None or not _same(given, table)
     return ("file", "teach", "all") if is_used else ("file",)
-
-
-def _undo(
-    session: SessionReadings, scope: Scope, moved: Callable[[float], Moved]
-) -> Undo:
-    def undo(amounts: Array) -> list[SessionReadings]:
-        return [with_moved(session, scope.readings, moved(float(amounts[0])))]
-
-    return undo
 
 
 def _displacement_words(coordinate: Coordinate, rows: str, scope: Scope) -> Words:

@@ -7,7 +7,7 @@ height was driven with tilts of its own, and the file has the commands of the pl
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -15,11 +15,10 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.driven import in_file, inside, turns_freely
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, pose_table, with_moved
+from oed.checks.mistakes.moved import Moved, on_moved, pose_table, undo_moved
 from oed.checks.mistakes.pose import SLACK, STEP, searched_amounts
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, Words
-from oed.checks.session import SessionReadings
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable, Words, in_scopes
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
 from oed.measurement.measurement import Measurement, Series
@@ -46,6 +45,8 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
         for follower in straight:
             if follower != k:
                 yield from _displaced(given, k, follower)
+    for follower in straight:
+        yield from _kept(given, follower)
 
 
 def _displaced(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
@@ -60,12 +61,18 @@ def _displaced(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
         table = pose_table(given, moved(amount), [moved(amount + step)], [1.0 / STEP])
         if table is None:
             continue
-        for scope in given.scopes:
-            yield MistakeTrial(
+
+        def on(
+            scope: Scope,
+            amount: float = amount,
+            step: float = step,
+            table: PoseTable = table,
+        ) -> MistakeTrial:
+            return MistakeTrial(
                 kind="pose",
                 scope=scope,
                 words=_words(displaced, following, scope),
-                undo=_undo(given.session, scope, moved),
+                undo=undo_moved(given, scope, moved),
                 amounts=np.array([amount]),
                 steps=np.array([step]),
                 is_blind=True,
@@ -74,13 +81,25 @@ def _displaced(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
                 mask=scope.values(given.session),
             )
 
+        yield from in_scopes(given.scopes, on)
 
-def _undo(
-    session: SessionReadings, scope: Scope, moved: Callable[[float], Moved]
-) -> Callable[[Array], list[SessionReadings]]:
-    return lambda amounts: [
-        with_moved(session, scope.readings, moved(float(amounts[0])))
-    ]
+
+def _kept(given: Given, follower: int) -> Iterator[MistakeTrial]:
+    """One coordinate as the instrument's length asks, whatever the file has: it may be
+    rounded, or written otherwise.
+    """
+    measurement = given.session.measurement
+    coordinate = measurement.machine.command[follower]
+    moved = program(measurement, follower, follower, 0.0, keeps_length=True)
+    table = pose_table(given, moved)
+    if table is None or np.abs(table.predicted - given.predicted).max() < CLOSE:
+        return
+    name = column_name(coordinate.name, coordinate.unit)
+    sentence = (
+        f"{name}{{within}} is not what was driven: it is rounded, or has another unit or"
+        " origin, as the length of the instrument asks for other values"
+    )
+    yield from in_scopes(given.scopes, on_moved(given, "pose", sentence, moved, table))
 
 
 def _words(displaced: Coordinate, following: Coordinate, scope: Scope) -> Words:
@@ -98,10 +117,18 @@ def _words(displaced: Coordinate, following: Coordinate, scope: Scope) -> Words:
     return words
 
 
-def program(measurement: Measurement, k: int, follower: int, amount: float) -> Moved:
+def program(
+    measurement: Measurement,
+    k: int,
+    follower: int,
+    amount: float,
+    *,
+    keeps_length: bool = False,
+) -> Moved:
     """Series with one coordinate displaced by an amount, SI, and another that follows.
 
-    The nominal machine reads the same as at the commands of the file.
+    The nominal machine reads the same as at the commands of the file, or the length that
+    the instrument keeps.
     """
 
     def moved(series: Series) -> Series | None:
@@ -109,17 +136,27 @@ def program(measurement: Measurement, k: int, follower: int, amount: float) -> M
         has_length = setup.instrument.fixed_reading is not None
         if not has_length or not np.isfinite(series.command).all():
             return None
-        return _solved(measurement, series, k, follower, amount)
+        length = None
+        if keeps_length and setup.instrument.fixed_reading is not None:
+            length = setup.instrument.fixed_reading(setup.settings)
+        return _solved(measurement, series, k, follower, amount, length)
 
     return moved
 
 
 def _solved(
-    measurement: Measurement, series: Series, k: int, follower: int, amount: float
+    measurement: Measurement,
+    series: Series,
+    k: int,
+    follower: int,
+    amount: float,
+    length: float | None,
 ) -> Series | None:
     setup = measurement.setups[series.setup]
     rows = in_file(series, is_taught=setup.teach is not None)
     goal = _first_channel(measurement, series)
+    if length is not None:
+        goal = np.full_like(goal, length)
     command = series.command.copy()
     command[rows, k] += amount
     place = _place_of_rows(series, rows)

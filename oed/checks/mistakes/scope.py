@@ -20,7 +20,8 @@ MOST_PARTS = 200
 class Scope:
     """Readings of a session.
 
-    level     `file`, `instrument` (of several set-ups), `set-up`, `run` or `rows`
+    level     `file`, `instrument` (of several set-ups), `set-up`, `runs` (some of
+              several), `run` or `rows`
     name      `run cup 1`; empty for the file
     readings  their numbers, ascending
     """
@@ -28,6 +29,11 @@ class Scope:
     level: str
     name: str
     readings: Index
+
+    @property
+    def is_part(self) -> bool:
+        """Whether readings of the same set-ups are outside."""
+        return self.level in ("runs", "run", "rows")
 
     @property
     def of(self) -> str:
@@ -41,7 +47,10 @@ class Scope:
 
     def values(self, session: SessionReadings) -> Mask:
         """Mask (N,) of the values of the readings."""
-        return np.isin(session.reading_of_value, self.readings)
+        number = session.reading_of_value
+        inside = np.zeros(1 + int(number[-1]), dtype=bool)
+        inside[self.readings] = True
+        return np.asarray(inside[number])
 
 
 def whole_scopes(session: SessionReadings) -> list[Scope]:
@@ -68,6 +77,13 @@ def run_scopes(session: SessionReadings) -> list[Scope]:
         name = f"run {run}{of_setup}"
         scopes.append(Scope("run", name, np.unique(number[rows])))
     return scopes
+
+
+def several_runs(runs: Sequence[Scope]) -> Scope:
+    """Some runs together."""
+    names = [run.name.removeprefix("run ") for run in runs]
+    readings = np.sort(np.concatenate([run.readings for run in runs]))
+    return Scope("runs", f"runs {', '.join(names[:-1])} and {names[-1]}", readings)
 
 
 def part_scopes(

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, moved_trial, pose_table
+from oed.checks.mistakes.moved import Moved, on_moved, pose_table
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable, in_scopes
 from oed.measurement.measurement import Measurement, Series
 
 
@@ -22,16 +22,33 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     for name, other in itertools.product(used, measurement.setups):
         if name == other or not _alike(measurement, name, other):
             continue
-        for scope in given.scopes:
-            if _is_of(given, scope, name):
-                whose = scope.of if scope.level == "run" else f" of {name}"
-                sentence = f"the readings{whose} are of set-up {other}"
-                yield from _renamed(given, scope, {name: other}, sentence)
+        moved = in_other_setup(measurement, {name: other})
+        table = pose_table(given, moved)
+        if table is None:
+            continue
+
+        def on(
+            scope: Scope,
+            name: str = name,
+            other: str = other,
+            moved: Moved = moved,
+            table: PoseTable = table,
+        ) -> MistakeTrial | None:
+            if not _is_of(given, scope, name):
+                return None
+            whose = scope.of if scope.is_part else f" of {name}"
+            sentence = f"the readings{whose} are of set-up {other}"
+            return on_moved(given, "setups", sentence, moved, table)(scope)
+
+        yield from in_scopes(given.scopes, on)
     for name, other in itertools.combinations(used, 2):
         if _alike(measurement, name, other):
             sentence = f"the set-ups {name} and {other} are exchanged"
-            names = {name: other, other: name}
-            yield from _renamed(given, given.file, names, sentence)
+            moved = in_other_setup(measurement, {name: other, other: name})
+            table = pose_table(given, moved)
+            if table is not None:
+                on_file = on_moved(given, "setups", sentence, moved, table)
+                yield from in_scopes([given.file], on_file)
 
 
 def _is_of(given: Given, scope: Scope, setup: str) -> bool:
@@ -48,15 +65,6 @@ def _alike(measurement: Measurement, name: str, other: str) -> bool:
         channels[0] == channels[1]
         and first.instrument.reference == second.instrument.reference
     )
-
-
-def _renamed(
-    given: Given, scope: Scope, names: Mapping[str, str], sentence: str
-) -> Iterator[MistakeTrial]:
-    moved = in_other_setup(given.session.measurement, names)
-    table = pose_table(given, moved)
-    if table is not None:
-        yield moved_trial(given, "setups", scope, sentence, moved, table)
 
 
 def in_other_setup(measurement: Measurement, names: Mapping[str, str]) -> Moved:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
 from oed.checks.fit import Fit
+from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.session import SessionReadings
 from oed.measurement.measurement import Measurement
@@ -75,6 +76,9 @@ class MistakeTrial:
     columns    (N, k) slopes of the values over the amounts; those whose size is not
                known are scaled to what they explain
     parts      values, by mask (N,), that a machine of their own gives
+    noise      factors (N,) on the stated noise
+
+    on         the same mistake in other readings; None where it has one scope
     """
 
     kind: str
@@ -98,6 +102,44 @@ class MistakeTrial:
     mask: Mask | None = None
     columns: Array | None = None
     parts: Mask | None = None
+    noise: Array | None = None
+    on: OnScope | None = None
+
+
+#: a mistake in the readings of a scope; None where it cannot be there
+OnScope = Callable[[Scope], "MistakeTrial | None"]
+#: the same of some values (N,) in it
+OnValues = Callable[[Scope, Mask], "MistakeTrial | None"]
+
+
+def in_scopes(scopes: Sequence[Scope], on: OnScope) -> Iterator[MistakeTrial]:
+    """One mistake in each of some scopes."""
+    for scope in scopes:
+        trial = on(scope)
+        if trial is not None:
+            yield dataclasses.replace(trial, on=on)
+
+
+def in_values(given: Given, make: OnValues) -> Iterator[MistakeTrial]:
+    """One mistake of all values, of a unit and of a channel, in the file, set-ups, runs
+    and rows, and in what one instrument may have read.
+    """
+    targets = given.targets
+    for k, target in enumerate(targets):
+
+        def on(scope: Scope, k: int = k, target: Mask = target) -> MistakeTrial | None:
+            at = scope.values(given.session)
+            values = target & at
+            is_known = any(np.array_equal(values, other & at) for other in targets[:k])
+            if scope.level == "set-up":  # all that the file has of it
+                is_known |= any(np.array_equal(values, other) for other in targets)
+            return make(scope, values) if values.any() and not is_known else None
+
+        yield from in_scopes([*given.scopes, *given.parts], on)
+    for scope, values in given.instruments:
+        trial = make(scope, values)
+        if trial is not None:
+            yield trial
 
 
 def plain(sentence: str) -> Words:

@@ -99,7 +99,8 @@ def test_a_mirrored_head_passes_unnoticed() -> None:
     session = of_one_bar()
     alternatives = Alternatives(session.measurement)
     sentences = unseen_mistakes(session, alternatives, np.random.default_rng(0))
-    psi, legs = sentences
+    backward, psi, legs = sentences
+    assert backward.endswith("are in reversed order after the first")
     assert psi == "the sign of psi_deg is reversed"
     assert legs.endswith("1 to 3 are 1, 3, 2")
 

@@ -20,7 +20,7 @@ from oed.checks.mistakes.driven import (
 from oed.checks.mistakes.moved import (
     by_run,
     moved_rows,
-    moved_trial,
+    on_moved,
     pose_table,
     with_moved,
 )
@@ -147,7 +147,7 @@ def test_a_table_has_what_the_nominal_machine_reads(session: SessionReadings) ->
     assert table is not None
     every = np.arange(1 + session.reading_of_value[-1])
     scope = Scope("file", "", every)
-    trial = moved_trial(given, "sign", scope, "psi is off", moved, table)
+    trial = on_moved(given, "sign", "psi is off", moved, table)(scope)
     (other,) = trial.undo(trial.amounts)
     predicted = []
     for series in other.series:

@@ -1,0 +1,169 @@
+"""Poses in another frame or by another meaning of their angles: of what a tracker reads,
+and of what the controller is given.
+
+With y = (p, R), p the tool point and R the rotation of the platform's frame, a mistake is
+
+    p' = G p, R' = G R G^T       axes that stand otherwise, a left-handed frame for det G < 0
+    p' = G p, R' = G R           a frame that is turned, while the target is as it should be
+    p' = p, R' = R G             a target that is turned
+    R' = R^T                     passive rotations; with p' = -R^T p the inverse pose
+    R' = product of the same rotations in another order
+
+with G one of the 48 matrices that exchange axes and turn them round.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.base.orientation import Orientation
+from oed.checks.mistakes.driven import commanded
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.moved import CANNOT_BE, on_moved, pose_table
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
+
+#: places (n, 3) and rotations (n, 3, 3) without a mistake, of those with it
+Unframed = Callable[[Array, Array], tuple[Array, Array]]
+AXES = "xyz"
+
+
+@dataclasses.dataclass(frozen=True)
+class FrameMistake:
+    """A mistake of a frame, in words, and poses without it.
+
+    orientation  by which angles are read, where it is not that of their columns
+    """
+
+    words: str
+    undo: Unframed
+    orientation: Orientation | None = None
+
+
+def trials(given: Given) -> Iterator[MistakeTrial]:
+    """Poses that are read, and poses that are commanded, in another frame."""
+    yield from _read(given)
+    yield from _driven(given)
+
+
+def _mistakes(orientation: Orientation) -> Iterator[FrameMistake]:
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((1.0, -1.0), repeat=3):
+            turn = np.zeros((3, 3))
+            turn[range(3), order] = signs
+            if not np.array_equal(turn, np.eye(3)):
+                yield from _of_axes(turn)
+    yield FrameMistake(
+        "have angles of the inverse rotation (passive for active)",
+        lambda p, r: (p, np.swapaxes(r, 1, 2)),
+    )
+    yield FrameMistake(
+        "are of the inverse poses: of the base in the platform's frame",
+        lambda p, r: (-np.einsum("nij,nj->ni", r, p), np.swapaxes(r, 1, 2)),
+    )
+    for factors in itertools.permutations(orientation.factors):
+        if factors != orientation.factors:
+            other = dataclasses.replace(orientation, factors=factors)
+            words = f"have angles in another order: {other.formula}"
+            yield FrameMistake(words, lambda p, r: (p, r), other)
+
+
+def _of_axes(turn: Array) -> Iterator[FrameMistake]:
+    """Axes of both frames as in G (3, 3), and of one of them where it is a rotation."""
+    axes = ", ".join(
+        f"{AXES[k]} is {'-' if row.sum() < 0.0 else ''}{AXES[int(np.argmax(np.abs(row)))]}"
+        for k, row in enumerate(turn)
+    )
+    if np.linalg.det(turn) < 0.0:
+        yield FrameMistake(
+            f"are in a left-handed frame: {axes}",
+            lambda p, r: (p @ turn, turn.T @ r @ turn),
+        )
+        return
+    yield FrameMistake(
+        f"are in a frame whose axes stand otherwise: {axes}",
+        lambda p, r: (p @ turn, turn.T @ r @ turn),
+    )
+    yield FrameMistake(
+        f"are in a frame that is turned: {axes}",
+        lambda p, r: (p @ turn, turn.T @ r),
+    )
+    yield FrameMistake(
+        f"are of a target that is turned: {axes}", lambda p, r: (p, r @ turn.T)
+    )
+
+
+# -- poses that are read ---------------------------------------------------------------
+
+
+def _read(given: Given) -> Iterator[MistakeTrial]:
+    setups = given.session.measurement.setups
+    of = {s.setup: setups[s.setup].instrument.orientation for s in given.session.series}
+    for orientation in dict.fromkeys(of.values()):
+        if orientation is None or orientation.axis_only or len(orientation.names) != 3:
+            continue
+        for mistake in _mistakes(orientation):
+            on = partial(_read_otherwise, given, orientation, mistake)
+            yield from in_scopes(given.scopes, on)
+
+
+def _read_otherwise(
+    given: Given, orientation: Orientation, mistake: FrameMistake, scope: Scope
+) -> MistakeTrial | None:
+    session = given.session
+    at = scope.values(session)
+    angles = [at & (given.channel == name) for name in orientation.names]
+    place = [at & (given.channel == f"read_{axis}") for axis in AXES]
+    count = {int(mask.sum()) for mask in (*angles, *place)}
+    if len(count) > 1 or 0 in count:
+        return None
+    read = mistake.orientation or orientation
+    rotation = read.matrices(
+        {n: session.y[m] for n, m in zip(orientation.names, angles, strict=True)}
+    )
+    p, r = mistake.undo(np.column_stack([session.y[m] for m in place]), rotation)
+    y = session.y.copy()
+    for mask, values in zip(place, p.T, strict=True):
+        y[mask] = values
+    for mask, name in zip(angles, orientation.names, strict=True):
+        y[mask] = orientation.angles(r)[name]
+    sentence = f"the poses that were read{scope.within} {mistake.words}"
+    return value_trial(session, "frame", scope, sentence, y)
+
+
+# -- poses that are commanded ----------------------------------------------------------
+
+
+def _driven(given: Given) -> Iterator[MistakeTrial]:
+    """Commands of all six coordinates; those out of the workspace were never given."""
+    machine = given.session.measurement.machine
+    orientation = machine.command_orientation
+    names = [c.name for c in machine.command]
+    if orientation is None or names != [*AXES, *orientation.names]:
+        return
+    for mistake in _mistakes(orientation):
+        read = mistake.orientation or orientation
+
+        def change(
+            values: Array, mistake: FrameMistake = mistake, read: Orientation = read
+        ) -> Array:
+            angles = dict(zip(orientation.names, values[:, 3:].T, strict=True))
+            p, r = mistake.undo(values[:, :3], read.matrices(angles))
+            found = orientation.angles(r)
+            return np.column_stack([p, *(found[name] for name in orientation.names)])
+
+        moved = commanded(given.session.measurement, change)
+        try:
+            table = pose_table(given, moved)
+        except CANNOT_BE:
+            continue
+        if table is not None:
+            sentence = f"the commanded poses{{within}} {mistake.words}"
+            on = on_moved(given, "frame", sentence, moved, table)
+            yield from in_scopes(given.scopes, on)

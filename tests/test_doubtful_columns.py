@@ -1,0 +1,176 @@
+"""Covariates and poses that no workshop has, and what they may mean instead."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import blunder_machines as machines
+import numpy as np
+import pytest
+from blunder_table_forms import interpolated, two_digits_exchanged
+
+from oed.checks import conditions, copies
+from oed.checks.candidates import candidates
+from oed.checks.mistakes import Given, amounts, limits, rounding, tools
+from oed.checks.screening import Screening
+from oed.dataset.notations import notations
+from oed.dataset.readings_file import ReadingsError
+from oed.model.machine import Coordinate
+
+DEG = np.pi / 180.0
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "words"),
+    [
+        ("temp_platform_C", 293.15, "kelvin, not Celsius"),
+        ("temp_platform_C", -300.0, "below absolute zero"),
+        ("temp_platform_C", 9999.0, "no value"),
+        ("payload_N", 1e9, "0 to 100000 N"),
+        ("payload_N", -100.0, "cannot be negative"),
+        ("feed_mm_min", 1e6, "0 to 300000 mm_min"),
+    ],
+)
+def test_a_covariate_no_workshop_has_is_doubted_by_row(
+    column: str, value: float, words: str
+) -> None:
+    rows = machines.readings("a3", 0).assign(**{column: 20.0})
+    rows.loc[[3, 9], column] = value
+    (finding,) = conditions.doubtful_conditions(machines.session("a3", rows))
+    assert finding.rows == (5, 11)
+    assert words in finding.sentence
+    assert column in finding.sentence
+
+
+def test_usual_covariates_are_not_doubted() -> None:
+    """A workshop at -5 C, a head of 60 C, a feed of 60 m/min, a load of 500 kg."""
+    rows = machines.readings("a3", 0).assign(
+        temp_base_C=-5.0, temp_platform_C=60.0, feed_mm_min=6e4, payload_N=4905.0
+    )
+    rows.loc[4, "temp_base_C"] = np.nan
+    assert not conditions.doubtful_conditions(machines.session("a3", rows))
+
+
+def test_notations_of_an_angle_are_those_of_a_calculator() -> None:
+    theta = Coordinate("theta", "rad", 0.0, 40.0 * DEG)
+    file = np.array([30.3045, 12.1530, 5.5900]) * DEG
+    meant = {words: f(file) / DEG for words, f in notations(theta, file).items()}
+    of_minutes = meant["{} has minutes and seconds after its decimal point"]
+    in_hand = [30 + 30 / 60 + 45 / 3600, 12 + 15 / 60 + 30 / 3600, 5 + 59 / 60]
+    assert of_minutes == pytest.approx(in_hand, abs=1e-9)
+    assert meant["{} is in grad, not in deg"][0] == pytest.approx(27.27405)
+    assert meant["{} is counted from the other axis, as 90 deg less it"][0] == (
+        pytest.approx(59.6955)
+    )
+    from_the_end = meant["{} is counted from the other end of its values"]
+    assert from_the_end == pytest.approx([5.59, 23.7415, 30.3045])
+
+
+def test_no_minutes_are_read_from_more_than_sixty() -> None:
+    theta = Coordinate("theta", "rad", 0.0, 40.0 * DEG)
+    meant = notations(theta, np.array([30.75, 12.15]) * DEG)
+    assert not [words for words in meant if "minutes" in words]
+
+
+def test_poses_out_of_the_workspace_say_what_their_column_may_mean(
+    tmp_path: Path,
+) -> None:
+    rows = machines.readings("a3", 0)
+    rows["theta_deg"] = 90.0 - rows["theta_deg"]
+    with pytest.raises(ReadingsError, match="theta_deg is counted from the other axis"):
+        machines.session("a3", rows)
+
+
+def test_three_rows_half_way_between_their_neighbours_are_interpolated() -> None:
+    rows = machines.readings("a3", 0)
+    session = machines.session("a3", interpolated(rows))
+    found = copies.interpolated_readings(session)
+    assert session.rows(found) == (10, 22, 35)
+    assert not copies.interpolated_readings(machines.session("a3", rows)).size
+
+
+def test_exchanged_digits_are_named_with_the_number_that_fits() -> None:
+    rows = machines.readings("a3", 0)
+    right = rows.loc[20, "length_mm"]
+    checked = machines.check("a3", two_digits_exchanged(rows))
+    (finding,) = [f for f in checked.findings if f.kind == "outlier"]
+    assert finding.rows == (22,)
+    assert f"digits exchanged it is {right:.9g}" in finding.sentence
+
+
+@pytest.mark.parametrize("pair", [(0, 3)])
+def test_any_set_of_runs_may_have_one_mistake(pair: tuple[int, int]) -> None:
+    """The likeliest mistake in the linear model is that which was made, and where."""
+    rows = machines.readings("planar", 0)
+    names = list(dict.fromkeys(rows["run"]))
+    wrong = rows["run"].isin([names[k] for k in pair])
+    rows.loc[wrong, "dy_mm"] *= 0.1
+    given = Given(machines.session("planar", rows))
+    chosen = candidates(given, Screening(given), thorough=True)
+    likeliest = chosen.first[0].trial
+    at = given.session.values["run"].isin([names[k] for k in pair])
+    assert likeliest.kind == "scale"
+    assert np.array_equal(likeliest.scope.values(given.session), at)
+
+
+def test_the_stated_noise_is_doubted_where_readings_fit_a_thousand_times_better() -> (
+    None
+):
+    given = Given(machines.session("a3", machines.readings("a3", 0)))
+    (trial,) = [t for t in limits.noise_trials(given) if t.noise.max() == 1e3]
+    (other,) = trial.undo(trial.amounts)
+    assert other.noise().sigma == pytest.approx(1e3 * given.sigma)
+
+
+def test_a_rounded_command_is_noise_of_its_slope() -> None:
+    """Variance of a uniform error of one degree: a twelfth, times the slope squared."""
+    rows = machines.readings("a3", 0)
+    rows["theta_deg"] = rows["theta_deg"].round()
+    given = Given(machines.session("a3", rows))
+    trial = next(
+        t
+        for t in rounding.trials(given)
+        if t.words(t.amounts, t.amounts)
+        == "theta_deg is rounded to 1: finer numbers were driven"
+    )
+    moved = rows.assign(theta_deg=rows["theta_deg"] + 0.01)
+    slope = (Given(machines.session("a3", moved)).predicted - given.predicted) / 0.01
+    variance = given.sigma**2 + slope**2 / 12.0
+    (other,) = trial.undo(trial.amounts)
+    assert other.noise().sigma == pytest.approx(np.sqrt(variance), rel=1e-2)
+
+
+def test_each_run_has_an_offset_of_its_own() -> None:
+    rows = machines.readings("planar", 0)
+    given = Given(machines.session("planar", rows))
+    trial = next(
+        t
+        for t in amounts.trials(given)
+        if t.family == "offsets dy " and t.columns is not None
+    )
+    made = np.arange(len(trial.amounts)) * 1e-4
+    (other,) = trial.undo(made)
+    taken = given.session.y - other.y
+    by_run = {
+        run: taken[(given.session.values["run"] == run) & (given.channel == "dy")]
+        for run in dict.fromkeys(rows["run"])
+    }
+    for run, amount in zip(by_run, made, strict=True):
+        assert by_run[run] == pytest.approx(amount)
+
+
+def test_a_tool_point_beside_the_axis_is_read_there() -> None:
+    """By the instrument's own model, with the tool of the set-up where it was."""
+    session = machines.session("prs", machines.readings("prs", 0))
+    given = Given(session)
+    trial = next(
+        t
+        for t in tools.trials(given)
+        if t.words(np.ones(1), np.ones(1)).startswith("the point that is read")
+        and " in x " in t.words(np.ones(1), np.ones(1))
+        and len(t.amounts) == 1
+    )
+    (other,) = trial.undo(np.array([0.025]))
+    (setup,) = other.measurement.setups.values()
+    (before,) = session.measurement.setups.values()
+    assert np.array(setup.tool) - np.array(before.tool) == pytest.approx([0.025, 0, 0])
