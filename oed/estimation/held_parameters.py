@@ -57,26 +57,28 @@ def contradicted_parameters(
     residual = estimate.noise.whiten(estimate.residuals + robust - y)
     slopes = estimate.noise.whiten(whole.jacobian(series, theta))
     prior_root = whole.prior_root(free)[:, free]
-    explained = own = slopes @ prior_root
+    explained = over_free = slopes @ prior_root
     columns = {
         names: slopes @ np.isin(whole.names, names).astype(float)
         for names in _candidates(whole.names, free)
     }
-    found = []
+    contradicted = []
     tests = _tests(columns, residual, explained)
     while min((t.p_value for t in tests.values()), default=1.0) < LEVEL:
         names = min(tests, key=lambda key: tests[key].p_value)
         column, test = columns.pop(names), tests[names]
         change = test.change * np.isin(whole.names, names)
-        taken = np.linalg.solve(own.T @ own + np.eye(own.shape[1]), own.T @ column)
+        taken = np.linalg.solve(
+            over_free.T @ over_free + np.eye(over_free.shape[1]), over_free.T @ column
+        )
         change = change - test.change * (prior_root @ taken)
         # a machine that shrinks to nothing explains any closure: others must stay near
         offset = np.abs(theta + change - whole.nominal)[free]
         if (offset <= FAR * whole.tolerance[free]).all():
             explained = np.column_stack([explained, column])
-            found.append(_record(whole, series, names, test, theta, change, sd))
+            contradicted.append(_record(whole, series, names, test, theta, change, sd))
         tests = _tests(columns, residual, explained)
-    return found
+    return contradicted
 
 
 def _with_held_unknowns(measurement: Measurement) -> Measurement:

@@ -213,8 +213,8 @@ def heavy_scale(u: Array) -> Array:
 
     Both tails are heavier than normal: noise may be far from a data sheet, either way.
     """
-    kept = np.maximum(u, LEAST_COORDINATE)
-    return np.asarray(kept * (1.0 + (kept / HEAVY_FROM) ** 2))
+    bounded = np.maximum(u, LEAST_COORDINATE)
+    return np.asarray(bounded * (1.0 + (bounded / HEAVY_FROM) ** 2))
 
 
 def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
