@@ -69,8 +69,8 @@ class ReadingsFit:
         """Parameters (n,) from the start towards the end: there, or after half the way
         or less, the first at which all poses close.
         """
-        for share in 0.5 ** np.arange(TRIALS):
-            theta: Array = start + share * (end - start)
+        for halvings in range(TRIALS):
+            theta = np.asarray(start + (end - start) / 2.0**halvings)
             if np.isfinite(self.measurement.try_readings(self.series, theta)).all():
                 return theta
         return start
