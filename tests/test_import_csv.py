@@ -161,3 +161,14 @@ def test_contacts_alone_come_in(tmp_path: Path) -> None:
     loaded = oed.load_study(study)
     assert loaded.prediction.reference == "home"
     np.testing.assert_array_equal(oed.read_readings(loaded).state.readings.y, 0.0)
+
+
+def test_a_first_row_with_empty_cells_is_no_header(tmp_path: Path) -> None:
+    """As a reference row has them, which reads nothing."""
+    path = tmp_path / "s.readings.csv"
+    path.write_text(
+        "setup,run,order,y_mm,z_mm,dy_mm,dz_mm\nm,one,1,0,0,,\nm,one,2,0,3,.1,.2\n"
+    )
+    read = csv_table.read(path)
+    assert read.header == ("setup", "run", "order", "y_mm", "z_mm", "dy_mm", "dz_mm")
+    assert len(read) == 2
