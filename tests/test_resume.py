@@ -24,7 +24,7 @@ STUDY = (
 )
 
 
-class KilledError(Exception):
+class KilledError(BaseException):
     """Stands for a kill after the first block of the chain is saved."""
 
 

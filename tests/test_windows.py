@@ -158,8 +158,10 @@ def test_a_file_that_another_program_has_open_is_named(
     monkeypatch.setattr(Path, "replace", refuse)
     assert cli.main(["run", str(study), "--quiet", "--out", str(out)]) == 2
     err = capsys.readouterr().err
-    assert "plan.csv: access is denied" in err
+    assert str(out) in err
+    assert "access is denied" in err
     assert "close it in other programs" in err
+    assert "no temporary folder takes it either" in err
     assert (out / "result.json").read_text(encoding="utf-8") == old
     assert [path.name for path in out.iterdir()] == ["result.json"]
 

@@ -53,6 +53,15 @@ def start_python(module: str, arguments: Sequence[str | Path]) -> subprocess.Pop
 
 def worker(initializer: Callable[[], None]) -> futures.ProcessPoolExecutor:
     """A process for functions of this one, spawned as on every system."""
-    os.environ[SAFE_PATH] = "1"
     context = multiprocessing.get_context("spawn")
-    return futures.ProcessPoolExecutor(1, context, initializer)
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        pool = futures.ProcessPoolExecutor(1, context, initializer)
+        pool.submit(int)  # the process starts with its first task
+    finally:
+        if before is None:
+            del os.environ[SAFE_PATH]
+        else:
+            os.environ[SAFE_PATH] = before
+    return pool

@@ -28,7 +28,8 @@ def is_private(path: Path) -> bool:
 
     Links are followed where they are the administrator's alone. Raises OSError.
     """
-    if os.name != "posix" or path.stat().st_uid != os.getuid():
+    user = _user()
+    if user is None or path.stat().st_uid != user:
         return False
     whole = path.absolute()
     real = whole.resolve()
@@ -40,7 +41,7 @@ def _is_safe(path: Path) -> bool:
     status = path.lstat()
     if stat.S_ISLNK(status.st_mode):
         return status.st_uid == ROOT
-    if status.st_uid not in (ROOT, os.getuid()):
+    if status.st_uid not in (ROOT, _user()):
         return False
     if stat.S_ISDIR(status.st_mode) and status.st_mode & stat.S_ISVTX:
         return True  # as /tmp, where nobody can rename what is another's
@@ -49,13 +50,19 @@ def _is_safe(path: Path) -> bool:
     return not status.st_mode & stat.S_IWGRP or _is_own_group(status.st_gid)
 
 
+def _user() -> int | None:
+    """Number of this user; None on Windows, which has no such thing."""
+    number = getattr(os, "getuid", None)
+    return None if number is None else int(number())
+
+
 def _is_own_group(number: int) -> bool:
     """Whether a group has this user alone, as some systems give each of them one."""
     import grp  # Windows has neither
     import pwd
 
     try:
-        group, user = grp.getgrgid(number), pwd.getpwuid(os.getuid()).pw_name
+        group, user = grp.getgrgid(number), pwd.getpwuid(_user() or ROOT).pw_name
     except KeyError:
         return False
     return group.gr_name == user and set(group.gr_mem) <= {user}

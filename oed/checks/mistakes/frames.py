@@ -155,8 +155,10 @@ def _driven(given: Given) -> Iterator[MistakeTrial]:
         ) -> Array:
             angles = dict(zip(orientation.names, values[:, 3:].T, strict=True))
             p, r = mistake.undo(values[:, :3], read.matrices(angles))
-            found = orientation.angles(r)
-            return np.column_stack([p, *(found[name] for name in orientation.names)])
+            values_by_name = orientation.angles(r)
+            return np.column_stack(
+                [p, *(values_by_name[name] for name in orientation.names)]
+            )
 
         moved = commanded(given.session.measurement, change)
         try:

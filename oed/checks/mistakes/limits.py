@@ -123,12 +123,12 @@ def _counts(given: Given, values: Mask, away: Array, turn: float) -> Array:
     part = slopes[known]
     covariance = np.linalg.inv(precision + part.T @ part)
     mean = covariance @ (part.T @ (away[known] / given.sigma[known]))
-    left = list(np.flatnonzero(values))
-    while left:
-        rows = given.slopes[left]
+    remaining = list(np.flatnonzero(values))
+    while remaining:
+        rows = given.slopes[remaining]
         spread = np.einsum("ij,jk,ik->i", rows, covariance, rows)
         at = int(np.argmin(spread))
-        k = left.pop(at)
+        k = remaining.pop(at)
         counts[k] = np.round((rows[at] @ mean - away[k]) / turn)
         gain = covariance @ rows[at] / (spread[at] + given.sigma[k] ** 2)
         mean = mean + gain * (away[k] + turn * counts[k] - rows[at] @ mean)

@@ -46,7 +46,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
             if follower != k:
                 yield from _displaced(given, k, follower)
     for follower in straight:
-        yield from _kept(given, follower)
+        yield from _constant_joint(given, follower)
 
 
 def _displaced(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
@@ -84,7 +84,7 @@ def _displaced(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
         yield from in_scopes(given.scopes, on)
 
 
-def _kept(given: Given, follower: int) -> Iterator[MistakeTrial]:
+def _constant_joint(given: Given, follower: int) -> Iterator[MistakeTrial]:
     """One coordinate as the instrument's length asks, whatever the file has: it may be
     rounded, or written otherwise.
     """

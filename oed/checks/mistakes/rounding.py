@@ -84,9 +84,9 @@ def _rounded(given: Given, words: str, error: Array, scope: Scope) -> MistakeTri
 
 
 def _with_sigma(session: SessionReadings, sigma: Array, at: Mask) -> SessionReadings:
-    """The session with standard deviations (N,) of its own in some values."""
+    """The session with other standard deviations (N,) in some values."""
     series = []
     for s, span in zip(session.series, session.spans, strict=True):
-        own = np.where(at[span], sigma[span], session.measurement.sigma([s]))
-        series.append(dataclasses.replace(s, sigma=own.reshape(len(s), -1)))
+        stated = np.where(at[span], sigma[span], session.measurement.sigma([s]))
+        series.append(dataclasses.replace(s, sigma=stated.reshape(len(s), -1)))
     return dataclasses.replace(session, series=tuple(series))

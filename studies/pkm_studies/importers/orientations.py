@@ -154,10 +154,10 @@ def check_sense(
         inner = candidate if turn is None else turn * candidate
         return _about_mean(commanded.inv() * inner, is_whole=is_whole)
 
-    seen = Rotation.from_matrix(stated)
-    rms, constant = misfit(seen)
+    rotation_read = Rotation.from_matrix(stated)
+    rms, constant = misfit(rotation_read)
     if rms > WORST_SHARE * spread:
-        for remedy, other in _alternatives(seen, given, is_whole=is_whole):
+        for remedy, other in _alternatives(rotation_read, given, is_whole=is_whole):
             if ALTERNATIVE * misfit(other)[0] < rms:
                 raise _other_orientation(rms, "", remedy, file)
     if rms > max(WORST_SHARE * spread, WORST_TURN):
@@ -187,7 +187,7 @@ def _about_mean(turns: Rotation, *, is_whole: bool) -> tuple[float, float]:
 
 
 def _alternatives(
-    seen: Rotation, given: OrientationColumns | None, *, is_whole: bool
+    rotation_read: Rotation, given: OrientationColumns | None, *, is_whole: bool
 ) -> Iterator[tuple[str, Rotation]]:
     """What else the columns may mean, with what to write in the map then."""
     if not is_whole:
@@ -199,10 +199,12 @@ def _alternatives(
             "give the angles of the inverse rotations: these take the instrument's frame"
             " into the platform's"
         )
-    yield flag, seen.inv()
+    yield flag, rotation_read.inv()
     if given is None or given.quaternion is None:
         return
-    written = (seen.inv() if inverse else seen).as_quat(scalar_first=True)
+    written = (rotation_read.inv() if inverse else rotation_read).as_quat(
+        scalar_first=True
+    )
     for by in (1, -1):
         names = ", ".join(f'"{name}"' for name in np.roll(given.quaternion, by))
         order = f"the scalar is another column: write quaternion = [{names}]"

@@ -21,7 +21,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
-from pkm_studies.importers import column_map, columns, orientations
+from pkm_studies.importers import column_map, columns, nominal_poses, orientations
 from pkm_studies.importers.base import (
     ImportedSession,
     ImportRequest,
@@ -125,12 +125,12 @@ def _registered(
     Raises InputError.
     """
     if given.registration == "known":
-        columns.check_orientations(rows, given, kinematics, tool, table)
+        nominal_poses.check_orientations(rows, given, kinematics, tool, table)
         return rows, ["Frame: the points are taken to be in the machine's frame."]
     angles = _orientation_columns(rows, tool, place)
-    names = [columns.channel_column(rows, channel) for channel in CHANNELS]
-    measured = columns.si_numbers(rows, names)
-    _, wanted = columns.nominal_frames(rows, kinematics, given)
+    names = [nominal_poses.channel_column(rows, channel) for channel in CHANNELS]
+    measured = nominal_poses.si_numbers(rows, names)
+    _, wanted = nominal_poses.nominal_frames(rows, kinematics, given)
     used = np.isfinite(measured).all(axis=1) & np.isfinite(wanted).all(axis=1)
     if used.sum() < 4:
         raise InputError(
@@ -149,7 +149,7 @@ def _registered(
             if np.isfinite(value)
         }
         changed.append({**row, **cells, **_turned_sigma(row, fit.rotation)})
-    columns.check_orientations(rows, given, kinematics, tool, table, fit.rotation)
+    nominal_poses.check_orientations(rows, given, kinematics, tool, table, fit.rotation)
     if angles and tool.orientation is not None:
         changed = orientations.rotate_rows(
             changed, angles, tool.orientation, fit.rotation

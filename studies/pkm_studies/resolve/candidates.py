@@ -11,7 +11,7 @@ from oed.base import units
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from pkm_studies.base.errors import Place, suggest
-from pkm_studies.resolve import grids, limits, lookup, quantities
+from pkm_studies.resolve import command_ranges, grids, limits, lookup, quantities
 from pkm_studies.resolve.grids import Circles, ReferencePlan
 from pkm_studies.resolve.quantities import format_value
 from pkm_studies.study import Study
@@ -136,7 +136,9 @@ def circles(
     ends = np.tile(machine.home_command, (2, 1))
     ends[:, columns.index(across)] = lower, upper
     tool = measurement.setups[table.setup].tool
-    grids.check_tool_workspace(measurement.kinematics, ends, {across: key}, place, tool)
+    command_ranges.check_tool_workspace(
+        measurement.kinematics, ends, {across: key}, place, tool
+    )
     return Circles(
         title=table.title or f"{table.setup}: circles over {across}",
         setup=table.setup,
@@ -175,7 +177,7 @@ def _spacing(
         )
         raise place.error("one range spaces the circles", f"give one, as in {example}")
     key, span = next(iter(table.coordinates.items()))
-    name, unit = quantities.split_key(key, grids.command_units(machine), place)
+    name, unit = quantities.split_key(key, command_ranges.command_units(machine), place)
     ends = float(units.to_si(span.from_, unit)), float(units.to_si(span.to, unit))
     return key, name, ends
 

@@ -14,7 +14,7 @@ from oed.design.quotas import QuotaSet
 from oed.design.weights import WEIGHED
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.base.errors import Place
-from pkm_studies.resolve import grids, lookup, quantities, quotas
+from pkm_studies.resolve import command_ranges, lookup, quantities, quotas
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
 from pkm_studies.study.tables import DesignTable
@@ -268,7 +268,9 @@ def _least_distance(
     if not table.apart:
         return None
     machine = measurement.machine
-    values = quantities.read_values(table.apart, grids.command_units(machine), place)
+    values = quantities.read_values(
+        table.apart, command_ranges.command_units(machine), place
+    )
     return np.array([values.get(c.name, 0.0) for c in machine.command])
 
 

@@ -21,7 +21,8 @@ from oed.model.instrument import Setup
 from oed.model.machine import Coordinate, Machine
 from pkm_studies.base.errors import Place, suggest
 from pkm_studies.resolve import poses, quantities
-from pkm_studies.resolve.quantities import format_as, format_value
+from pkm_studies.resolve.command_ranges import check_tool_workspace, command_units
+from pkm_studies.resolve.quantities import format_value
 from pkm_studies.study.tables import Axis, GridTable, Span
 
 #: most poses of one grid
@@ -109,11 +110,6 @@ class Circles:
         return planned_series(self.measurement, self.setup, command, labels, self.place)
 
 
-def command_units(machine: Machine) -> dict[str, str]:
-    """SI units of the command coordinates, by name."""
-    return {c.name: c.unit for c in machine.command}
-
-
 # -- commands --------------------------------------------------------------------------
 
 
@@ -188,42 +184,6 @@ def _axis_values(axis: Axis, place: Place) -> Array:
     if not values.size:
         raise place.error("the list is empty", "give at least one value")
     return values
-
-
-def check_workspace(
-    machine: Machine,
-    command: Array,
-    keys: Mapping[str, str],
-    place: Place,
-) -> None:
-    """Raises InputError for the first command outside the machine's workspace."""
-    for _, name, value, lower, upper in machine.out_of_range(command)[:1]:
-        unit, key = command_units(machine)[name], keys.get(name, name)
-        stated, low, high = (format_as(v, unit, key) for v in (value, lower, upper))
-        raise place.key(key).error(
-            f"{stated} is outside the workspace of {machine.name}",
-            f"{name} goes from {low} to {high}",
-        )
-
-
-def check_tool_workspace(
-    kinematics: Kinematics,
-    command: Array,
-    keys: Mapping[str, str],
-    place: Place,
-    tool: Sequence[float],
-) -> None:
-    """The same of a tool's commands.
-
-    The workspace moves with the tool as it points at home. Where a command is outside
-    it, it counts whether the reference tool is outside as well.
-    """
-    machine = kinematics.machine
-    outside = {row for row, *_ in machine.out_of_range(command, tuple(tool))}
-    if outside:
-        rows = command[sorted(outside)]
-        at_reference = kinematics.at_reference_tool(rows, np.array(tool))
-        check_workspace(machine, at_reference, keys, place)
 
 
 def solve_held(

@@ -16,7 +16,7 @@ from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from pkm_studies.base.errors import Place
-from pkm_studies.resolve import grids, quantities
+from pkm_studies.resolve import command_ranges, grids, quantities
 from pkm_studies.study import Study
 from pkm_studies.study.tables import PredictionTable
 
@@ -54,7 +54,7 @@ def prediction_request(study: Study, machine: Machine) -> PredictionRequest | No
             "give values with a unit",
             "hold",
         )
-    grids.check_workspace(machine, command, keys, place)
+    command_ranges.check_workspace(machine, command, keys, place)
     return PredictionRequest(study.prediction, command, _states(study))
 
 

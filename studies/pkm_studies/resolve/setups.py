@@ -13,7 +13,7 @@ from oed.model.instrument import Instrument, Protocol, Setup, mount
 from oed.model.machine import Machine
 from pkm_studies.base.errors import Place
 from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve import grids, quantities
+from pkm_studies.resolve import command_ranges, grids, quantities
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
 from pkm_studies.study.tables import SetupTable
@@ -139,7 +139,9 @@ def _teach(
         return None
     if not needs_teaching:
         raise place.error(f"{table.instrument} is not taught", "remove teach")
-    values = quantities.read_values(table.teach, grids.command_units(machine), place)
+    values = quantities.read_values(
+        table.teach, command_ranges.command_units(machine), place
+    )
     for c, key in zip(machine.command, keys, strict=True):
         if c.name not in values:
             raise place.key(key).error("missing", f"give every coordinate: {example}")

@@ -146,9 +146,12 @@ def _write_result(folder: Path, result: StudyResult) -> None:
     try:
         own_files.write_own(folder / RESULT, encoded)
     except OSError as error:
-        kept = Path(tempfile.mkdtemp(prefix="oed-"), RESULT)
-        files.write_whole(kept, encoded)
-        raise files.refusal(error, f"; the result is kept in {kept}") from error
+        further = "; the result is lost: no temporary folder takes it either"
+        with contextlib.suppress(OSError, InputError):
+            rescue = Path(tempfile.mkdtemp(prefix="oed-"), RESULT)
+            files.write_whole(rescue, encoded)
+            further = f"; the result is kept in {rescue}"
+        raise files.refusal(error, further) from error
 
 
 @contextlib.contextmanager

@@ -113,8 +113,8 @@ def _inherit(definitions: Schema, table: type[StudyTable]) -> None:
     names = [kind.__name__ for kind in table.__mro__ if kind.__name__ in definitions]
     for name in names[1:]:
         for field, inherited in definitions[name]["properties"].items():
-            own = definitions[names[0]]["properties"][field]
-            own.setdefault("description", inherited["description"])
+            described = definitions[names[0]]["properties"][field]
+            described.setdefault("description", inherited["description"])
 
 
 def _open(schema: Schema, free_keys: str) -> None:

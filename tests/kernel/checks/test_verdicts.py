@@ -131,7 +131,9 @@ def test_a_mistake_that_is_not_far_likelier_explains_nothing() -> None:
     assert explain._explanations([], nothing, before=90.0) == []
     left = candidate("in um", -10.0, ratio=50.0)
     assert explain._explanations([left], nothing, before=90.0) == []
-    assert len(explain._explanations([left], None, before=np.inf)) == 1
+    assert explain._explanations([left], None, before=np.inf) == []
+    small = candidate("in um", -10.0, ratio=1.5)
+    assert len(explain._explanations([small], None, before=np.inf)) == 1
 
 
 def test_of_one_mistake_the_likeliest_form_counts() -> None:

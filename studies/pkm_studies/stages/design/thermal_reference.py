@@ -11,7 +11,7 @@ from oed.base.arrays import Array
 from oed.design import move_times, order, schedule
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.base.errors import Place
-from pkm_studies.resolve import grids
+from pkm_studies.resolve import command_ranges, grids
 from pkm_studies.study.tables import OrderTable
 
 #: run of thermal reference readings
@@ -101,6 +101,8 @@ def reference_command(
         )
     if hold is not None:
         command = grids.mid_range(command, hold, machine, setup)
-    grids.check_tool_workspace(measurement.kinematics, command, keys, at, setup.tool)
+    command_ranges.check_tool_workspace(
+        measurement.kinematics, command, keys, at, setup.tool
+    )
     command, _ = grids.solve_held(measurement, name, command, hold, at, strict=True)
     return np.asarray(command[0])
