@@ -25,7 +25,7 @@ from oed.base.arrays import Array
 from oed.base.orientation import Orientation
 from oed.checks.mistakes.driven import commanded
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import CANNOT_BE, on_moved, pose_table
+from oed.checks.mistakes.moved import moved_trials
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
 
@@ -159,11 +159,5 @@ def _driven(given: Given) -> Iterator[MistakeTrial]:
             return np.column_stack([p, *(found[name] for name in orientation.names)])
 
         moved = commanded(given.session.measurement, change)
-        try:
-            table = pose_table(given, moved)
-        except CANNOT_BE:
-            continue
-        if table is not None:
-            sentence = f"the commanded poses{{within}} {mistake.words}"
-            on = on_moved(given, "frame", sentence, moved, table)
-            yield from in_scopes(given.scopes, on)
+        sentence = f"the commanded poses{{within}} {mistake.words}"
+        yield from moved_trials(given, "frame", sentence, moved)

@@ -12,6 +12,7 @@ import numpy as np
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
 from oed.checks.session import SessionReadings
+from oed.dataset.columns import column_name, parse_column
 
 #: noise within which two readings are the same
 SAME = 0.2
@@ -68,6 +69,19 @@ class Given:
         """SI unit (N,) of each value."""
         units = {c: self.session.unit(c) for c in dict.fromkeys(self.channel)}
         return np.asarray([units[c] for c in self.channel])
+
+    @functools.cached_property
+    def command(self) -> Array:
+        """Commanded poses (n, n_dof) of the readings, SI."""
+        return np.vstack([s.command[s.index[:, 0]] for s in self.session.series])
+
+    @functools.cached_property
+    def columns(self) -> dict[str, Array]:
+        """The same (n,) by column of the file, in its unit."""
+        command = self.session.measurement.machine.command
+        names = [column_name(c.name, c.unit) for c in command]
+        factors = [parse_column(name).factor for name in names]
+        return dict(zip(names, (self.command / factors).T, strict=True))
 
     @functools.cached_property
     def length(self) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -15,10 +16,10 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.driven import in_file, inside, turns_freely
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, on_moved, pose_table, undo_moved
+from oed.checks.mistakes.moved import Moved, displaced_trials, moved_trials
 from oed.checks.mistakes.pose import SLACK, STEP, searched_amounts
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, Words, in_scopes
+from oed.checks.mistakes.trial import MistakeTrial, Words
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
 from oed.measurement.measurement import Measurement, Series
@@ -57,31 +58,16 @@ def _displaced(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
         return program(measurement, k, follower, -by)
 
     for searched in searched_amounts(displaced):
-        amount, step = searched.amount, STEP * searched.spread
-        table = pose_table(given, moved(amount), [moved(amount + step)], [1.0 / STEP])
-        if table is None:
-            continue
-
-        def on(
-            scope: Scope,
-            amount: float = amount,
-            step: float = step,
-            table: PoseTable = table,
-        ) -> MistakeTrial:
-            return MistakeTrial(
-                kind="pose",
-                scope=scope,
-                words=_words(displaced, following, scope),
-                undo=undo_moved(given, scope, moved),
-                amounts=np.array([amount]),
-                steps=np.array([step]),
-                is_blind=True,
-                family=f"{k} with {follower} {scope.name}",
-                table=table,
-                mask=scope.values(given.session),
-            )
-
-        yield from in_scopes(given.scopes, on)
+        yield from displaced_trials(
+            given,
+            "pose",
+            partial(_words, displaced, following),
+            moved,
+            (searched.amount, STEP * searched.spread, searched.spread),
+            f"{k} with {follower}",
+            scopes=given.scopes,
+            is_blind=True,
+        )
 
 
 def _kept(given: Given, follower: int) -> Iterator[MistakeTrial]:
@@ -91,15 +77,12 @@ def _kept(given: Given, follower: int) -> Iterator[MistakeTrial]:
     measurement = given.session.measurement
     coordinate = measurement.machine.command[follower]
     moved = program(measurement, follower, follower, 0.0, keeps_length=True)
-    table = pose_table(given, moved)
-    if table is None or np.abs(table.predicted - given.predicted).max() < CLOSE:
-        return
     name = column_name(coordinate.name, coordinate.unit)
     sentence = (
         f"{name}{{within}} is not what was driven: it is rounded, or has another unit or"
         " origin, as the length of the instrument asks for other values"
     )
-    yield from in_scopes(given.scopes, on_moved(given, "pose", sentence, moved, table))
+    yield from moved_trials(given, "pose", sentence, moved)
 
 
 def _words(displaced: Coordinate, following: Coordinate, scope: Scope) -> Words:
