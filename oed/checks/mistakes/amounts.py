@@ -42,7 +42,8 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     yield from in_values(given, partial(_offset, given))
     yield from in_values(given, partial(_scale, given))
     yield from in_values(given, partial(_offsets_of_runs, given))
-    yield from _moved_setups(given)
+    scopes = [*given.scopes, *given.parts]
+    yield from filter(None, (_moved_setup(given, scope) for scope in scopes))
     yield from _sizes(given)
 
 
@@ -93,7 +94,8 @@ def _offset(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
         return f"{subject} off by {size} (sd {error}): {cause}"
 
     column = np.asarray(values, dtype=float)[:, None]
-    return _off_by(given, kind, scope, words, column, f"offset {channel}")
+    family = "offset" if len(set(given.channel)) == 1 else f"offset {channel}"
+    return _off_by(given, kind, scope, words, column, family)
 
 
 def _offsets_of_runs(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
@@ -156,21 +158,28 @@ def _log_size(factor: float) -> float:
 # -- set-ups that moved ----------------------------------------------------------------
 
 
-def _moved_setups(given: Given) -> Iterator[MistakeTrial]:
+def _moved_setup(given: Given, scope: Scope) -> MistakeTrial | None:
     """The unknowns of a set-up anew in one run, or in the first or last rows."""
-    session = given.session
-    names = session.values["setup"].to_numpy()
-    for scope in [*given.scopes, *given.parts]:
-        at = scope.values(session)
-        setup = str(names[at][0])
-        others = (names == setup) & ~at
-        if scope.level not in ("run", "rows") or not others.any():
-            continue
-        if (names[at] != setup).any():
-            continue
-        free = _unknowns(given, setup)
-        if 0 < 2 * free.size <= at.sum() and not _is_an_offset(given, free, at):
-            yield _moved_setup(given, scope, setup, free, at)
+    names = given.session.values["setup"].to_numpy()
+    at = scope.values(given.session)
+    setup = str(names[at][0])
+    is_part = scope.level in ("run", "rows") and ((names == setup) & ~at).any()
+    free = _unknowns(given, setup)
+    if not is_part or (names[at] != setup).any() or _is_an_offset(given, free, at):
+        return None
+    if not 0 < 2 * free.size <= at.sum():
+        return None
+    return MistakeTrial(
+        kind="run",
+        scope=scope,
+        words=lambda amounts, sd: (
+            f"what {setup} is set up on stood elsewhere{scope.within}: it moved, or was set"
+            " up again"
+        ),
+        undo=lambda amounts: [_set_up_again(given.session, scope.readings, setup)],
+        family=f"moved {scope.name}",
+        columns=np.where(at[:, None], given.slopes[:, free], 0.0),
+    )
 
 
 def _unknowns(given: Given, setup: str) -> Index:
@@ -185,22 +194,6 @@ def _is_an_offset(given: Given, free: Index, at: Mask) -> bool:
     """Whether the only unknown of a set-up moves all its readings alike."""
     slopes = given.slopes[np.ix_(at, free)]
     return free.size == 1 and bool(np.ptp(slopes) <= 1e-9 * np.abs(slopes).max())
-
-
-def _moved_setup(
-    given: Given, scope: Scope, setup: str, free: Index, at: Mask
-) -> MistakeTrial:
-    return MistakeTrial(
-        kind="run",
-        scope=scope,
-        words=lambda amounts, sd: (
-            f"what {setup} is set up on stood elsewhere{scope.within}: it moved, or was set"
-            " up again"
-        ),
-        undo=lambda amounts: [_set_up_again(given.session, scope.readings, setup)],
-        family=f"moved {scope.name}",
-        columns=np.where(at[:, None], given.slopes[:, free], 0.0),
-    )
 
 
 def _set_up_again(

@@ -76,9 +76,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
 def _groups(given: Given, scope: Scope, *, each: bool) -> list[Index]:
     """Values of each channel in the order in which they were read, by run or all."""
     session = given.session
-    parts = [scope]
-    if each or scope.level == "runs":
-        parts = [s for s in given.runs if np.isin(s.readings, scope.readings).all()]
+    parts = given.runs_in(scope) if each or scope.level == "runs" else [scope]
     groups = []
     for part in parts:
         at = part.values(session) & given.shown

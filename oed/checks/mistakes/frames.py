@@ -80,16 +80,13 @@ def _of_axes(turn: Array) -> Iterator[FrameMistake]:
         f"{AXES[k]} is {'-' if row.sum() < 0.0 else ''}{AXES[int(np.argmax(np.abs(row)))]}"
         for k, row in enumerate(turn)
     )
-    if np.linalg.det(turn) < 0.0:
-        yield FrameMistake(
-            f"are in a left-handed frame: {axes}",
-            lambda p, r: (p @ turn, turn.T @ r @ turn),
-        )
-        return
+    is_left = np.linalg.det(turn) < 0.0
+    way = "a left-handed frame" if is_left else "a frame whose axes stand otherwise"
     yield FrameMistake(
-        f"are in a frame whose axes stand otherwise: {axes}",
-        lambda p, r: (p @ turn, turn.T @ r @ turn),
+        f"are in {way}: {axes}", lambda p, r: (p @ turn, turn.T @ r @ turn)
     )
+    if is_left:
+        return
     yield FrameMistake(
         f"are in a frame that is turned: {axes}",
         lambda p, r: (p @ turn, turn.T @ r),

@@ -133,6 +133,10 @@ class Given:
         """Each run."""
         return run_scopes(self.session)
 
+    def runs_in(self, scope: Scope) -> list[Scope]:
+        """Each run that a scope has whole."""
+        return [s for s in self.runs if np.isin(s.readings, scope.readings).all()]
+
     @functools.cached_property
     def instruments(self) -> list[tuple[Scope, Mask]]:
         """Values (N,) that one instrument may have read in several set-ups."""

@@ -57,9 +57,7 @@ def _groups(given: Given, scope: Scope, *, each: bool) -> list[Index]:
     if len(given.runs) == 1 and scope.level == "file" and not each:
         return []
     if each or scope.level == "runs":
-        return [
-            s.readings for s in given.runs if np.isin(s.readings, scope.readings).all()
-        ]
+        return [run.readings for run in given.runs_in(scope)]
     return [scope.readings]
 
 

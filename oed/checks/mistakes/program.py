@@ -16,10 +16,10 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.driven import in_file, inside, turns_freely
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, displaced_trials, moved_trials
+from oed.checks.mistakes.moved import Moved, displaced_trials, on_moved, pose_table
 from oed.checks.mistakes.pose import SLACK, STEP, searched_amounts
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, Words
+from oed.checks.mistakes.trial import MistakeTrial, Words, in_scopes
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
 from oed.measurement.measurement import Measurement, Series
@@ -77,12 +77,15 @@ def _kept(given: Given, follower: int) -> Iterator[MistakeTrial]:
     measurement = given.session.measurement
     coordinate = measurement.machine.command[follower]
     moved = program(measurement, follower, follower, 0.0, keeps_length=True)
+    table = pose_table(given, moved)
+    if table is None or np.abs(table.predicted - given.predicted).max() < CLOSE:
+        return
     name = column_name(coordinate.name, coordinate.unit)
     sentence = (
         f"{name}{{within}} is not what was driven: it is rounded, or has another unit or"
         " origin, as the length of the instrument asks for other values"
     )
-    yield from moved_trials(given, "pose", sentence, moved)
+    yield from in_scopes(given.scopes, on_moved(given, "pose", sentence, moved, table))
 
 
 def _words(displaced: Coordinate, following: Coordinate, scope: Scope) -> Words:
@@ -116,13 +119,13 @@ def program(
 
     def moved(series: Series) -> Series | None:
         setup = measurement.setups[series.setup]
-        has_length = setup.instrument.fixed_reading is not None
-        if not has_length or not np.isfinite(series.command).all():
+        length = setup.instrument.fixed_reading
+        if length is None or not np.isfinite(series.command).all():
             return None
-        length = None
-        if keeps_length and setup.instrument.fixed_reading is not None:
-            length = setup.instrument.fixed_reading(setup.settings)
-        return _solved(measurement, series, k, follower, amount, length)
+        goal = _first_channel(measurement, series)
+        if keeps_length:
+            goal[:] = length(setup.settings)
+        return _solved(measurement, series, k, follower, amount, goal)
 
     return moved
 
@@ -133,13 +136,11 @@ def _solved(
     k: int,
     follower: int,
     amount: float,
-    length: float | None,
+    goal: Array,
 ) -> Series | None:
+    """The same, with readings (n,) of the first channel that are a goal."""
     setup = measurement.setups[series.setup]
     rows = in_file(series, is_taught=setup.teach is not None)
-    goal = _first_channel(measurement, series)
-    if length is not None:
-        goal = np.full_like(goal, length)
     command = series.command.copy()
     command[rows, k] += amount
     place = _place_of_rows(series, rows)
@@ -192,4 +193,4 @@ def _at(measurement: Measurement, series: Series, command: Array) -> Series:
 def _first_channel(measurement: Measurement, series: Series) -> Array:
     count = len(measurement.setups[series.setup].instrument.channels)
     y = measurement.readings([series], measurement.nominal)
-    return y[::count]
+    return y[::count].copy()

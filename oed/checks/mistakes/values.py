@@ -12,6 +12,7 @@ from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_values, value_trial
+from oed.dataset import notations
 
 #: units that a file's readings may be in, beside those of a column
 OTHERS = {"m": {"inch": units.INCH}}
@@ -21,14 +22,7 @@ DIVISIONS = {"m": ("divisions of 0.01 mm", 1e-5)}
 #: standard deviations of a prediction from zero from which on its sign is known
 SURE = 3.0
 #: what readings, or deviations, are of what they should be
-FACTORS = {
-    "half of": 0.5,
-    "twice": 2.0,
-    "a tenth of": 0.1,
-    "ten times": 10.0,
-    "a hundredth of": 0.01,
-    "a hundred times": 100.0,
-}
+FACTORS = {**notations.FACTORS, "a hundredth of": 0.01, "a hundred times": 100.0}
 #: the same of readings without a decimal point, and of deviations in another unit
 POINT_LOST = {f"{10**k} times": 10.0**k for k in range(4, 8)}
 THOUSANDS = {"a thousandth of": 1e-3, "a thousand times": 1e3}
