@@ -21,13 +21,16 @@ from oed.checks.ranges import Ranges, predict_ranges
 from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 from oed.checks.times import wrong_times
+from oed.result.trust import ALARM
 
 #: values from which on mistakes are tried: fewer fit too many of them
 LEAST_VALUES = 8
 #: outliers that are tried as an exchanged pair, at most
 MOST_PAIRED = 6
 #: kinds of findings on how large the residuals are
-FIT_KINDS = ("fit", "guess", "too_small")
+FIT_KINDS = ("fit", "guess", "law", "too_small")
+#: residuals over the stated noise from which on it is said that a law explains them
+LARGE_BY_LAW = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,6 +202,8 @@ def _fit_findings(
         return []
     if fitted.too_large:
         return [sentences.guessed(fitted.ratio, outliers)]
+    if fitted.p_high < ALARM and fitted.ratio > LARGE_BY_LAW:
+        return [sentences.explained_by_law(fitted, outliers)]
     if fitted.too_small:
         return [sentences.too_small(fitted, outliers)]
     return []

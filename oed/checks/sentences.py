@@ -8,7 +8,7 @@ import numpy as np
 
 from oed.base import text
 from oed.base.arrays import Index
-from oed.checks.copies import CoarseReadings, EqualReadings
+from oed.checks.copies import CoarseReadings, EqualReadings, coarse_columns
 from oed.checks.explain import Explanation
 from oed.checks.far_reading import FarReading
 from oed.checks.findings import CheckFinding, Severity
@@ -95,8 +95,10 @@ def too_large(
             f"{_other_unit(fitted.ratio)}an effect of this size is not in the model, or"
             " the readings have a mistake that is not a usual one"
         )
-    sentence = f"{sentence} {many}None of the usual mistakes explains it: {cause}."
-    return CheckFinding(Severity.BAD_FIT, "fit", sentence)
+    reason = f"None of the usual mistakes explains it: {cause}"
+    if coarse_columns(session):
+        reason = "Columns are rounded beyond the stated noise, which may be all of it"
+    return CheckFinding(Severity.BAD_FIT, "fit", f"{sentence} {many}{reason}.")
 
 
 def _other_unit(ratio: float) -> str:
@@ -133,6 +135,18 @@ def guessed(ratio: float, outliers: OutlierSearch) -> CheckFinding:
         " deviations come from the residuals, as `estimate` in [noise] asks."
     )
     return CheckFinding(Severity.REMARK, "guess", sentence)
+
+
+def explained_by_law(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:
+    """Residuals above the stated noise that a noise law from the readings explains."""
+    misfit = _misfit(fitted, outliers)
+    sentence = (
+        f"{capital(misfit)}: more than it explains. A larger noise, carried along a run or"
+        " shared by it, explains them as well as an effect or a mistake that is not a"
+        " usual one: read some poses again on the spot. If these readings agree, it is"
+        " no noise."
+    )
+    return CheckFinding(Severity.REMARK, "law", sentence)
 
 
 def too_small(fitted: Goodness, outliers: OutlierSearch) -> CheckFinding:

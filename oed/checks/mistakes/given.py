@@ -60,6 +60,12 @@ class Given:
         return np.asarray(np.hypot(by_tolerance, self.sigma))
 
     @functools.cached_property
+    def commands(self) -> Array:
+        """Command (N, n_dof) at which each value was read; NaN where it has none."""
+        commands = np.vstack([series.command for series in self.session.series])
+        return commands[self.session.reading_of_value]
+
+    @functools.cached_property
     def channel(self) -> Array:
         """Channel (N,) of each value, by name."""
         return np.asarray(self.session.values["channel"].to_numpy())

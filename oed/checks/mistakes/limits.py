@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
+from scipy import special
 
 from oed.base.arrays import Array, Mask
 from oed.checks.copies import resolution
@@ -25,8 +26,12 @@ FINEST = 1e-6
 REVOLUTIONS = {"m": (1e-3, 0.1e-3, 0.2e-3, 10e-3), "rad": (2.0 * np.pi, np.pi)}
 #: noise from which on a revolution is told from it
 SURE = 8.0
+#: divisions of a dial, at least
+DIVISIONS = 10.0
 #: noise over that which is stated: another unit, by SI unit
 OTHER_NOISE = {"m": (1e3, 1e-3, 1e6, 1e-6), "rad": (3600.0, 1.0 / 3600.0, 1e3, 1e-3)}
+#: level at which residuals depend on the pose, so that they are no noise
+TREND = 1e-4
 #: log prior of another noise: misfits of an effect look like noise as well
 SELDOM = -3.0
 
@@ -90,11 +95,12 @@ def _revolved(
     if set(given.unit[values]) != {si} or scope.level == "rows" or base is None:
         return None
     away = session.y - base
-    is_in_one = min(np.ptp(away[values]), np.ptp(session.y[values])) <= turn
-    if not is_in_one or turn < SURE * given.sigma[values].max():
+    is_in_one = np.ptp(away[values]) <= turn or np.abs(session.y[values]).max() <= turn
+    step = resolution(session, np.flatnonzero(values))
+    if not is_in_one or turn < max(SURE * given.sigma[values].max(), DIVISIONS * step):
         return None
     counts = _counts(given, values, away, turn)
-    if not counts[values].any():
+    if np.ptp(counts[values]) == 0.0:  # one shift of all is no dial that goes round
         return None
     y = session.y + np.where(values, turn * counts, 0.0)
     shown = f"{turn * 1e3:g} mm" if si == "m" else f"{np.rad2deg(turn):g} deg"
@@ -141,6 +147,8 @@ def _other_noise(
     of_unit = given.shown & (given.unit == si)
     if scope.level != "file" or not np.array_equal(values, of_unit):
         return None
+    if factor > 1.0 and _depends_on_pose(given, values, factor):
+        return None
     channel = str(given.channel[values][0])
     stated = float(np.median(given.sigma[values]))
     sentence = (
@@ -155,6 +163,47 @@ def _other_noise(
         log_prior=SELDOM,
         noise=np.where(values, factor, 1.0),
     )
+
+
+def _depends_on_pose(given: Given, values: Mask, factor: float) -> bool:
+    """Whether what a fit with more noise leaves is a smooth function of the commands.
+
+    An F test of second-order polynomials, channel by channel: noise has no such part.
+    """
+    base = given.bases(values).get("the nominal machine")
+    if base is None:
+        return False
+    sigma = factor * given.sigma[values]
+    white = given.slopes[values] / sigma[:, None]
+    away = (given.session.y - base)[values] / sigma
+    precision = np.eye(white.shape[1]) + white.T @ white
+    residual = away - white @ np.linalg.solve(precision, white.T @ away)
+    channels = given.channel[values]
+    return any(
+        _trend_p_value(given.commands[values][at], residual[at]) < TREND
+        for at in (channels == name for name in dict.fromkeys(channels))
+    )
+
+
+def _trend_p_value(commands: Array, residual: Array) -> float:
+    """Probability of a polynomial as large as that in residuals (n,), were they noise.
+
+    commands  (n, n_dof) of the values
+    """
+    varied = commands[:, np.ptp(commands, axis=0) > 0.0]
+    scaled = (varied - varied.mean(axis=0)) / np.maximum(varied.std(axis=0), 1e-300)
+    i, j = np.triu_indices(scaled.shape[1])
+    terms = np.column_stack([np.ones(len(scaled)), scaled, scaled[:, i] * scaled[:, j]])
+    basis = np.linalg.svd(terms, full_matrices=False)[0][
+        :, : np.linalg.matrix_rank(terms)
+    ]
+    freedom = len(residual) - basis.shape[1]
+    if freedom < basis.shape[1]:
+        return 1.0
+    explained = float(np.sum((basis.T @ residual) ** 2))
+    rest = float(residual @ residual) - explained
+    ratio = explained / basis.shape[1] / max(rest / freedom, 1e-300)
+    return float(special.fdtrc(basis.shape[1], freedom, ratio))
 
 
 def _with_noise(session: SessionReadings, si: str, factor: float) -> SessionReadings:
