@@ -96,6 +96,15 @@ def _of_axes(turn: Array) -> Iterator[FrameMistake]:
     )
 
 
+def _unframed(orientation: Orientation, mistake: FrameMistake, poses: Array) -> Array:
+    """Poses (n, 6), places and angles, without a mistake."""
+    read = mistake.orientation or orientation
+    angles = dict(zip(orientation.names, poses[:, 3:].T, strict=True))
+    p, r = mistake.undo(poses[:, :3], read.matrices(angles))
+    found = orientation.angles(r)
+    return np.column_stack([p, *(found[name] for name in orientation.names)])
+
+
 # -- poses that are read ---------------------------------------------------------------
 
 
@@ -115,21 +124,17 @@ def _read_otherwise(
 ) -> MistakeTrial | None:
     session = given.session
     at = scope.values(session)
-    angles = [at & (given.channel == name) for name in orientation.names]
-    place = [at & (given.channel == f"read_{axis}") for axis in AXES]
-    count = {int(mask.sum()) for mask in (*angles, *place)}
+    names = [*(f"read_{axis}" for axis in AXES), *orientation.names]
+    masks = [at & (given.channel == name) for name in names]
+    count = {int(mask.sum()) for mask in masks}
     if len(count) > 1 or 0 in count:
         return None
-    read = mistake.orientation or orientation
-    rotation = read.matrices(
-        {n: session.y[m] for n, m in zip(orientation.names, angles, strict=True)}
-    )
-    p, r = mistake.undo(np.column_stack([session.y[m] for m in place]), rotation)
+    poses = np.column_stack([session.y[mask] for mask in masks])
     y = session.y.copy()
-    for mask, values in zip(place, p.T, strict=True):
+    for mask, values in zip(
+        masks, _unframed(orientation, mistake, poses).T, strict=True
+    ):
         y[mask] = values
-    for mask, name in zip(angles, orientation.names, strict=True):
-        y[mask] = orientation.angles(r)[name]
     sentence = f"the poses that were read{scope.within} {mistake.words}"
     return value_trial(session, "frame", scope, sentence, y)
 
@@ -145,16 +150,7 @@ def _driven(given: Given) -> Iterator[MistakeTrial]:
     if orientation is None or names != [*AXES, *orientation.names]:
         return
     for mistake in _mistakes(orientation):
-        read = mistake.orientation or orientation
-
-        def change(
-            values: Array, mistake: FrameMistake = mistake, read: Orientation = read
-        ) -> Array:
-            angles = dict(zip(orientation.names, values[:, 3:].T, strict=True))
-            p, r = mistake.undo(values[:, :3], read.matrices(angles))
-            found = orientation.angles(r)
-            return np.column_stack([p, *(found[name] for name in orientation.names)])
-
+        change = partial(_unframed, orientation, mistake)
         moved = commanded(given.session.measurement, change)
         sentence = f"the commanded poses{{within}} {mistake.words}"
         yield from moved_trials(given, "frame", sentence, moved)

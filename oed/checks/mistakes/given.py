@@ -60,12 +60,6 @@ class Given:
         return np.asarray(np.hypot(by_tolerance, self.sigma))
 
     @functools.cached_property
-    def commands(self) -> Array:
-        """Command (N, n_dof) at which each value was read; NaN where it has none."""
-        commands = np.vstack([series.command for series in self.session.series])
-        return commands[self.session.reading_of_value]
-
-    @functools.cached_property
     def channel(self) -> Array:
         """Channel (N,) of each value, by name."""
         return np.asarray(self.session.values["channel"].to_numpy())
@@ -78,7 +72,7 @@ class Given:
 
     @functools.cached_property
     def command(self) -> Array:
-        """Commanded poses (n, n_dof) of the readings, SI."""
+        """Commanded poses (n, n_dof) of the readings, SI; NaN where there are none."""
         return np.vstack([s.command[s.index[:, 0]] for s in self.session.series])
 
     @functools.cached_property

@@ -133,17 +133,9 @@ def _with_tool(
     """The session with the tool point of these set-ups moved by amounts, m."""
     measurement = session.measurement
 
-    def shift(amounts: Array) -> list[SessionReadings]:
-        away = np.zeros(3)
-        away[list(axes)] = amounts
-        series, other = session.series, measurement
-        if "read" in uses:
-            other = measured(tuple(names), tuple(away.tolist()))
-        if "driven" in uses:
-            series = tuple(driven(s, away) if s.setup in names else s for s in series)
-        return [dataclasses.replace(session, measurement=other, series=series)]
-
     def driven(series: Series, away: Array) -> Series:
+        if series.setup not in names or "driven" not in uses:
+            return series
         if not np.isfinite(series.command).all():
             raise ValueError("recorded joints have no command")
         tool = np.array(measurement.setups[series.setup].tool) + away
@@ -152,6 +144,15 @@ def _with_tool(
             command = measurement.machine.with_tool(command, away)
         x, q = measurement.kinematics.sent(command, tool)
         return dataclasses.replace(series, q=q, start=x)
+
+    def shift(amounts: Array) -> list[SessionReadings]:
+        away = np.zeros(3)
+        away[list(axes)] = amounts
+        series = tuple(driven(s, away) for s in session.series)
+        other = measurement
+        if "read" in uses:
+            other = measured(tuple(names), tuple(away.tolist()))
+        return [dataclasses.replace(session, measurement=other, series=series)]
 
     return shift
 
