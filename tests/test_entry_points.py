@@ -9,7 +9,7 @@ import pytest
 from pkm_studies.catalogue import catalogue
 from pkm_studies.commands.cli import main
 
-MODULE = """
+MODULE = '''
 import dataclasses
 from pkm_models.machines import planar_2dof
 from pkm_models.effects import backlash
@@ -25,17 +25,26 @@ table = ControllerFormat(
 )
 
 
+STUDY = """schema = 1
+name = "a"
+machine = { model = "planar_2dof" }
+setup = [{ name = "a", instrument = "position" }]
+readings = { files = ["a.readings.csv"] }
+"""
+
+
 class Importer:
     name = "shop_files"
     about = "the shop's files"
 
     def read(self, request):
-        row = {"setup": "a", "run": "1", "order": "1"}
-        return ImportedSession(study="schema = 1", rows=[row], statements=[])
+        row = {"setup": "a", "run": "1", "order": "1", "y_mm": "0", "z_mm": "500"}
+        row |= {"read_y_mm": "0.01", "read_z_mm": "500.01"}
+        return ImportedSession(study=STUDY, rows=[row], statements=[])
 
 
 files = Importer()
-"""
+'''
 ENTRY_POINTS = """
 [pkm_oed.machines]
 shop_arm = shop_models:arm

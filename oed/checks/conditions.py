@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
-from oed.base.arrays import Mask
+from oed.base.arrays import Array, Mask
 from oed.checks.findings import CheckFinding, Severity
 from oed.checks.session import SessionReadings
+from oed.checks.words import listing
 from oed.dataset.columns import (
     FEED_UNIT,
     TEMPERATURE,
@@ -31,16 +30,11 @@ RANGES = {
 KELVIN, COLD = 273.15, 213.15
 #: how much smaller a fine unit than that of the column may be
 FINE = 1e3
-#: rows that a sentence names
-NAMED = 6
 
 
 def doubtful_conditions(session: SessionReadings) -> list[CheckFinding]:
     """Covariates outside the range that machines work at, by column and row."""
-    return list(_findings(session))
-
-
-def _findings(session: SessionReadings) -> Iterator[CheckFinding]:
+    findings = []
     frame = session.values.iloc[session.firsts]
     for stem in filter(is_covariate, frame.columns):
         limits = next((v for k, v in RANGES.items() if stem.startswith(k)), None)
@@ -49,31 +43,35 @@ def _findings(session: SessionReadings) -> Iterator[CheckFinding]:
         values = frame[stem].to_numpy(dtype=float)
         outside = np.isfinite(values) & ((values < limits[0]) | (values > limits[1]))
         if outside.any():
-            yield _doubt(session, stem, outside)
+            findings.append(_doubt(session, stem, limits, values, outside))
+    return findings
 
 
-def _doubt(session: SessionReadings, stem: str, outside: Mask) -> CheckFinding:
-    lower, upper = next(v for k, v in RANGES.items() if stem.startswith(k))
+def _doubt(
+    session: SessionReadings,
+    stem: str,
+    limits: tuple[float, float],
+    values: Array,
+    outside: Mask,
+) -> CheckFinding:
     name = column_name(stem, covariate_unit(stem))
     factor = parse_column(name).factor
     rows = session.rows(np.flatnonzero(outside))
-    values = session.values[stem].to_numpy(dtype=float)[session.firsts][outside]
+    ends = values[outside].min(), values[outside].max()
     unit = FEED_UNIT if name.endswith(FEED_UNIT) else name.rpartition("_")[2]
-    listed = ", ".join(str(row) for row in rows[:NAMED])
-    more = ", ..." if len(rows) > NAMED else ""
-    between = f"{values.min() / factor:.6g}"
-    if np.ptp(values) > 0.0:
-        between += f" to {values.max() / factor:.6g}"
+    between = f"{ends[0] / factor:.6g}"
+    if ends[1] > ends[0]:
+        between += f" to {ends[1] / factor:.6g}"
+    lower, upper = (limit / factor for limit in limits)
     sentence = (
-        f"{name} is {between} in {len(rows)} row{'s' if len(rows) > 1 else ''} (row"
-        f"{'s' if len(rows) > 1 else ''} {listed}{more}), outside {lower / factor:.6g} to"
-        f" {upper / factor:.6g} {unit}: {_cause(stem, values.min(), values.max())}."
+        f"{name} is {between} in {len(rows)} row{'s' if len(rows) > 1 else ''}"
+        f" ({listing(rows)}), outside {lower:.6g} to {upper:.6g} {unit}:"
+        f" {_cause(stem, *ends, limits[1])}."
     )
     return CheckFinding(Severity.ORDER, "condition", sentence, rows)
 
 
-def _cause(stem: str, least: float, largest: float) -> str:
-    upper = next(v for k, v in RANGES.items() if stem.startswith(k))[1]
+def _cause(stem: str, least: float, largest: float, upper: float) -> str:
     if stem.startswith(TEMPERATURE):
         if least >= COLD and largest <= KELVIN + upper:
             return f"kelvin, not Celsius? Subtract {KELVIN}"

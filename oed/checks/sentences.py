@@ -19,13 +19,11 @@ from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
 from oed.checks.typed import other_number
-from oed.checks.words import capital
+from oed.checks.words import NAMED, capital, listing
 from oed.dataset.file_rows import Row
 from oed.result.goodness import without_rows
 from oed.result.trust import GUESS
 
-#: rows that a sentence names, at most
-NAMED = 6
 #: ratio of probabilities below which readings do not tell two mistakes apart
 TIE = 10.0
 #: factors between units of noise, and within which a misfit is such a factor
@@ -88,7 +86,9 @@ def too_large(
     if outliers.exhausted:
         many = "More rows deviate than can be single outliers. "
     elif rows:
-        many = f"{_count(rows)} are off the same way ({_listing(rows)}): no single errors. "
+        many = (
+            f"{_count(rows)} are off the same way ({listing(rows)}): no single errors. "
+        )
     cause = "the noise is understated, or an effect is not in the model"
     if fitted.ratio is not None and fitted.ratio > GUESS:
         cause = (
@@ -189,7 +189,7 @@ def computed(session: SessionReadings, readings: Index) -> CheckFinding:
     equal = "equals that" if len(rows) == 1 else "equal those"
     sentence = (
         f"{_count(rows)} {equal} of the nominal machine to within a small part of the"
-        f" noise: computed, not measured? ({_listing(rows)})"
+        f" noise: computed, not measured? ({listing(rows)})"
     )
     return CheckFinding(Severity.BAD_FIT, "computed", sentence, rows)
 
@@ -215,7 +215,7 @@ def interpolated(session: SessionReadings, readings: Index) -> CheckFinding:
     rows = session.rows(readings)
     sentence = (
         f"{_count(rows)} {'lies' if len(rows) == 1 else 'lie'} half-way between the"
-        f" neighbours to the last digit: interpolated, not measured? ({_listing(rows)})"
+        f" neighbours to the last digit: interpolated, not measured? ({listing(rows)})"
     )
     return CheckFinding(Severity.COPIES, "interpolated", sentence, rows)
 
@@ -309,7 +309,7 @@ def outside(session: SessionReadings, ranges: Ranges, values: Index) -> CheckFin
     sentence = (
         f"{_count(rows)} {lie} outside the range that tolerances and noise predict; the"
         f" farthest: {_place(session, first)}, predicted {lower} to {upper}"
-        f" ({_listing(rows)})."
+        f" ({listing(rows)})."
     )
     return CheckFinding(Severity.REMARK, "outside", sentence, rows)
 
@@ -326,12 +326,6 @@ def _place(session: SessionReadings, value: int) -> str:
 
 def _count(rows: Sequence[Row]) -> str:
     return "1 reading" if len(rows) == 1 else f"{len(rows)} readings"
-
-
-def _listing(rows: Sequence[Row]) -> str:
-    shown = ", ".join(str(k) for k in rows[:NAMED])
-    more = ", ..." if len(rows) > NAMED else ""
-    return f"row{'s' if len(rows) > 1 else ''} {shown}{more}"
 
 
 def _times(ratio: float) -> str:

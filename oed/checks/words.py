@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+from oed.dataset.file_rows import Row
 
 #: digits of a number that a person reads
 DIGITS = 4
+#: rows that a sentence names, at most
+NAMED = 6
 
 
 def rounded(value: float, sd: float) -> str:
@@ -25,3 +30,10 @@ def rounded(value: float, sd: float) -> str:
 def capital(text: str) -> str:
     """A text with a capital at its beginning."""
     return text[:1].upper() + text[1:]
+
+
+def listing(rows: Sequence[Row]) -> str:
+    """`rows 3, 7, ...`."""
+    shown = ", ".join(str(k) for k in rows[:NAMED])
+    more = ", ..." if len(rows) > NAMED else ""
+    return f"row{'s' if len(rows) > 1 else ''} {shown}{more}"

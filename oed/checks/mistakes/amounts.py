@@ -16,7 +16,6 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
-from oed.checks.fit import Fit
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import with_moved
 from oed.checks.mistakes.scope import Scope
@@ -43,7 +42,8 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     yield from in_values(given, partial(_offset, given))
     yield from in_values(given, partial(_scale, given))
     yield from in_values(given, partial(_offsets_of_runs, given))
-    yield from _moved_setups(given)
+    scopes = [*given.scopes, *given.parts]
+    yield from filter(None, (_moved_setup(given, scope) for scope in scopes))
     yield from _sizes(given)
 
 
@@ -60,32 +60,42 @@ def _of_one(given: Given, scope: Scope, values: Mask) -> tuple[str, str] | None:
     return channel, f"all readings of {given.names(values)}{scope.within} are"
 
 
+def _off_by(
+    given: Given, kind: str, scope: Scope, words: Words, columns: Array, family: str
+) -> MistakeTrial:
+    """Values that are off by columns (N, k) times amounts."""
+    session = given.session
+    size = np.abs(columns)
+    noise = np.broadcast_to(given.sigma[:, None], size.shape)
+    step = float((noise[size > 0.0] / size[size > 0.0]).min())
+    return MistakeTrial(
+        kind=kind,
+        scope=scope,
+        words=words,
+        undo=lambda amounts: [session.with_y(session.y - columns @ amounts)],
+        amounts=np.zeros(columns.shape[1]),
+        steps=np.full(columns.shape[1], step),
+        family=f"{family} {scope.name}",
+        columns=columns,
+    )
+
+
 def _offset(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
     session, one = given.session, _of_one(given, scope, values)
     if one is None:
         return None
     channel, subject = one
-    cause = "the bar length or the zero of the instrument is wrong"
+    kind, cause = "offset", "the bar length or the zero of the instrument is wrong"
     if scope.is_part:
-        cause = "the set-up moved or was zeroed again"
-    alone = len(set(given.channel)) == 1
+        kind, cause = "run", "the set-up moved or was zeroed again"
 
     def words(amounts: Array, sd: Array) -> str:
         size, error = (session.fine(channel, float(v[0])) for v in (amounts, sd))
         return f"{subject} off by {size} (sd {error}): {cause}"
 
-    return MistakeTrial(
-        kind="run" if scope.is_part else "offset",
-        scope=scope,
-        words=words,
-        undo=lambda amounts: [session.with_y(session.y - amounts[0] * values)],
-        amounts=np.zeros(1),
-        steps=np.array([float(given.sigma[values].min())]),
-        family=f"offset {channel} {scope.name}"
-        if not alone
-        else f"offset {scope.name}",
-        columns=np.asarray(values, dtype=float)[:, None],
-    )
+    column = np.asarray(values, dtype=float)[:, None]
+    family = "offset" if len(set(given.channel)) == 1 else f"offset {channel}"
+    return _off_by(given, kind, scope, words, column, family)
 
 
 def _offsets_of_runs(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
@@ -104,16 +114,7 @@ def _offsets_of_runs(given: Given, scope: Scope, values: Mask) -> MistakeTrial |
             " was not zeroed at each run, or moved between them"
         )
 
-    return MistakeTrial(
-        kind="run",
-        scope=scope,
-        words=words,
-        undo=lambda amounts: [session.with_y(session.y - columns @ amounts)],
-        amounts=np.zeros(columns.shape[1]),
-        steps=np.full(columns.shape[1], float(given.sigma[values].min())),
-        family=f"offsets {channel} {scope.name}",
-        columns=columns,
-    )
+    return _off_by(given, "run", scope, words, columns, f"offsets {channel}")
 
 
 def _scale(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
@@ -157,21 +158,28 @@ def _log_size(factor: float) -> float:
 # -- set-ups that moved ----------------------------------------------------------------
 
 
-def _moved_setups(given: Given) -> Iterator[MistakeTrial]:
+def _moved_setup(given: Given, scope: Scope) -> MistakeTrial | None:
     """The unknowns of a set-up anew in one run, or in the first or last rows."""
-    session = given.session
-    names = session.values["setup"].to_numpy()
-    for scope in [*given.scopes, *given.parts]:
-        at = scope.values(session)
-        setup = str(names[at][0])
-        others = (names == setup) & ~at
-        if scope.level not in ("run", "rows") or not others.any():
-            continue
-        if (names[at] != setup).any():
-            continue
-        free = _unknowns(given, setup)
-        if 0 < 2 * free.size <= at.sum() and not _is_an_offset(given, free, at):
-            yield _moved_setup(given, scope, setup, free, at)
+    names = given.session.values["setup"].to_numpy()
+    at = scope.values(given.session)
+    setup = str(names[at][0])
+    is_part = scope.level in ("run", "rows") and ((names == setup) & ~at).any()
+    free = _unknowns(given, setup)
+    if not is_part or (names[at] != setup).any() or _is_an_offset(given, free, at):
+        return None
+    if not 0 < 2 * free.size <= at.sum():
+        return None
+    return MistakeTrial(
+        kind="run",
+        scope=scope,
+        words=lambda amounts, sd: (
+            f"what {setup} is set up on stood elsewhere{scope.within}: it moved, or was set"
+            " up again"
+        ),
+        undo=lambda amounts: [_set_up_again(given.session, scope.readings, setup)],
+        family=f"moved {scope.name}",
+        columns=np.where(at[:, None], given.slopes[:, free], 0.0),
+    )
 
 
 def _unknowns(given: Given, setup: str) -> Index:
@@ -186,27 +194,6 @@ def _is_an_offset(given: Given, free: Index, at: Mask) -> bool:
     """Whether the only unknown of a set-up moves all its readings alike."""
     slopes = given.slopes[np.ix_(at, free)]
     return free.size == 1 and bool(np.ptp(slopes) <= 1e-9 * np.abs(slopes).max())
-
-
-def _moved_setup(
-    given: Given, scope: Scope, setup: str, free: Index, at: Mask
-) -> MistakeTrial:
-    session = given.session
-
-    def undo(amounts: Array) -> list[SessionReadings]:
-        return [_set_up_again(session, scope.readings, setup)]
-
-    return MistakeTrial(
-        kind="run",
-        scope=scope,
-        words=lambda amounts, sd: (
-            f"what {setup} is set up on stood elsewhere{scope.within}: it moved, or was set"
-            " up again"
-        ),
-        undo=undo,
-        family=f"moved {scope.name}",
-        columns=np.where(at[:, None], given.slopes[:, free], 0.0),
-    )
 
 
 def _set_up_again(
@@ -250,15 +237,12 @@ def _size(given: Given, k: int, column: int) -> MistakeTrial:
             f" {tolerances:.2g} times its tolerance: a number of the study is wrong"
         )
 
-    def estimated(solution: Fit) -> tuple[Array, Array]:
-        return solution.parameter(parameter.name)
-
     return MistakeTrial(
         kind="size",
         scope=given.file,
         words=words,
         undo=lambda amounts: [wider],
-        estimated=estimated,
+        estimated=lambda solution: solution.parameter(parameter.name),
         family=f"size {parameter.name}",
         columns=(WIDER * given.slopes[:, column])[:, None],
     )
@@ -272,7 +256,7 @@ def _zeros(given: Given) -> Iterator[MistakeTrial]:
     setups = given.session.measurement.setups.values()
     inner = {one.name: one for s in setups for one in s.instrument.inner}
     for one in inner.values():
-        off = partial(_off, given, one, _slopes(given, one.name))
+        off = partial(_zero, given, one, _slopes(given, one.name))
         yield from in_scopes([*given.scopes, *given.parts], off)
 
 
@@ -291,32 +275,17 @@ def _slopes(given: Given, name: str) -> Array:
     return slopes
 
 
-def _off(
+def _zero(
     given: Given, inner: InnerReading, every: Array, scope: Scope
 ) -> MistakeTrial | None:
-    session = given.session
-    values = scope.values(session) & (every != 0.0)
-    if not values.any():
+    """An inner reading off by an amount, by slopes (N,) over it."""
+    slopes = np.where(scope.values(given.session), every, 0.0)
+    if not slopes.any():
         return None
-    slopes = np.where(values, every, 0.0)
-    least = given.sigma[values] / np.abs(slopes[values])
-    return MistakeTrial(
-        kind="run" if scope.is_part else "offset",
-        scope=scope,
-        words=_words(scope, inner),
-        undo=lambda amounts: [session.with_y(session.y - amounts[0] * slopes)],
-        amounts=np.zeros(1),
-        steps=np.array([float(least.min())]),
-        family=f"zero {inner.name} {scope.name}",
-        columns=slopes[:, None],
-    )
-
-
-def _words(scope: Scope, inner: InnerReading) -> Words:
     unit = units.display(inner.unit)
-    cause = f"{inner.zero} is wrong"
+    kind, cause = "offset", f"{inner.zero} is wrong"
     if scope.is_part:
-        cause = "the instrument was zeroed again"
+        kind, cause = "run", "the instrument was zeroed again"
 
     def words(amounts: Array, sd: Array) -> str:
         size, error = (units.number(float(v[0]), unit) for v in (amounts, sd))
@@ -326,4 +295,4 @@ def _words(scope: Scope, inner: InnerReading) -> Words:
             f" {error:.2g} {unit}) too {way}: {cause}"
         )
 
-    return words
+    return _off_by(given, kind, scope, words, slopes[:, None], f"zero {inner.name}")

@@ -1,8 +1,9 @@
 """Readings that hold a part of others of their run: read before they settled, as
 differences from the one before, as sums, as means.
 
-Readings y of a run are K m, m those without the mistake; K is a matrix that a lag of
-amount a makes, or a fixed one. Undone they are K^-1 y, with the density of |det K|.
+Readings y of a run hold those without the mistake, m, as P y = Q m: P and Q are matrices
+that a share a of the reading before makes, or fixed ones. The density of Q^-1 P y is
+|det Q| / |det P| times that of y.
 """
 
 from __future__ import annotations
@@ -25,11 +26,14 @@ MOST, LEAST = 400, 3
 SINGULAR = 1e4
 #: share of the reading before, for differences, and largest one
 STEP, LARGEST = 1e-4, 0.98
+#: matrices P and Q (n, n) of a number of readings and a share
+Held = Callable[[int, float], tuple[Array, Array]]
 
 
-def _before(count: int) -> Array:
-    """Matrix (n, n) that takes the reading before each but the first."""
-    return np.asarray(np.eye(count, k=-1))
+def _chain(count: int, rest: float = 1.0, before: float = 0.0) -> Array:
+    """Matrix (n, n): a part of each but the first, and one of the reading before it."""
+    diagonal = np.append(1.0, np.full(count - 1, rest))
+    return np.diag(diagonal) + before * np.eye(count, k=-1)
 
 
 def _mean_of_three(count: int) -> Array:
@@ -37,32 +41,42 @@ def _mean_of_three(count: int) -> Array:
     return np.asarray(near / near.sum(axis=1, keepdims=True))
 
 
-#: readings of those without the mistake (n, n), in words
-FIXED: dict[str, Callable[[int], Array]] = {
-    "differences from the reading before": lambda n: np.eye(n) - _before(n),
-    "running sums": lambda n: np.tril(np.ones((n, n))),
-    "means of each with its two neighbours": _mean_of_three,
+#: P and Q of a number of readings n and a share a, in words
+FIXED: dict[str, Held] = {
+    "differences from the reading before": lambda n, a: (
+        _chain(n),
+        _chain(n, 1.0, -1.0),
+    ),
+    "running sums": lambda n, a: (_chain(n, 1.0, -1.0), _chain(n)),
+    "means of each with its two neighbours": lambda n, a: (
+        _chain(n),
+        _mean_of_three(n),
+    ),
 }
 #: whether the display holds a share of the reading before as shown, or as it should be
-LAGS = {True: "of the reading before as it was shown", False: "of the reading before"}
+LAGS: dict[str, Held] = {
+    "of the reading before as it was shown": lambda n, a: (
+        _chain(n, 1.0, -a),
+        _chain(n, 1.0 - a),
+    ),
+    "of the reading before": lambda n, a: (_chain(n), _chain(n, 1.0 - a, a)),
+}
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
     """Readings of each run, of one and of the whole file that hold parts of others."""
     for each in (True, False):
         scopes = [given.file] if each and len(given.runs) > 1 else given.scopes
-        for words, matrix in FIXED.items():
-            yield from in_scopes(scopes, partial(_fixed, given, words, matrix, each))
-        for as_shown in LAGS:
-            yield from in_scopes(scopes, partial(_lagging, given, as_shown, each))
+        for words in FIXED:
+            yield from in_scopes(scopes, partial(_fixed, given, words, each))
+        for words in LAGS:
+            yield from in_scopes(scopes, partial(_lagging, given, words, each))
 
 
 def _groups(given: Given, scope: Scope, *, each: bool) -> list[Index]:
     """Values of each channel in the order in which they were read, by run or all."""
     session = given.session
-    parts = [scope]
-    if each or scope.level == "runs":
-        parts = [s for s in given.runs if np.isin(s.readings, scope.readings).all()]
+    parts = given.runs_in(scope) if each or scope.level == "runs" else [scope]
     groups = []
     for part in parts:
         at = part.values(session) & given.shown
@@ -78,62 +92,50 @@ def _where(given: Given, scope: Scope, *, each: bool) -> str:
     return " of each run" if each and len(given.runs) > 1 else ""
 
 
-def _fixed(
-    given: Given, words: str, matrix: Callable[[int], Array], each: bool, scope: Scope
-) -> MistakeTrial | None:
-    y, log_scale = given.session.y.copy(), 0.0
-    groups = _groups(given, scope, each=each)
+def _without(given: Given, groups: list[Index], held: Held, share: float) -> Array:
+    """Values (N,) without what they hold of others."""
+    y = given.session.y.copy()
     for group in groups:
-        k = matrix(len(group))
-        sign, log_size = np.linalg.slogdet(k)
-        if sign == 0.0 or np.linalg.cond(k) > SINGULAR:
-            return None
-        y[group] = np.linalg.solve(k, given.session.y[group])
-        log_scale -= float(log_size)
-    if not groups:
+        p, q = held(len(group), share)
+        y[group] = np.linalg.solve(q, p @ y[group])
+    return y
+
+
+def _fixed(given: Given, words: str, each: bool, scope: Scope) -> MistakeTrial | None:
+    groups, held = _groups(given, scope, each=each), FIXED[words]
+    matrices = [held(len(group), 0.0)[1] for group in groups]
+    if not groups or any(np.linalg.cond(q) > SINGULAR for q in matrices):
         return None
+    y = _without(given, groups, held, 0.0)
+    log_scale = -float(sum(np.linalg.slogdet(q)[1] for q in matrices))
     sentence = f"the readings{_where(given, scope, each=each)} are {words}"
     return value_trial(given.session, "carried", scope, sentence, y, log_scale)
 
 
-def _lagging(
-    given: Given, as_shown: bool, each: bool, scope: Scope
-) -> MistakeTrial | None:
-    session = given.session
+def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial | None:
+    session, where = given.session, _where(given, scope, each=each)
     groups = _groups(given, scope, each=each)
     if not groups:
         return None
     count = sum(len(group) - 1 for group in groups)
 
-    def settled(share: float) -> Array:
-        y = session.y.copy()
-        for group in groups:
-            shown = session.y[group]
-            if as_shown:
-                y[group[1:]] = (shown[1:] - share * shown[:-1]) / (1.0 - share)
-                continue
-            k = (1.0 - share) * np.eye(len(group)) + share * _before(len(group))
-            k[0, 0] = 1.0
-            y[group] = np.linalg.solve(k, shown)
-        return y
-
     def undo(amounts: Array) -> list[SessionReadings]:
         if abs(amounts[0]) > LARGEST:
             raise ValueError("a reading holds less than all of the one before")
-        return [session.with_y(settled(float(amounts[0])))]
+        y = _without(given, groups, LAGS[held], float(amounts[0]))
+        return [session.with_y(y)]
 
     def words(amounts: Array, sd: Array) -> str:
         share, error = (100.0 * float(v[0]) for v in (amounts, sd))
         return (
-            f"the readings{_where(given, scope, each=each)} hold"
-            f" {rounded(share, error)} % (sd {error:.2g} %) {LAGS[as_shown]}: read before"
-            " they had settled, or through a filter"
+            f"the readings{where} hold {rounded(share, error)} % (sd {error:.2g} %)"
+            f" {held}: read before they had settled, or through a filter"
         )
 
     def scaling(amounts: Array) -> float:
         return -count * float(np.log(max(abs(1.0 - amounts[0]), 1e-12)))
 
-    slope = (session.y - settled(STEP)) / STEP
+    slope = (session.y - _without(given, groups, LAGS[held], STEP)) / STEP
     return MistakeTrial(
         kind="carried",
         scope=scope,
@@ -143,6 +145,6 @@ def _lagging(
         steps=np.array([STEP]),
         scaling=scaling,
         linear_scaling=lambda amounts: scaling(np.clip(amounts, -LARGEST, LARGEST)),
-        family=f"lag {as_shown} {each} {scope.name}",
+        family=f"lag {held} {each} {scope.name}",
         columns=slope[:, None],
     )

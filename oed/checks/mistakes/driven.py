@@ -130,6 +130,13 @@ def in_turn(*changes: Change) -> Change:
     return lambda values: functools.reduce(lambda v, change: change(v), changes, values)
 
 
+def exchanged(count: int, one: int, other: int) -> tuple[int, ...]:
+    """The order of some columns with two of them exchanged."""
+    order = list(range(count))
+    order[one], order[other] = other, one
+    return tuple(order)
+
+
 def permuted(order: tuple[int, ...]) -> Change:
     """Columns in another order."""
     return lambda values: values[:, list(order)]

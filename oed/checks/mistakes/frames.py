@@ -25,7 +25,7 @@ from oed.base.arrays import Array
 from oed.base.orientation import Orientation
 from oed.checks.mistakes.driven import commanded
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import CANNOT_BE, on_moved, pose_table
+from oed.checks.mistakes.moved import moved_trials
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
 
@@ -80,16 +80,13 @@ def _of_axes(turn: Array) -> Iterator[FrameMistake]:
         f"{AXES[k]} is {'-' if row.sum() < 0.0 else ''}{AXES[int(np.argmax(np.abs(row)))]}"
         for k, row in enumerate(turn)
     )
-    if np.linalg.det(turn) < 0.0:
-        yield FrameMistake(
-            f"are in a left-handed frame: {axes}",
-            lambda p, r: (p @ turn, turn.T @ r @ turn),
-        )
-        return
+    is_left = np.linalg.det(turn) < 0.0
+    way = "a left-handed frame" if is_left else "a frame whose axes stand otherwise"
     yield FrameMistake(
-        f"are in a frame whose axes stand otherwise: {axes}",
-        lambda p, r: (p @ turn, turn.T @ r @ turn),
+        f"are in {way}: {axes}", lambda p, r: (p @ turn, turn.T @ r @ turn)
     )
+    if is_left:
+        return
     yield FrameMistake(
         f"are in a frame that is turned: {axes}",
         lambda p, r: (p @ turn, turn.T @ r),
@@ -97,6 +94,15 @@ def _of_axes(turn: Array) -> Iterator[FrameMistake]:
     yield FrameMistake(
         f"are of a target that is turned: {axes}", lambda p, r: (p, r @ turn.T)
     )
+
+
+def _unframed(orientation: Orientation, mistake: FrameMistake, poses: Array) -> Array:
+    """Poses (n, 6), places and angles, without a mistake."""
+    read = mistake.orientation or orientation
+    angles = dict(zip(orientation.names, poses[:, 3:].T, strict=True))
+    p, r = mistake.undo(poses[:, :3], read.matrices(angles))
+    found = orientation.angles(r)
+    return np.column_stack([p, *(found[name] for name in orientation.names)])
 
 
 # -- poses that are read ---------------------------------------------------------------
@@ -118,21 +124,17 @@ def _read_otherwise(
 ) -> MistakeTrial | None:
     session = given.session
     at = scope.values(session)
-    angles = [at & (given.channel == name) for name in orientation.names]
-    place = [at & (given.channel == f"read_{axis}") for axis in AXES]
-    count = {int(mask.sum()) for mask in (*angles, *place)}
+    names = [*(f"read_{axis}" for axis in AXES), *orientation.names]
+    masks = [at & (given.channel == name) for name in names]
+    count = {int(mask.sum()) for mask in masks}
     if len(count) > 1 or 0 in count:
         return None
-    read = mistake.orientation or orientation
-    rotation = read.matrices(
-        {n: session.y[m] for n, m in zip(orientation.names, angles, strict=True)}
-    )
-    p, r = mistake.undo(np.column_stack([session.y[m] for m in place]), rotation)
+    poses = np.column_stack([session.y[mask] for mask in masks])
     y = session.y.copy()
-    for mask, values in zip(place, p.T, strict=True):
+    for mask, values in zip(
+        masks, _unframed(orientation, mistake, poses).T, strict=True
+    ):
         y[mask] = values
-    for mask, name in zip(angles, orientation.names, strict=True):
-        y[mask] = orientation.angles(r)[name]
     sentence = f"the poses that were read{scope.within} {mistake.words}"
     return value_trial(session, "frame", scope, sentence, y)
 
@@ -148,24 +150,7 @@ def _driven(given: Given) -> Iterator[MistakeTrial]:
     if orientation is None or names != [*AXES, *orientation.names]:
         return
     for mistake in _mistakes(orientation):
-        read = mistake.orientation or orientation
-
-        def change(
-            values: Array, mistake: FrameMistake = mistake, read: Orientation = read
-        ) -> Array:
-            angles = dict(zip(orientation.names, values[:, 3:].T, strict=True))
-            p, r = mistake.undo(values[:, :3], read.matrices(angles))
-            values_by_name = orientation.angles(r)
-            return np.column_stack(
-                [p, *(values_by_name[name] for name in orientation.names)]
-            )
-
+        change = partial(_unframed, orientation, mistake)
         moved = commanded(given.session.measurement, change)
-        try:
-            table = pose_table(given, moved)
-        except CANNOT_BE:
-            continue
-        if table is not None:
-            sentence = f"the commanded poses{{within}} {mistake.words}"
-            on = on_moved(given, "frame", sentence, moved, table)
-            yield from in_scopes(given.scopes, on)
+        sentence = f"the commanded poses{{within}} {mistake.words}"
+        yield from moved_trials(given, "frame", sentence, moved)

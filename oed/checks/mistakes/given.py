@@ -12,6 +12,7 @@ import numpy as np
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
 from oed.checks.session import SessionReadings
+from oed.dataset.columns import column_name, parse_column
 
 #: noise within which two readings are the same
 SAME = 0.2
@@ -59,12 +60,6 @@ class Given:
         return np.asarray(np.hypot(by_tolerance, self.sigma))
 
     @functools.cached_property
-    def commands(self) -> Array:
-        """Command (N, n_dof) at which each value was read; NaN where it has none."""
-        commands = np.vstack([series.command for series in self.session.series])
-        return commands[self.session.reading_of_value]
-
-    @functools.cached_property
     def channel(self) -> Array:
         """Channel (N,) of each value, by name."""
         return np.asarray(self.session.values["channel"].to_numpy())
@@ -74,6 +69,19 @@ class Given:
         """SI unit (N,) of each value."""
         units = {c: self.session.unit(c) for c in dict.fromkeys(self.channel)}
         return np.asarray([units[c] for c in self.channel])
+
+    @functools.cached_property
+    def command(self) -> Array:
+        """Commanded poses (n, n_dof) of the readings, SI; NaN where there are none."""
+        return np.vstack([s.command[s.index[:, 0]] for s in self.session.series])
+
+    @functools.cached_property
+    def columns(self) -> dict[str, Array]:
+        """The same (n,) by column of the file, in its unit."""
+        command = self.session.measurement.machine.command
+        names = [column_name(c.name, c.unit) for c in command]
+        factors = [parse_column(name).factor for name in names]
+        return dict(zip(names, (self.command / factors).T, strict=True))
 
     @functools.cached_property
     def length(self) -> Array:
@@ -124,6 +132,10 @@ class Given:
     def runs(self) -> list[Scope]:
         """Each run."""
         return run_scopes(self.session)
+
+    def runs_in(self, scope: Scope) -> list[Scope]:
+        """Each run that a scope has whole."""
+        return [s for s in self.runs if np.isin(s.readings, scope.readings).all()]
 
     @functools.cached_property
     def instruments(self) -> list[tuple[Scope, Mask]]:

@@ -179,8 +179,9 @@ def _depends_on_pose(given: Given, values: Mask, factor: float) -> bool:
     precision = np.eye(white.shape[1]) + white.T @ white
     residual = away - white @ np.linalg.solve(precision, white.T @ away)
     channels = given.channel[values]
+    commands = given.command[given.session.reading_of_value[values]]
     return any(
-        _trend_p_value(given.commands[values][at], residual[at]) < TREND
+        _trend_p_value(commands[at], residual[at]) < TREND
         for at in (channels == name for name in dict.fromkeys(channels))
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,14 @@ import pandas as pd
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, OnScope, PoseTable, Undo, plain
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    OnScope,
+    PoseTable,
+    Words,
+    in_scopes,
+    plain,
+)
 from oed.checks.session import SessionReadings
 from oed.measurement.measurement import Series
 from oed.mechanism.kinematics import AssemblyError
@@ -51,11 +58,62 @@ def on_moved(
     return on
 
 
-def undo_moved(given: Given, scope: Scope, moved: Callable[[float], Moved]) -> Undo:
-    """Readings of a scope at poses moved by an amount."""
-    return lambda amounts: [
-        with_moved(given.session, scope.readings, moved(float(amounts[0])))
-    ]
+def moved_trials(
+    given: Given, kind: str, sentence: str, moved: Moved, seldom: float = 0.0
+) -> Iterator[MistakeTrial]:
+    """The same in the file, each set-up and run; none where nothing is read otherwise."""
+    table = pose_table(given, moved)
+    if table is not None and not same(given, table):
+        on = on_moved(given, kind, sentence, moved, table, seldom)
+        yield from in_scopes(given.scopes, on)
+
+
+def displaced_trials(
+    given: Given,
+    kind: str,
+    words: Callable[[Scope], Words],
+    moved: Callable[[float], Moved],
+    amounts: tuple[float, float, float],
+    family: str,
+    *,
+    scopes: Sequence[Scope],
+    is_blind: bool = False,
+) -> Iterator[MistakeTrial]:
+    """Readings of some scopes taken at poses moved by an amount.
+
+    amounts  where the amount is sought, the step for differences over it, and its spread
+             about there, SI
+    """
+    start, step, spread = amounts
+    table = pose_table(given, moved(start), moved(start + step), spread / step)
+    if table is None or same(given, table):
+        return
+
+    def on(scope: Scope) -> MistakeTrial:
+        def undo(amounts: Array) -> list[SessionReadings]:
+            displaced = moved(float(amounts[0]))
+            return [with_moved(given.session, scope.readings, displaced)]
+
+        return MistakeTrial(
+            kind=kind,
+            scope=scope,
+            words=words(scope),
+            undo=undo,
+            amounts=np.array([start]),
+            steps=np.array([step]),
+            is_blind=is_blind,
+            family=f"{family} {scope.name}",
+            table=table,
+            mask=scope.values(given.session),
+        )
+
+    yield from in_scopes(scopes, on)
+
+
+def same(given: Given, table: PoseTable) -> bool:
+    """Whether nothing is read or known otherwise, as after a turn of 360 deg."""
+    predicted = np.allclose(table.predicted, given.predicted, rtol=0.0, atol=1e-12)
+    return predicted and np.allclose(table.slopes, given.slopes, rtol=1e-9, atol=1e-15)
 
 
 def by_run(series: Series) -> list[Index]:
@@ -95,19 +153,17 @@ def _try(series: Series, moved: Moved) -> Series | None:
 
 
 def pose_table(
-    given: Given,
-    moved: Moved,
-    nearby: Sequence[Moved] = (),
-    spread: Sequence[float] = (),
+    given: Given, moved: Moved, near: Moved | None = None, spread: float = 1.0
 ) -> PoseTable | None:
     """What the nominal machine reads of moved series; None where no pose is reached.
 
-    nearby  series moved by a little of an amount more, as much as `spread` says
+    near    series moved by a step of an amount more
+    spread  of the amount, over the step
     """
     session, measurement = given.session, given.session.measurement
     predicted = np.full(len(session), np.nan)
     slopes = np.full(given.slopes.shape, np.nan)
-    by_amount = np.zeros((len(session), len(nearby)))
+    by_amount = np.zeros((len(session), 0 if near is None else 1))
     for series, span in zip(session.series, session.spans, strict=True):
         count = session.channel_count(series.setup)
         reached = moved_rows(series, moved)
@@ -117,12 +173,11 @@ def pose_table(
         rows = reached[0]
         places = span.start + (rows[:, None] * count + np.arange(count)).ravel()
         predicted[places], slopes[places] = values
-        for k, near in enumerate(nearby):
-            other = _try(series.take(rows), near)
-            if other is not None:
-                y = measurement.try_readings([other], measurement.nominal)
-                change = np.nan_to_num(y - predicted[places])
-                by_amount[places, k] = change * spread[k]
+        other = None if near is None else _try(series.take(rows), near)
+        if other is not None:
+            y = measurement.try_readings([other], measurement.nominal)
+            change = np.nan_to_num(y - predicted[places])
+            by_amount[places, 0] = change * spread
     if np.isnan(predicted).all():
         return None
     return PoseTable(predicted, slopes, by_amount)

@@ -10,12 +10,11 @@ from functools import partial
 import numpy as np
 from scipy import optimize, special
 
-from oed.base import units
 from oed.base.arrays import Array, Index
+from oed.checks.mistakes.driven import exchanged
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope, several_runs
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, members, plain
-from oed.dataset.columns import column_name
 
 #: rows by which readings are late, where those pushed out at an end are lost
 SHIFTS = (1, -1, 2, -2, 3, -3)
@@ -45,18 +44,20 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
             yield from in_scopes([*scopes, *parts], on)
         for scope in scopes:
             if scope.level != "set-up":
-                yield from _turned(given, scope, each)
-    yield from _interleaved(given)
-    yield from _relabelled(given)
-    yield from _exchanged_setups(given)
+                yield from filter(None, _turned(given, scope, each))
+    others = (_interleaved(given), _relabelled(given), _exchanged_setups(given))
+    yield from filter(None, itertools.chain(*others))
 
 
 def _groups(given: Given, scope: Scope, *, each: bool) -> list[Index]:
-    """Readings of a scope in groups that are reordered: its runs, or all together."""
+    """Readings of a scope in groups that are reordered: its runs, or all together.
+
+    None of a file of one run, whose readings are reordered as those of each run.
+    """
+    if len(given.runs) == 1 and scope.level == "file" and not each:
+        return []
     if each or scope.level == "runs":
-        return [
-            s.readings for s in given.runs if np.isin(s.readings, scope.readings).all()
-        ]
+        return [run.readings for run in given.runs_in(scope)]
     return [scope.readings]
 
 
@@ -68,22 +69,16 @@ def _subject(scope: Scope, *, each: bool) -> str:
 
 def _sortings(given: Given) -> dict[str, Turn]:
     """Orders of rows sorted by a column: as a directory or a spreadsheet has them."""
-    series = given.session.series
-    command = np.vstack([s.command[s.index[:, 0]] for s in series])
     keys = {"number": given.session.values["order"].to_numpy()[given.session.firsts]}
-    for value, c in zip(
-        command.T, given.session.measurement.machine.command, strict=True
-    ):
-        unit = units.factor(column_name(c.name, c.unit).rpartition("_")[2])
-        if np.isfinite(value).all():
-            keys[column_name(c.name, c.unit)] = np.round(value / unit, 6)
+    for name, values in given.columns.items():
+        if np.isfinite(values).all():
+            keys[name] = np.round(values, 6)
     turns: dict[str, Turn] = {}
     for name, key in keys.items():
         as_text = np.array([f"{value:g}" for value in key])
-        turns[f"the order of their {name} as text (1, 10, 2, ...)"] = partial(
-            _unsorted, as_text
-        )
-        turns[f"the order of their {name}"] = partial(_unsorted, key)
+        words = f"the order of their {name}"
+        turns[f"{words} as text (1, 10, 2, ...)"] = partial(_unsorted, as_text)
+        turns[words] = partial(_unsorted, key)
     return turns
 
 
@@ -94,16 +89,9 @@ def _unsorted(key: Array, rows: Index) -> Index:
     return sources
 
 
-def _is_one_run(given: Given, scope: Scope, *, each: bool) -> bool:
-    """Whether the file has one run alone, of which the same is tried already."""
-    return len(given.runs) == 1 and scope.level == "file" and not each
-
-
 def _turned_round(
     given: Given, words: str, turn: Turn, each: bool, scope: Scope
 ) -> MistakeTrial | None:
-    if _is_one_run(given, scope, each=each):
-        return None
     order = _reordered(given, _groups(given, scope, each=each), turn)
     sentence = f"{_subject(scope, each=each)} are in {words}"
     return _reordering(given, scope, sentence, order)
@@ -112,9 +100,7 @@ def _turned_round(
 def _late(given: Given, shift: int, each: bool, scope: Scope) -> MistakeTrial | None:
     """Readings that stand some rows too late, put back; those pushed out are lost."""
     groups = _groups(given, scope, each=each)
-    if min(len(rows) for rows in groups) <= 2 * abs(shift):
-        return None
-    if _is_one_run(given, scope, each=each):
+    if min((len(rows) for rows in groups), default=0) <= 2 * abs(shift):
         return None
     order = _reordered(given, groups, _roll(-shift))
     lost = [rows[-shift:] if shift > 0 else rows[:-shift] for rows in groups]
@@ -132,11 +118,11 @@ def _stand(scope: Scope, shift: int, *, each: bool) -> str:
     return f"{subject} stand {'in each run ' if each else where}{count}"
 
 
-def _turned(given: Given, scope: Scope, each: bool) -> Iterator[MistakeTrial]:
+def _turned(given: Given, scope: Scope, each: bool) -> Iterator[MistakeTrial | None]:
     """Readings that stand some rows too late, the last ones first."""
     groups = _groups(given, scope, each=each)
     sizes = [len(rows) for rows in groups]
-    if max(sizes) > MOST_TURNED or _is_one_run(given, scope, each=each):
+    if not sizes or max(sizes) > MOST_TURNED:
         return
     for shift in range(1, min(sizes)):
         order = _reordered(given, groups, _roll(-shift))
@@ -145,16 +131,14 @@ def _turned(given: Given, scope: Scope, each: bool) -> Iterator[MistakeTrial]:
             f"{_stand(scope, late, each=each)} too {way}, with those pushed out at the"
             " other end"
         )
-        trial = _reordering(given, scope, sentence, order)
-        if trial is not None:
-            yield trial
+        yield _reordering(given, scope, sentence, order)
 
 
 def _roll(rows: int) -> Turn:
     return lambda readings: np.roll(readings, rows)
 
 
-def _interleaved(given: Given) -> Iterator[MistakeTrial]:
+def _interleaved(given: Given) -> Iterator[MistakeTrial | None]:
     """Readings taken point by point of several runs that stand run by run, or reversely."""
     blocks = [(scope, _groups(given, scope, each=True)) for scope in given.scopes]
     for one, other in itertools.pairwise(given.runs):
@@ -178,12 +162,10 @@ def _interleaved(given: Given) -> Iterator[MistakeTrial]:
                 f"the readings{scope.of} are interleaved: taken {taken} of"
                 f" {len(groups)} runs, they stand {stand}"
             )
-            trial = _reordering(given, scope, sentence, order)
-            if trial is not None:
-                yield trial
+            yield _reordering(given, scope, sentence, order)
 
 
-def _relabelled(given: Given) -> Iterator[MistakeTrial]:
+def _relabelled(given: Given) -> Iterator[MistakeTrial | None]:
     """Readings of runs of one length under the names of others: two, or any."""
     by_size: dict[int, list[Scope]] = {}
     for run in given.runs:
@@ -191,7 +173,7 @@ def _relabelled(given: Given) -> Iterator[MistakeTrial]:
     for runs in by_size.values():
         count = len(runs)
         pairs = [
-            _swapped(count, a, b) for a, b in itertools.combinations(range(count), 2)
+            exchanged(count, *two) for two in itertools.combinations(range(count), 2)
         ]
         others = [
             (*range(1, count), 0),
@@ -201,15 +183,7 @@ def _relabelled(given: Given) -> Iterator[MistakeTrial]:
         if count <= MOST_PERMUTED:
             others = list(itertools.permutations(range(count)))
         for sources in dict.fromkeys([*pairs, *others]):
-            trial = _with_runs_of(given, runs, sources)
-            if trial is not None:
-                yield trial
-
-
-def _swapped(count: int, one: int, other: int) -> tuple[int, ...]:
-    order = list(range(count))
-    order[one], order[other] = other, one
-    return tuple(order)
+            yield _with_runs_of(given, runs, sources)
 
 
 def _expected(given: Given, runs: Sequence[Scope]) -> tuple[int, ...]:
@@ -217,9 +191,8 @@ def _expected(given: Given, runs: Sequence[Scope]) -> tuple[int, ...]:
     cost = np.zeros((len(runs), len(runs)))
     for i, run in enumerate(runs):
         at = members(given.session, run.readings)
-        covariance = given.slopes[at] @ given.slopes[at].T + np.diag(
-            given.sigma[at] ** 2
-        )
+        noise = np.diag(given.sigma[at] ** 2)
+        covariance = given.slopes[at] @ given.slopes[at].T + noise
         for j, other in enumerate(runs):
             away = given.session.y[members(given.session, other.readings)]
             if len(away) != len(at):
@@ -256,7 +229,7 @@ def _with_runs_of(
     return None if trial is None else dataclasses.replace(trial, log_prior=log_prior)
 
 
-def _exchanged_setups(given: Given) -> Iterator[MistakeTrial]:
+def _exchanged_setups(given: Given) -> Iterator[MistakeTrial | None]:
     setups = [scope for scope in given.scopes if scope.level == "set-up"]
     for one, other in itertools.combinations(setups, 2):
         if len(one.readings) != len(other.readings):
@@ -265,9 +238,7 @@ def _exchanged_setups(given: Given) -> Iterator[MistakeTrial]:
         order[one.readings], order[other.readings] = other.readings, one.readings
         names = " and ".join(s.name.removeprefix("set-up ") for s in (one, other))
         sentence = f"the readings of the set-ups {names} are exchanged"
-        trial = _reordering(given, one, sentence, order)
-        if trial is not None:
-            yield trial
+        yield _reordering(given, one, sentence, order)
 
 
 def _every(given: Given) -> Index:
@@ -295,19 +266,14 @@ def _reordering(
     """
     session = given.session
     taken = members(session, order)
-    same = len(taken) == len(session) and np.array_equal(
-        given.channel[taken], given.channel
-    )
+    same = np.array_equal(given.channel[taken], given.channel)
     if not same or not given.shown.all():
         return None
     y: Array = session.y[taken]
-    missing = None
-    if lost is not None:
-        missing = np.isin(session.reading_of_value, lost)
-    moved = y != session.y if missing is None else (y != session.y) & ~missing
-    if not moved.any():
-        return None
     dropped = [] if lost is None else [int(k) for k in lost]
+    missing = np.isin(session.reading_of_value, dropped)
+    if not ((y != session.y) & ~missing).any():
+        return None
     changed = session.with_y(y)
     return MistakeTrial(
         kind="order",
@@ -315,5 +281,5 @@ def _reordering(
         words=plain(sentence),
         undo=lambda amounts: [changed.without(dropped) if dropped else changed],
         y=y,
-        missing=missing,
+        missing=missing if dropped else None,
     )

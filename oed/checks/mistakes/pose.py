@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from oed.base.arrays import Array
 from oed.checks.mistakes.driven import (
     Change,
     commanded,
+    exchanged,
     in_turn,
     of_column,
     permuted,
@@ -21,9 +23,15 @@ from oed.checks.mistakes.driven import (
     turns_freely,
 )
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, on_moved, pose_table, undo_moved
+from oed.checks.mistakes.moved import (
+    Moved,
+    displaced_trials,
+    moved_trials,
+    pose_table,
+    same,
+)
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, Words, in_scopes
+from oed.checks.mistakes.trial import MistakeTrial, Words
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
 from oed.dataset.notations import notations
@@ -44,10 +52,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     measurement = given.session.measurement
     for sentence, change in _changes(given):
         moved = commanded(measurement, change)
-        table = pose_table(given, moved)
-        if table is not None and not _same(given, table):
-            on = on_moved(given, "pose", f"{sentence}{{within}}", moved, table)
-            yield from in_scopes(given.scopes, on)
+        yield from moved_trials(given, "pose", f"{sentence}{{within}}", moved)
     if not given.with_amounts:
         return
     for k, coordinate in enumerate(measurement.machine.command):
@@ -83,72 +88,45 @@ def searched_amounts(coordinate: Coordinate) -> Iterator[SearchedAmount]:
 
 def _changes(given: Given) -> Iterator[tuple[str, Change]]:
     command = given.session.measurement.machine.command
-    names = [column_name(c.name, c.unit) for c in command]
-    every = np.vstack([s.command[s.index[:, 0]] for s in given.session.series])
+    names = list(given.columns)
     for k, coordinate in enumerate(command):
-        for words, meant in notations(coordinate, every[:, k]).items():
+        for words, meant in notations(coordinate, given.command[:, k]).items():
             yield words.format(names[k]), of_column(k, meant)
     for j, k in itertools.combinations(range(len(command)), 2):
         if command[j].unit != command[k].unit:
             continue
-        order = list(range(len(command)))
-        order[j], order[k] = k, j
-        exchanged = permuted(tuple(order))
-        yield f"the columns {names[j]} and {names[k]} are exchanged", exchanged
+        turned = permuted(exchanged(len(command), j, k))
+        yield f"the columns {names[j]} and {names[k]} are exchanged", turned
         for signs in ((1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
             first, second = ("-" if sign < 0.0 else "" for sign in signs)
             yield (
                 f"the axes of the poses stand otherwise: {names[j]} is {first}{names[k]},"
                 f" {names[k]} is {second}{names[j]}",
-                in_turn(exchanged, scaled(j, signs[0]), scaled(k, signs[1])),
+                in_turn(turned, scaled(j, signs[0]), scaled(k, signs[1])),
             )
-
-
-def _same(given: Given, table: PoseTable) -> bool:
-    """Whether nothing is read or known otherwise, as after a turn of 360 deg."""
-    predicted = np.allclose(table.predicted, given.predicted, rtol=0.0, atol=1e-12)
-    return predicted and np.allclose(table.slopes, given.slopes, rtol=1e-9, atol=1e-15)
 
 
 def _displaced(
     given: Given, k: int, searched: SearchedAmount
 ) -> Iterator[MistakeTrial]:
     """One coordinate of the file's rows, of the teach poses, or of all, by an amount."""
-    amount, spread = searched.amount, searched.spread
-    measurement = given.session.measurement
-    coordinate = measurement.machine.command[k]
+    measurement, spread = given.session.measurement, searched.spread
     taught = any(measurement.setups[s.setup].teach for s in given.session.series)
+    wholes = [scope for scope in given.scopes if not scope.is_part]
     for rows in _rows(given, k, spread) if taught else ("file",):
 
         def moved(by: float, rows: str = rows) -> Moved:
             return commanded(measurement, shifted(k, -by), rows=rows, slack=SLACK)
 
-        near = moved(amount + STEP * spread)
-        table = pose_table(given, moved(amount), [near], [1.0 / STEP])
-        if table is None or _same(given, table):
-            continue
-
-        def on(
-            scope: Scope,
-            rows: str = rows,
-            moved: Callable[[float], Moved] = moved,
-            table: PoseTable = table,
-        ) -> MistakeTrial | None:
-            if rows != "file" and scope.is_part:
-                return None
-            return MistakeTrial(
-                kind="pose" if rows == "file" else "teach",
-                scope=scope,
-                words=_displacement_words(coordinate, rows, scope),
-                undo=undo_moved(given, scope, moved),
-                amounts=np.array([amount]),
-                steps=np.array([STEP * spread]),
-                family=f"{k} {rows} {scope.name} {searched.basin}",
-                table=table,
-                mask=scope.values(given.session),
-            )
-
-        yield from in_scopes(given.scopes, on)
+        yield from displaced_trials(
+            given,
+            "pose" if rows == "file" else "teach",
+            partial(_displacement_words, measurement.machine.command[k], rows),
+            moved,
+            (searched.amount, STEP * spread, spread),
+            f"{k} {rows} {searched.basin}",
+            scopes=given.scopes if rows == "file" else wholes,
+        )
 
 
 def _rows(given: Given, k: int, spread: float) -> tuple[str, ...]:
@@ -156,7 +134,7 @@ def _rows(given: Given, k: int, spread: float) -> tuple[str, ...]:
     change = shifted(k, spread)
     moved = commanded(given.session.measurement, change, rows="teach", slack=SLACK)
     table = pose_table(given, moved)
-    is_used = table is None or not _same(given, table)
+    is_used = table is None or not same(given, table)
     return ("file", "teach", "all") if is_used else ("file",)
 
 

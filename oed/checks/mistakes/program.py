@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
@@ -15,10 +16,10 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.driven import in_file, inside, turns_freely
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, on_moved, pose_table, undo_moved
+from oed.checks.mistakes.moved import Moved, displaced_trials, on_moved, pose_table
 from oed.checks.mistakes.pose import SLACK, STEP, searched_amounts
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, Words, in_scopes
+from oed.checks.mistakes.trial import MistakeTrial, Words, in_scopes
 from oed.checks.words import rounded
 from oed.dataset.columns import column_name
 from oed.measurement.measurement import Measurement, Series
@@ -57,31 +58,16 @@ def _displaced(given: Given, k: int, follower: int) -> Iterator[MistakeTrial]:
         return program(measurement, k, follower, -by)
 
     for searched in searched_amounts(displaced):
-        amount, step = searched.amount, STEP * searched.spread
-        table = pose_table(given, moved(amount), [moved(amount + step)], [1.0 / STEP])
-        if table is None:
-            continue
-
-        def on(
-            scope: Scope,
-            amount: float = amount,
-            step: float = step,
-            table: PoseTable = table,
-        ) -> MistakeTrial:
-            return MistakeTrial(
-                kind="pose",
-                scope=scope,
-                words=_words(displaced, following, scope),
-                undo=undo_moved(given, scope, moved),
-                amounts=np.array([amount]),
-                steps=np.array([step]),
-                is_blind=True,
-                family=f"{k} with {follower} {scope.name}",
-                table=table,
-                mask=scope.values(given.session),
-            )
-
-        yield from in_scopes(given.scopes, on)
+        yield from displaced_trials(
+            given,
+            "pose",
+            partial(_words, displaced, following),
+            moved,
+            (searched.amount, STEP * searched.spread, searched.spread),
+            f"{k} with {follower}",
+            scopes=given.scopes,
+            is_blind=True,
+        )
 
 
 def _constant_joint(given: Given, follower: int) -> Iterator[MistakeTrial]:
@@ -133,13 +119,13 @@ def program(
 
     def moved(series: Series) -> Series | None:
         setup = measurement.setups[series.setup]
-        has_length = setup.instrument.fixed_reading is not None
-        if not has_length or not np.isfinite(series.command).all():
+        length = setup.instrument.fixed_reading
+        if length is None or not np.isfinite(series.command).all():
             return None
-        length = None
-        if keeps_length and setup.instrument.fixed_reading is not None:
-            length = setup.instrument.fixed_reading(setup.settings)
-        return _solved(measurement, series, k, follower, amount, length)
+        goal = _first_channel(measurement, series)
+        if keeps_length:
+            goal[:] = length(setup.settings)
+        return _solved(measurement, series, k, follower, amount, goal)
 
     return moved
 
@@ -150,13 +136,11 @@ def _solved(
     k: int,
     follower: int,
     amount: float,
-    length: float | None,
+    goal: Array,
 ) -> Series | None:
+    """The same, with readings (n,) of the first channel that are a goal."""
     setup = measurement.setups[series.setup]
     rows = in_file(series, is_taught=setup.teach is not None)
-    goal = _first_channel(measurement, series)
-    if length is not None:
-        goal = np.full_like(goal, length)
     command = series.command.copy()
     command[rows, k] += amount
     place = _place_of_rows(series, rows)
@@ -209,4 +193,4 @@ def _at(measurement: Measurement, series: Series, command: Array) -> Series:
 def _first_channel(measurement: Measurement, series: Series) -> Array:
     count = len(measurement.setups[series.setup].instrument.channels)
     y = measurement.readings([series], measurement.nominal)
-    return y[::count]
+    return y[::count].copy()

@@ -9,8 +9,8 @@ import numpy as np
 
 from oed.base.arrays import Index
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, by_run, on_moved, pose_table
-from oed.checks.mistakes.trial import MistakeTrial, in_scopes
+from oed.checks.mistakes.moved import Moved, by_run, moved_trials
+from oed.checks.mistakes.trial import MistakeTrial
 from oed.measurement.measurement import Series
 
 #: readings of a run whose pose may be the reference, of so many
@@ -29,14 +29,10 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
         return
     for name, place in PLACES.items():
         moved = _differences_from(given, place)
-        table = pose_table(given, moved)
-        if table is None:
-            continue
         sentence = (
             f"the readings{{of}} are differences from the {name} pose of each run"
         )
-        on = on_moved(given, "reference", sentence, moved, table)
-        yield from in_scopes(given.scopes, on)
+        yield from moved_trials(given, "reference", sentence, moved)
 
 
 def _differences_from(given: Given, place: Callable[[int], int]) -> Moved:

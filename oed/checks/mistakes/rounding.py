@@ -12,7 +12,6 @@ from functools import partial
 
 import numpy as np
 
-from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.driven import commanded, shifted
 from oed.checks.mistakes.given import Given
@@ -21,7 +20,7 @@ from oed.checks.mistakes.pose import SLACK
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, plain
 from oed.checks.session import SessionReadings
-from oed.dataset.columns import column_name
+from oed.dataset.columns import parse_column
 
 #: decimals that a column has where it is rounded, from tens on
 DECIMALS = range(-1, 4)
@@ -37,19 +36,14 @@ SELDOM = -2.0
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
     """Each column of whole numbers, or of few decimals, whose decimals were lost."""
-    series = given.session.series
-    command = np.vstack([s.command[s.index[:, 0]] for s in series])
-    for k, coordinate in enumerate(given.session.measurement.machine.command):
-        name = column_name(coordinate.name, coordinate.unit)
-        unit = units.factor(name.rpartition("_")[2])
-        decimals = _decimals(command[:, k] / unit)
+    measurement = given.session.measurement
+    for k, (name, values) in enumerate(given.columns.items()):
+        decimals = _decimals(values)
         if decimals is None:
             continue
         step = 10.0**-decimals
-        moved = commanded(
-            given.session.measurement, shifted(k, STEP * step * unit), slack=SLACK
-        )
-        table = pose_table(given, moved)
+        change = shifted(k, STEP * step * parse_column(name).factor)
+        table = pose_table(given, commanded(measurement, change, slack=SLACK))
         if table is None:
             continue
         slope = np.nan_to_num(table.predicted - given.predicted) / STEP

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -24,31 +25,28 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
             continue
         moved = in_other_setup(measurement, {name: other})
         table = pose_table(given, moved)
-        if table is None:
-            continue
-
-        def on(
-            scope: Scope,
-            name: str = name,
-            other: str = other,
-            moved: Moved = moved,
-            table: PoseTable = table,
-        ) -> MistakeTrial | None:
-            if not _is_of(given, scope, name):
-                return None
-            whose = scope.of if scope.is_part else f" of {name}"
-            sentence = f"the readings{whose} are of set-up {other}"
-            return on_moved(given, "setups", sentence, moved, table)(scope)
-
-        yield from in_scopes(given.scopes, on)
+        if table is not None:
+            yield from in_scopes(
+                given.scopes, partial(_renamed, given, name, other, moved, table)
+            )
     for name, other in itertools.combinations(used, 2):
         if _alike(measurement, name, other):
             sentence = f"the set-ups {name} and {other} are exchanged"
             moved = in_other_setup(measurement, {name: other, other: name})
             table = pose_table(given, moved)
             if table is not None:
-                on_file = on_moved(given, "setups", sentence, moved, table)
-                yield from in_scopes([given.file], on_file)
+                on = on_moved(given, "setups", sentence, moved, table)
+                yield from in_scopes([given.file], on)
+
+
+def _renamed(
+    given: Given, name: str, other: str, moved: Moved, table: PoseTable, scope: Scope
+) -> MistakeTrial | None:
+    if not _is_of(given, scope, name):
+        return None
+    whose = scope.of if scope.is_part else f" of {name}"
+    sentence = f"the readings{whose} are of set-up {other}"
+    return on_moved(given, "setups", sentence, moved, table)(scope)
 
 
 def _is_of(given: Given, scope: Scope, setup: str) -> bool:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -17,10 +19,11 @@ from oed.base.arrays import Array
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import CANNOT_BE
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, Words
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.measurement.measurement import Measurement, Series
+from oed.model.machine import Tool
 
 #: step of the tool's length for differences, m
 STEP = 1e-4
@@ -30,28 +33,15 @@ Measured = Callable[[tuple[str, ...], tuple[float, ...]], Measurement]
 AXES = ((2,), (0,), (1,), (0, 1, 2))
 
 
-@dataclasses.dataclass(frozen=True)
-class ToolPoint:
-    """What has another tool point than stated.
-
-    words    which, before how far it is from it
-    reads    whether the instrument reads it
-    drives   whether the controller drives it to the commands
-    follows  whether these are moved by as much, so that home stays where it is
-    """
-
-    words: str
-    reads: bool
-    drives: bool = False
-    follows: bool = False
-
-
-POINTS = (
-    ToolPoint("the point that is read{of} is", reads=True),
-    ToolPoint("the controller drives a point to the commands{of},", False, drives=True),
-    ToolPoint("the controller turns the platform{of} about a point", False, True, True),
-    ToolPoint("the machine had another tool{of} than the study, its point", True, True),
-)
+READ = "the point that is read"
+#: what has another tool point than stated, and whether it is read, driven to the
+#: commands, or driven so that home stays where it is
+POINTS = {
+    READ + "{of} is": {"read"},
+    "the controller drives a point to the commands{of},": {"driven"},
+    "the controller turns the platform{of} about a point": {"driven", "home"},
+    "the machine had another tool{of} than the study, its point": {"read", "driven"},
+}
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
@@ -61,46 +51,43 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
         return  # without rotation, the tool moves every reading alike
     setups = [scope for scope in given.scopes if scope.level == "set-up"]
     names = list(dict.fromkeys(s.setup for s in session.series))
-    choices = [(given.file, names)]
-    choices += [(scope, [name]) for scope, name in zip(setups, names, strict=False)]
+    choices = [(given.file, names, "")]
+    choices += [(s, [n], f" of {n}") for s, n in zip(setups, names, strict=False)]
     measured = _measured(session.measurement)
-    for scope, members in choices:
-        of = f" of {members[0]}" if len(members) < len(names) else ""
-        for point in POINTS:
-            yield from _elsewhere(given, measured, scope, point, members, of)
+    for scope, members, of in choices:
+        tool = session.measurement.setups[members[0]].tool
+        for (words, uses), axes in itertools.product(POINTS.items(), AXES):
+            shift = _with_tool(session, measured, members, uses, axes)
+            yield from _elsewhere(given, scope, shift, words.format(of=of), axes, tool)
 
 
 def _elsewhere(
     given: Given,
-    measured: Measured,
     scope: Scope,
-    point: ToolPoint,
-    members: Sequence[str],
-    of: str,
+    shift: Callable[[Array], list[SessionReadings]],
+    what: str,
+    axes: Sequence[int],
+    tool: Tool,
 ) -> Iterator[MistakeTrial]:
     """A tool point elsewhere: near the stated one, or where it has the other sign."""
-    session = given.session
-    tools = [session.measurement.setups[name].tool for name in members]
-    for axes in AXES:
-        shift = _with_tool(session, measured, members, point, axes)
-        starts = [np.zeros(len(axes))]
-        if len(axes) == 1:
-            starts += [np.array([-2.0 * t[axes[0]]]) for t in tools[:1] if t[axes[0]]]
-        for start in starts:
-            table = _table(given, shift, start)
-            if table is not None and np.abs(table.by_amount).max() > 0.0:
-                yield MistakeTrial(
-                    kind="tool",
-                    scope=scope,
-                    words=_words(point, axes, of),
-                    undo=shift,
-                    amounts=start,
-                    steps=np.full(len(axes), STEP),
-                    family=f"tool {point.words} {axes} {scope.name} {start}",
-                    table=table if start.any() else None,
-                    mask=scope.values(session),
-                    columns=None if start.any() else table.by_amount,
-                )
+    starts = [np.zeros(len(axes))]
+    if len(axes) == 1 and tool[axes[0]]:
+        starts.append(np.array([-2.0 * tool[axes[0]]]))
+    for start in starts:
+        table = _table(given, shift, start)
+        if table is not None and np.abs(table.by_amount).max() > 0.0:
+            yield MistakeTrial(
+                kind="tool",
+                scope=scope,
+                words=partial(_words, what, axes),
+                undo=shift,
+                amounts=start,
+                steps=np.full(len(axes), STEP),
+                family=f"{what} {axes} {scope.name} {start}",
+                table=table if start.any() else None,
+                mask=scope.values(given.session),
+                columns=None if start.any() else table.by_amount,
+            )
 
 
 def _table(
@@ -140,49 +127,45 @@ def _with_tool(
     session: SessionReadings,
     measured: Measured,
     names: Sequence[str],
-    point: ToolPoint,
+    uses: set[str],
     axes: Sequence[int],
 ) -> Callable[[Array], list[SessionReadings]]:
     """The session with the tool point of these set-ups moved by amounts, m."""
     measurement = session.measurement
 
-    def shift(amounts: Array) -> list[SessionReadings]:
-        away = np.zeros(3)
-        away[list(axes)] = amounts
-        series, other = session.series, measurement
-        if point.reads:
-            other = measured(tuple(names), tuple(away.tolist()))
-        if point.drives:
-            series = tuple(driven(s, away) if s.setup in names else s for s in series)
-        return [dataclasses.replace(session, measurement=other, series=series)]
-
     def driven(series: Series, away: Array) -> Series:
+        if series.setup not in names or "driven" not in uses:
+            return series
         if not np.isfinite(series.command).all():
             raise ValueError("recorded joints have no command")
         tool = np.array(measurement.setups[series.setup].tool) + away
         command = series.command
-        if point.follows:
+        if "home" in uses:
             command = measurement.machine.with_tool(command, away)
         x, q = measurement.kinematics.sent(command, tool)
         return dataclasses.replace(series, q=q, start=x)
 
+    def shift(amounts: Array) -> list[SessionReadings]:
+        away = np.zeros(3)
+        away[list(axes)] = amounts
+        series = tuple(driven(s, away) for s in session.series)
+        other = measurement
+        if "read" in uses:
+            other = measured(tuple(names), tuple(away.tolist()))
+        return [dataclasses.replace(session, measurement=other, series=series)]
+
     return shift
 
 
-def _words(point: ToolPoint, axes: Sequence[int], of: str) -> Words:
-    def words(amounts: Array, sd: Array) -> str:
-        sizes = [units.number(float(v), "mm") for v in amounts]
-        errors = [units.number(float(v), "mm") for v in sd]
-        if point == POINTS[0] and axes == (2,):
-            way = "longer" if sizes[0] > 0.0 else "shorter"
-            size = f"{abs(sizes[0]):.4g} mm (sd {errors[0]:.2g} mm)"
-            return f"the tool{of} is {size} {way} than stated"
-        parts = [
-            f"{rounded(size, error)} mm (sd {error:.2g} mm) in {'xyz'[axis]}"
-            for axis, size, error in zip(axes, sizes, errors, strict=True)
-        ]
-        return (
-            f"{point.words.format(of=of)} {', '.join(parts)} from the stated tool point"
-        )
-
-    return words
+def _words(what: str, axes: Sequence[int], amounts: Array, sd: Array) -> str:
+    sizes, errors = ([units.number(float(a), "mm") for a in v] for v in (amounts, sd))
+    if what.startswith(READ) and axes == (2,):
+        way = "longer" if sizes[0] > 0.0 else "shorter"
+        of = what.removeprefix(READ).removesuffix(" is")
+        size = f"{abs(sizes[0]):.4g} mm (sd {errors[0]:.2g} mm)"
+        return f"the tool{of} is {size} {way} than stated"
+    parts = [
+        f"{rounded(size, error)} mm (sd {error:.2g} mm) in {'xyz'[axis]}"
+        for axis, size, error in zip(axes, sizes, errors, strict=True)
+    ]
+    return f"{what} {', '.join(parts)} from the stated tool point"

@@ -12,6 +12,7 @@ from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_values, value_trial
+from oed.dataset import notations
 
 #: units that a file's readings may be in, beside those of a column
 OTHERS = {"m": {"inch": units.INCH}}
@@ -21,14 +22,7 @@ DIVISIONS = {"m": ("divisions of 0.01 mm", 1e-5)}
 #: standard deviations of a prediction from zero from which on its sign is known
 SURE = 3.0
 #: what readings, or deviations, are of what they should be
-FACTORS = {
-    "half of": 0.5,
-    "twice": 2.0,
-    "a tenth of": 0.1,
-    "ten times": 10.0,
-    "a hundredth of": 0.01,
-    "a hundred times": 100.0,
-}
+FACTORS = {**notations.FACTORS, "a hundredth of": 0.01, "a hundred times": 100.0}
 #: the same of readings without a decimal point, and of deviations in another unit
 POINT_LOST = {f"{10**k} times": 10.0**k for k in range(4, 8)}
 THOUSANDS = {"a thousandth of": 1e-3, "a thousand times": 1e3}
@@ -37,7 +31,9 @@ ORIGINS = ("", "the nominal length", "the nominal machine")
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
     """Readings in other units, deviations, reversed and lost signs, simple factors."""
-    yield from _units(given)
+    for si in dict.fromkeys(given.unit[given.shown]):
+        for name, factor in _unit_factors(si).items():
+            yield from in_values(given, partial(_in_unit, given, si, name, factor))
     for origin in ORIGINS[1:]:
         for fine in ({}, FINE, DIVISIONS):
             for sign in (1.0, -1.0):
@@ -47,10 +43,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     yield from in_values(given, partial(_lost, given))
     for origin in ORIGINS:
         yield from in_values(given, partial(_reversed, given, origin))
-        for words, factor in {
-            **FACTORS,
-            **(THOUSANDS if origin else POINT_LOST),
-        }.items():
+        for words, factor in (FACTORS | (THOUSANDS if origin else POINT_LOST)).items():
             yield from in_values(given, partial(_scaled, given, origin, words, factor))
 
 
@@ -61,33 +54,56 @@ def _base(given: Given, values: Mask, origin: str) -> Array | None:
     return given.bases(values).get(origin)
 
 
-# -- units -----------------------------------------------------------------------------
+def _changed(
+    given: Given,
+    kind: str,
+    scope: Scope,
+    sentence: str,
+    values: Mask,
+    start: Array,
+    factor: Array | float,
+    base: Array | float = 0.0,
+) -> MistakeTrial:
+    """Values y of which start + factor (y - base) is right, all (N,); others stay."""
+    y = given.session.y
+    about = values & np.isfinite(start + base)
+    right = np.where(about, start + factor * (y - base), y)
+    mistaken = np.where(about, base + (y - start) / factor, y)
+    log_factor = np.log(np.abs(np.broadcast_to(factor, y.shape)))
+    log_scale = float(log_factor[about].sum())
+    return value_trial(given.session, kind, scope, sentence, right, log_scale, mistaken)
 
 
-def _units(given: Given) -> Iterator[MistakeTrial]:
-    """The readings of a kind, and of a column, in each other unit of that kind."""
-    for si in dict.fromkeys(given.unit[given.shown]):
-        for name, factor in _unit_factors(si).items():
-            yield from in_values(given, partial(_in_unit, given, si, name, factor))
+def _where(given: Given, scope: Scope, values: Mask) -> str:
+    return f"{given.names(values)}{scope.within}"
+
+
+def _readings(given: Given, scope: Scope, values: Mask) -> str:
+    if given.is_all(scope, values):
+        return f"the readings{scope.of}"
+    return f"the readings of {_where(given, scope, values)}"
+
+
+# -- units and deviations --------------------------------------------------------------
 
 
 def _in_unit(
     given: Given, si: str, name: str, factor: float, scope: Scope, values: Mask
 ) -> MistakeTrial | None:
-    session = given.session
-    stated = session.column(str(given.channel[values][0]))
+    """The readings of a kind, or of a column, in another unit of that kind."""
+    stated = given.session.column(str(given.channel[values][0]))
     if set(given.unit[values]) != {si} or factor == stated.factor:
         return None
-    subject = f"{given.names(values)}{scope.within} is"
+    of_kind = given.shown & (given.unit == si) & scope.values(given.session)
+    subject = f"{_where(given, scope, values)} is"
     if given.is_all(scope, values):
         subject = f"the readings{scope.of} are"
-    elif (values == (given.shown & (given.unit == si) & scope.values(session))).all():
+    elif np.array_equal(values, of_kind):
         subject = f"the readings ({given.names(values)}){scope.of} are"
     sentence = f"{subject} in {name}, not in {stated.name.rpartition('_')[2]}"
+    zero = np.zeros(len(values))
     ratio = factor / stated.factor
-    y = np.where(values, session.y * ratio, session.y)
-    log_scale = float(values.sum() * np.log(ratio))
-    return value_trial(session, "unit", scope, sentence, y, log_scale)
+    return _changed(given, "unit", scope, sentence, values, zero, ratio)
 
 
 def _unit_factors(si: str) -> Mapping[str, float]:
@@ -95,9 +111,6 @@ def _unit_factors(si: str) -> Mapping[str, float]:
     known = {name: factor for name, (unit, factor) in units.UNITS.items() if unit == si}
     known.pop("in", None)  # a sentence says inch
     return {**known, **OTHERS.get(si, {})}
-
-
-# -- deviations ------------------------------------------------------------------------
 
 
 def _deviation(
@@ -109,13 +122,11 @@ def _deviation(
     values: Mask,
 ) -> MistakeTrial | None:
     """Values that are deviations from `origin`, in fine units, with a sign."""
-    session = given.session
-    base = _base(given, values, origin)
+    session, base = given.session, _base(given, values, origin)
     if base is None:
         return None
-    about = values & np.isfinite(base)
     factor, names = np.ones(len(session)), []
-    for channel in dict.fromkeys(given.channel[about]):
+    for channel in dict.fromkeys(given.channel[values & np.isfinite(base)]):
         column = session.column(str(channel))
         name, of_unit = fine.get(column.unit, ("", column.factor))
         if of_unit != column.factor:
@@ -123,53 +134,29 @@ def _deviation(
             names.append(name)
     if fine and not names:
         return None
-    of = (
-        scope.of
-        if given.is_all(scope, values)
-        else f" of {_where(given, scope, values)}"
-    )
     what = origin.replace("the nominal machine", "the readings of the nominal machine")
     unit = f" in {' and '.join(dict.fromkeys(names))}" if names else ""
     reversed_sign = " with the sign reversed" if sign < 0.0 else ""
-    sentence = f"the readings{of} are deviations from {what}{unit}{reversed_sign}"
-    y = np.where(about, base + sign * factor * session.y, session.y)
-    log_scale = float(np.log(factor[about]).sum())
-    return value_trial(session, "deviation", scope, sentence, y, log_scale)
-
-
-def _where(given: Given, scope: Scope, values: Mask) -> str:
-    return f"{given.names(values)}{scope.within}"
+    subject = _readings(given, scope, values)
+    sentence = f"{subject} are deviations from {what}{unit}{reversed_sign}"
+    factor = sign * factor
+    return _changed(given, "deviation", scope, sentence, values, base, factor)
 
 
 def _added_twice(
     given: Given, origin: str, scope: Scope, values: Mask
 ) -> MistakeTrial | None:
-    session = given.session
     base = _base(given, values, origin)
     if base is None or not given.is_all(scope, values):
         return None
-    y = np.where(values & np.isfinite(base), session.y - base, session.y)
     sentence = (
         f"the readings{scope.of} have {origin} added twice: they are no deviations any"
         " more"
     )
-    return value_trial(session, "deviation", scope, sentence, y)
+    return _changed(given, "deviation", scope, sentence, values, -base, 1.0)
 
 
 # -- signs and factors -----------------------------------------------------------------
-
-
-def _reversed(
-    given: Given, origin: str, scope: Scope, values: Mask
-) -> MistakeTrial | None:
-    of = _where(given, scope, values)
-    if scope.level == "instrument":
-        of = f"the readings{scope.of}"
-    elif len(set(given.channel[values])) > 1:
-        of = f"all readings{scope.of}" if given.is_all(scope, values) else of
-    what = f"the deviations of {of} from {origin}" if origin else of
-    sentence = f"the sign of {what} is reversed"
-    return _times(given, "sign", scope, sentence, values, origin, -1.0)
 
 
 def _lost(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
@@ -189,38 +176,31 @@ def _lost(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
     return value_trial(given.session, "sign", scope, sentence, changed)
 
 
+def _reversed(
+    given: Given, origin: str, scope: Scope, values: Mask
+) -> MistakeTrial | None:
+    base = _base(given, values, origin)
+    if base is None:
+        return None
+    of = _where(given, scope, values)
+    if scope.level == "instrument":
+        of = f"the readings{scope.of}"
+    elif len(set(given.channel[values])) > 1 and given.is_all(scope, values):
+        of = f"all readings{scope.of}"
+    what = f"the deviations of {of} from {origin}" if origin else of
+    sentence = f"the sign of {what} is reversed"
+    return _changed(given, "sign", scope, sentence, values, base, -1.0, base)
+
+
 def _scaled(
     given: Given, origin: str, words: str, factor: float, scope: Scope, values: Mask
 ) -> MistakeTrial | None:
-    what = f"the readings of {_where(given, scope, values)}"
-    if given.is_all(scope, values):
-        what = f"the readings{scope.of}"
+    base = _base(given, values, origin)
+    if base is None:
+        return None
+    what = _readings(given, scope, values)
     if origin:
         what = f"the deviations of {what} from {origin}"
     why = ": the decimal point is lost" if words in POINT_LOST else ""
     sentence = f"{what} are {words} what they should be{why}"
-    return _times(given, "scale", scope, sentence, values, origin, factor)
-
-
-def _times(
-    given: Given,
-    kind: str,
-    scope: Scope,
-    sentence: str,
-    values: Mask,
-    origin: str,
-    factor: float,
-) -> MistakeTrial | None:
-    """Values whose deviations from an origin were multiplied by a factor."""
-    session, y = given.session, given.session.y
-    base = _base(given, values, origin)
-    if base is None:
-        return None
-    about = values & np.isfinite(base)
-    changed = np.where(about, base + (y - base) / factor, y)
-    is_own_inverse = factor == -1.0
-    mistaken = (
-        None if is_own_inverse else np.where(about, base + (y - base) * factor, y)
-    )
-    log_scale = -float(about.sum() * np.log(abs(factor)))
-    return value_trial(session, kind, scope, sentence, changed, log_scale, mistaken)
+    return _changed(given, "scale", scope, sentence, values, base, 1.0 / factor, base)
