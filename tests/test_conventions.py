@@ -25,7 +25,6 @@ from oed.model.instrument import Instrument, mount
 from oed.model.machine import Machine
 from pkm_models.machines import (
     a3_head,
-    cables_spatial,
     hexapod,
     planar_2dof,
     prs_spindle,
@@ -394,7 +393,7 @@ def test_the_laser_ball_bar_s_direction_runs_from_b_to_a() -> None:
 
 
 def test_redundancy_states_its_channels_on_every_machine() -> None:
-    for m in (cables_spatial.machine, machine("cable_robot"), machine("cables_planar")):
+    for m in map(machine, ("cables_spatial", "cable_robot", "cables_planar")):
         for name in OF_CLOSURE:
             channels = instrument(name).for_machine(m).channels
             assert len(channels) == len(m.joints) - len(m.command)

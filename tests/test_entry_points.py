@@ -28,7 +28,7 @@ table = ControllerFormat(
 STUDY = """schema = 1
 name = "a"
 machine = { model = "planar_2dof" }
-setup = [{ name = "a", instrument = "position" }]
+setup = [{ name = "a", instrument = "camera", channels = ["read_y", "read_z"] }]
 readings = { files = ["a.readings.csv"] }
 """
 

@@ -101,8 +101,8 @@ def _unframed(orientation: Orientation, mistake: FrameMistake, poses: Array) -> 
     read = mistake.orientation or orientation
     angles = dict(zip(orientation.names, poses[:, 3:].T, strict=True))
     p, r = mistake.undo(poses[:, :3], read.matrices(angles))
-    found = orientation.angles(r)
-    return np.column_stack([p, *(found[name] for name in orientation.names)])
+    values = orientation.angles(r)
+    return np.column_stack([p, *(values[name] for name in orientation.names)])
 
 
 # -- poses that are read ---------------------------------------------------------------
