@@ -66,9 +66,9 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
 def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
     tmp_path: Path,
 ) -> None:
-    """Circles shifted by 2 um: not by the stated noise of 0.5 um, but by a law of runs."""
+    """Circles shifted by 2 and 3 um: not by the stated noise of 0.5 um, but by a law of runs."""
     readings = bar_readings.a3_readings(2)
-    shift = np.repeat([2e-6, -2e-6, 1.5e-6, -1.5e-6], bar_readings.POINTS)
+    shift = np.repeat([3e-6, -3e-6, 2e-6, -2e-6], bar_readings.POINTS)
     goodness = fit(tmp_path, readings.with_y(readings.y + shift), ESTIMATED)
     text = (tmp_path / "fit/result.json").read_text(encoding="utf-8")
     estimate = json.loads(text)["estimate"]

@@ -116,7 +116,7 @@ def _with_rival(
 def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
     """Laws (L,) of unit scale, and log prior weights (L,)."""
     # What a course takes up is a finding of these checks, not their noise.
-    prior = noise_prior(structure, has_common_share=True).without(COURSE)
+    prior = noise_prior(structure).without(COURSE)
     axes: list[tuple[float, ...]] = [(0.0,)] * prior.dimensions
     for name, values in ((RUN, LEVELS), (CARRIED, SHARES), (REACH, REACHES)):
         if name in prior.names:

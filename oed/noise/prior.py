@@ -10,7 +10,7 @@ A stated amount is the middle of a narrow prior, and 0 takes the part out of the
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 import numpy as np
 from scipy import special
@@ -152,7 +152,7 @@ class NoisePrior:
 
         return Laws(
             scale=self._scale(u),
-            carried=self._shares(of_name, nothing),
+            carried=self._share(of_name[CARRIED]) if CARRIED in of_name else nothing,
             reach=self._reach(of_name.get(REACH, nothing)),
             level=size(RUN),
             seat=size(SEAT),
@@ -174,19 +174,11 @@ class NoisePrior:
             return np.asarray(np.exp(ASSUMED_SCALE_SD * by_group))
         return np.asarray(np.exp(SCALE_SD * heavy_scale(by_group)))
 
-    @property
-    def share_names(self) -> list[str]:
-        """Names of the shares carried along: one for all groups, of each, or none."""
-        return [name for name in self.names if name.startswith(CARRIED)]
-
-    def _shares(self, of_name: Mapping[str, Array], nothing: Array) -> Array:
-        """Shares (L,) or (L, groups) of the variance that are carried along."""
-        names, stated = self.share_names, self.statement.carried
-        if not names:
-            return nothing
+    def _share(self, u: Array) -> Array:
+        """Share (L,) of the variance that is carried along."""
+        stated = self.statement.carried
         share = self.amounts.carried if stated is None else share_about(stated)
-        shares = share(np.stack([of_name[name] for name in names], axis=1))
-        return shares[:, 0] if len(names) == 1 else shares
+        return share(u)
 
     def _reach(self, u: Array) -> Array:
         """Reach (L,) of what is carried along, in readings."""
@@ -199,12 +191,12 @@ class NoisePrior:
         The middle of the prior, an error that is carried far, and one that is carried
         over a few readings alone: each may be a mode of its own.
         """
-        shares = [self.names.index(name) for name in self.share_names]
-        if not shares:
+        if CARRIED not in self.names:
             return np.zeros((1, self.dimensions))
-        starts, reach = np.zeros((3, self.dimensions)), self.names.index(REACH)
-        starts[1, shares], starts[1, reach] = 1.5, 0.5
-        starts[2, shares], starts[2, reach] = 2.5, -1.5
+        starts = np.zeros((3, self.dimensions))
+        place = [self.names.index(CARRIED), self.names.index(REACH)]
+        starts[1, place] = 1.5, 0.5
+        starts[2, place] = 2.5, -1.5
         return starts
 
 
@@ -232,19 +224,15 @@ def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
     return np.asarray(-0.5 * u**2)
 
 
-def noise_prior(
-    structure: ReadingStructure,
-    freedom: float = np.inf,
-    *,
-    has_common_share: bool = False,
-) -> NoisePrior:
+def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:
     """The prior that goes with readings of a structure.
 
     freedom  readings beyond the unknowns. Where an assumed noise has few for each group,
              all groups have one scale, and their weights are near the assumed ones. Where
              a course's terms leave few in all, it is not in the model
-    has_common_share  whether the errors of all groups have one share carried along;
-             otherwise each has its own, where there are enough readings for each group
+
+    All groups have one share carried along. With one each, a leg whose scale is wrong took
+    the weight of a channel: errors at other poses were 1.3 times those of one share.
     """
     statement = structure.statement
     is_few = freedom < LEAST_OF_WEIGHTS * len(structure.names)
@@ -253,9 +241,7 @@ def noise_prior(
     scales = structure.names
     if is_common:
         scales = ("all readings", *(scales if groups > 1 else ()))
-    one_share = has_common_share or is_few or groups == 1
-    shares = (CARRIED,) if one_share else tuple(f"{CARRIED} of {n}" for n in scales)
-    carried = () if statement.carried == 0.0 else (*shares, REACH)
+    carried = () if statement.carried == 0.0 else (CARRIED, REACH)
     of_kind = {
         LEVEL: RUN,
         RENEWED: SEAT,

@@ -115,7 +115,10 @@ def unreachable(kinematics: Kinematics) -> str | None:
     machine = kinematics.machine
     ends = [(c.lower, c.upper) for c in machine.command]
     count = TRIED if TRIED ** len(ends) <= MOST_TRIED else TRIED - 1
-    axes = [np.linspace(low, high, count) for low, high in ends]
+    axes = [
+        np.linspace(low, high, count) if np.isfinite([low, high]).all() else [home]
+        for (low, high), home in zip(ends, machine.home_command, strict=True)
+    ]
     command = np.array(list(itertools.product(*axes)))
     why = "cannot be reached"
     try:
