@@ -16,7 +16,7 @@ from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.model.instrument import Setup
 from oed.noise.marginal import NoisePosterior
-from oed.noise.prior import COURSE, RUN
+from oed.noise.prior import CARRIED, COURSE, RUN
 from oed.noise.process import Laws
 from oed.result.goodness import NoiseRecord
 
@@ -43,7 +43,7 @@ def _numbers(
     posterior: NoisePosterior, setups: Mapping[str, Setup]
 ) -> Iterator[NoiseRecord]:
     laws, weights = posterior.prior.laws(posterior.draws), posterior.weights
-    structure, shares = posterior.structure, posterior.prior.share_names
+    structure = posterior.structure
     # channels with common sources have part of the noise of each
     variances = structure.variances.sum(axis=1)
     of_channels = structure.variances.T / variances
@@ -87,13 +87,11 @@ def _numbers(
             far = seat - expected > SHARED * sigma
             seated[setup.name] = number("seat", setup.name, unit, seat, expected, far)
     yield from seated.values()
-    if shares:
+    if CARRIED in posterior.prior.names:
         statement = structure.statement
-        share = statement.carried_share
-        several = structure.names if len(shares) > 1 else ("",)
-        for name, values in zip(several, laws.carried.T, strict=False):
-            far = values - share > MOST_CARRIED
-            yield number("carried", name, "1", values, share, far)
+        share, values = statement.carried_share, laws.carried[:, 0]
+        far = values - share > MOST_CARRIED
+        yield number("carried", "", "1", values, share, far)
         never = np.zeros(len(laws), dtype=bool)
         # beyond the longest run, readings cannot tell how far it goes
         reach = np.minimum(laws.reach, structure.longest)
