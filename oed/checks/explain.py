@@ -33,8 +33,6 @@ MOST_READINGS = 1000
 #: log odds against no mistake from which one is named: forms of noise and effects are
 #: known so well; share of the best one's probability from which another is named as well
 LOG_ODDS, SHARE = 10.0, 0.007
-#: misfit over the stated noise below which no noise of readings is left
-NOTHING_LEFT = 0.3
 #: misfit over the noise that may remain where a mistake explains readings
 EXPLAINED = 3.0
 #: misfit that readings count as having which cannot be fitted
@@ -117,7 +115,6 @@ def _explanations(
     ranked: Sequence[Undone], nothing: Undone | None, before: float
 ) -> list[Explanation]:
     """Mistakes that are as likely as must be and explain, of those from the likeliest on."""
-    ranked = [one for one in ranked if not _takes_all(one, before)]
     if not ranked:
         return []
     alone = np.log1p(-MISTAKEN) + nothing.log_posterior if nothing else -np.inf
@@ -137,14 +134,6 @@ def _explanations(
         if weight >= SHARE * weights[0]
     ]
     return explanations if _explains(explanations[0]) else []
-
-
-def _takes_all(one: Undone, before: float) -> bool:
-    """Whether readings without a mistake have no noise left: it took the readings away.
-
-    So does a smaller unit of poses where a printer's pose is what was read.
-    """
-    return bool(one.kind != "noise" and before >= 1.0 and one.ratio < NOTHING_LEFT)
 
 
 def _explains(one: Explanation) -> bool:
@@ -203,9 +192,28 @@ def undone(given: Given, candidate: Candidate) -> Undone | None:
         if len(trial.amounts):
             return _with_amounts(trial, candidate.scale, log_prior)
         sessions = trial.undo(trial.amounts)
+        log_prior += _log_of_poses_read(given.session, sessions)
         return _fitted(sessions, candidate.scale, log_prior, trial)
     except CANNOT_BE:
         return None
+
+
+def _log_of_poses_read(
+    session: SessionReadings, sessions: Sequence[SessionReadings]
+) -> float:
+    """Log of the densities' ratio where poses are what was read, as with a printer.
+
+    Its readings are all the same, and the noise is in its poses: in a smaller unit of
+    these it is as much smaller.
+    """
+    if np.ptp(session.y) > 0.0:
+        return 0.0
+    before, after = (
+        np.vstack([series.command for s in some for series in s.series]).std(axis=0)
+        for some in ([session], sessions)
+    )
+    varied = (before > 0.0) & (after > 0.0)
+    return float(len(session) * np.log(after[varied] / before[varied]).sum())
 
 
 def _fitted(
