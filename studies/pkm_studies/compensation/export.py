@@ -87,10 +87,10 @@ def export_folder(
     study = result_study(result, folder, study_file, consent)
     if firmware is not None:
         study = _with_version(study, controller, firmware)
-    notes: tuple[str, ...] = ()
+    notes = _held_notes(result)
     if adjusted:
         result = adjusted_result(result)
-        notes = (AFTER_ADJUSTMENT,)
+        notes = (*notes, AFTER_ADJUSTMENT)
     return export(
         result,
         study,
@@ -101,6 +101,18 @@ def export_folder(
         commands=commands,
         notes=notes,
     )
+
+
+def _held_notes(result: StudyResult) -> tuple[str, ...]:
+    """Sentences on what the model holds and the readings contradict: no file takes it up."""
+    section = result.estimate
+    if section is None or not section.held:
+        return ()
+    sentences = section.warnings[: len(section.held)]
+    beyond = (
+        "the predicted errors do not hold this: the machine may err by as much more"
+    )
+    return (*sentences, beyond)
 
 
 def _with_version(study: Study, controller: ControllerFormat, version: str) -> Study:
