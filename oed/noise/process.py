@@ -6,7 +6,7 @@ In units of the stated noise, a chain of readings (one channel of a run) has the
               + d . course ]
 
 with white_k and level independent standard normal, carried_k an Ornstein-Uhlenbeck
-process with correlation exp(-|k - l| / reach), s and f the channel's own, seat the set-up's unknowns that the run
+process with correlation exp(-|k - l| / reach), s the channel's own, seat the set-up's unknowns that the run
 seated anew, with slopes c, and shared the errors that instrument and study state. The
 course of the session goes through all runs (`oed.noise.course`).
 
