@@ -72,6 +72,10 @@ def test_a_lean_of_the_bed_is_reported(
     said = "tilt_x is held at 0 mrad, which the readings contradict"
     assert (said in printed, said in page) == (lean != 0.0, lean != 0.0)
     assert [one["parameters"] for one in held] == [["probe.tilt_x"]] * (lean != 0.0)
+    assert cli.main(["compensate", str(out), "--to", "csv"]) == 0
+    written = capsys.readouterr().out
+    assert (said in written) == (lean != 0.0)
+    assert ("do not hold this" in written) == (lean != 0.0)
     if held:
         assert held[0]["estimate"] == pytest.approx(1e3 * lean, abs=3.0 * held[0]["sd"])
 
