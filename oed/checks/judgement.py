@@ -154,8 +154,7 @@ def estimated_law(
 
 def _checked_law(structure: ReadingStructure, laws: Laws, theta: Array) -> CheckedLaw:
     scale = dict(zip(structure.names, laws.scale[0].tolist(), strict=True))
-    share = dict(zip(structure.names, laws.carried[0].tolist(), strict=True))
-    return CheckedLaw(scale, laws, theta, share)
+    return CheckedLaw(scale, laws, theta)
 
 
 def goodness_of_delivered(

@@ -27,14 +27,11 @@ class CheckedLaw:
     scale  of each group of readings, `set-up.channel`, over the stated noise
     law    its other numbers, as one of some laws
     theta  (n,) parameters at which slopes over renewed unknowns are taken
-    share  of the variance of each group that is carried along; that of the law's first
-           group where it is not known
     """
 
     scale: Mapping[str, float]
     law: Laws
     theta: Array
-    share: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def noise(self, measurement: Measurement, series: Sequence[Series]) -> Noise:
         """The noise of readings under the law, SI."""
@@ -47,8 +44,7 @@ class CheckedLaw:
     def laws(self, structure: ReadingStructure) -> Laws:
         """The law for readings of a structure; groups it does not know are as stated."""
         scale = np.array([[self.scale.get(name, 1.0) for name in structure.names]])
-        usual = float(self.law.carried[0, 0])
-        share = np.array([[self.share.get(name, usual) for name in structure.names]])
+        share = self.law.carried[:, 0]  # all groups have the same
         return dataclasses.replace(self.law, scale=scale, carried=share)
 
     def with_scale(self, least: float, most: float) -> CheckedLaw:

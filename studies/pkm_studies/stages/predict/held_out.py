@@ -137,13 +137,12 @@ def _noise_draws(
         law = fitted.prior.laws(coordinates)
         kinds = [_channel_kind(measurement, n) for n in fitted.structure.names]
         scale = np.ones((len(coordinates), len(structure.names)))
-        share = np.repeat(law.carried[:, :1], len(structure.names), axis=1)
         for k, name in enumerate(structure.names):
             kind = _channel_kind(measurement, name)
             if kind in kinds:
                 scale[:, k] = law.scale[:, kinds.index(kind)]
-                share[:, k] = law.carried[:, kinds.index(kind)]
-        laws = dataclasses.replace(law, scale=scale, carried=share)
+        # all groups have one share
+        laws = dataclasses.replace(law, scale=scale, carried=law.carried[:, 0])
     errors = Whitening(structure, laws).draw(
         rng, structure.statement, estimated=fitted is not None
     )
