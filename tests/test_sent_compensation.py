@@ -38,15 +38,23 @@ def test_components_count_in_units_of_their_error_with_nothing_sent() -> None:
         "halves both": spreads(x=50e-6, turn=0.5e-3, held=0.0),
         "corrects x": spreads(x=10e-6, turn=1e-3, held=0.0),
     }
-    assert least_error(before, after) == "halves both"
-    assert least_error(before, dict(reversed(after.items()))) == "halves both"
+    assert least_error(before, after, {"x", "turn", "held"}) == "halves both"
+    assert least_error(before, dict(reversed(after.items())), {"x", "turn"}) == "halves both"
 
 
 def test_nothing_is_sent_where_all_is_worse() -> None:
     before = spreads(x=100e-6, turn=1e-3)
     worse = {"one": spreads(x=101e-6, turn=1e-3), "other": spreads(x=1.0, turn=0.0)}
-    assert least_error(before, worse) == NOTHING
-    assert least_error(before, {**worse, "equal": before}) == "equal"
+    assert least_error(before, worse, {"x", "turn"}) == NOTHING
+    assert least_error(before, {**worse, "equal": before}, {"x", "turn"}) == "equal"
+
+
+def test_what_no_drive_corrects_does_not_decide() -> None:
+    """y falls to a quarter by one, x to a half by the other; y has no drive."""
+    before = spreads(x=4e-6, y=100e-6)
+    after = {"y": spreads(x=4e-6, y=25e-6), "x": spreads(x=2e-6, y=100e-6)}
+    assert least_error(before, after, {"x"}) == "x"
+    assert least_error(before, after, {"x", "y"}) == "y"
 
 
 def section_of(case: Case, theta: np.ndarray, plain: np.ndarray) -> MixtureSection:

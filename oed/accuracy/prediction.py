@@ -19,7 +19,7 @@ digits than the errors here allow.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -220,17 +220,20 @@ def spread_after(
 
 
 def least_error(
-    before: Mapping[str, Spread], after: Mapping[str, Mapping[str, Spread]]
+    before: Mapping[str, Spread],
+    after: Mapping[str, Mapping[str, Spread]],
+    driven: Collection[str],
 ) -> str:
     """Name of the compensation of least expected error, the first of equals; or NOTHING.
 
     before  {component: Spread} with nothing sent
     after   {compensation: {component: Spread}}, over the same draws
+    driven  components that the controller corrects: the others do not decide
 
     Mean squares of the components add up in units of those with nothing sent, so that
     lengths and angles count alike.
     """
-    units = {name: spread.rms for name, spread in before.items() if spread.rms > 0.0}
+    units = {name: before[name].rms for name in driven if before[name].rms > 0.0}
     errors = {
         candidate: sum((spreads[n].rms / unit) ** 2 for n, unit in units.items())
         for candidate, spreads in {**after, NOTHING: before}.items()

@@ -274,6 +274,11 @@ class Machine:
         return self.lever if turns else 0.0
 
     @property
+    def driven(self) -> tuple[str, ...]:
+        """Names of the components that the controller corrects."""
+        return tuple(c.name for c in self.components if c.compensatable)
+
+    @property
     def home_command(self) -> Array:
         """Command (n_dof,) of the home pose, SI."""
         return np.array([self.home[c.name] for c in self.command])

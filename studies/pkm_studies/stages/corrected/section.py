@@ -133,10 +133,12 @@ def with_least_error(
     """
     before, after = accuracy.compensated.before, accuracy.compensated.after
     geometry = {BEST: accuracy.parameters_only, PLAIN: accuracy.plain}
-    sent = least_error(before, {BEST_WITH_EFFECTS: after, **geometry})
+    machine = corrected.measurement.machine
+    every = {BEST_WITH_EFFECTS: after, **geometry}
+    sent = least_error(before, every, machine.driven)
     section = msgspec.structs.replace(section, sent=sent)
-    if least_error(before, geometry) == PLAIN:
-        section = with_controller(section, corrected.measurement.machine, plain)
+    if least_error(before, geometry, machine.driven) == PLAIN:
+        section = with_controller(section, machine, plain)
     return section if sent == BEST_WITH_EFFECTS else without_tables(section)
 
 

@@ -173,7 +173,9 @@ def _with_accuracy(
     )
     predicted = {name: result.prediction for name, result in judged.items()}
     before, after = predicted[BEST].before, {n: p.after for n, p in predicted.items()}
-    geometry = least_error(before, {name: after[name] for name in sent})
+    geometry = least_error(
+        before, {name: after[name] for name in sent}, machine.driven
+    )
     sections, choices = {}, []
     for name, prediction in predicted.items():
         record = accuracy_section(known.measurement.kinematics, prediction, "mixture")
@@ -184,7 +186,7 @@ def _with_accuracy(
     choices.append(CompensationChoice(NOTHING, rms))
     shown = BEST if geometry == NOTHING else geometry
     with_effects = sections.get(BEST_WITH_EFFECTS)
-    if least_error(before, after) != BEST_WITH_EFFECTS:
+    if least_error(before, after, machine.driven) != BEST_WITH_EFFECTS:
         with_effects = None
     return msgspec.structs.replace(
         with_controller(section, machine, sent[shown]),

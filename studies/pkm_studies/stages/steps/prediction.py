@@ -71,7 +71,8 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     shown = sent = BEST
     if len(candidates) > 1:
         after = {name: p.after for name, p in predicted.items()}
-        sent = least_error(predicted[BEST].before, after)
+        driven = state.measurement.machine.driven
+        sent = least_error(predicted[BEST].before, after, driven)
         shown = BEST if sent == NOTHING else sent
     known, main = candidates[shown], judged[shown]
     section = _section(state, known, main)
