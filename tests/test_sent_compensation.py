@@ -39,7 +39,10 @@ def test_components_count_in_units_of_their_error_with_nothing_sent() -> None:
         "corrects x": spreads(x=10e-6, turn=1e-3, held=0.0),
     }
     assert least_error(before, after, {"x", "turn", "held"}) == "halves both"
-    assert least_error(before, dict(reversed(after.items())), {"x", "turn"}) == "halves both"
+    assert (
+        least_error(before, dict(reversed(after.items())), {"x", "turn"})
+        == "halves both"
+    )
 
 
 def test_nothing_is_sent_where_all_is_worse() -> None:

@@ -7,8 +7,11 @@ test measures n poses with uncertainty u and compares
 
     T^2 = 1/n sum_i (a S f(x_i) + u e_i)^2
 
-with a limit that machines at the promise (a = 1) exceed with a stated probability. Its
-power is the probability that a machine which misses the promise (a = 1.2) exceeds it.
+with two limits. Machines at the promise (a = 1) exceed the upper one with a stated
+probability: beyond it a machine fails. Its power is the probability that a machine which
+misses the promise (a = 1.2) exceeds it. Machines that miss stay below the lower one with a
+probability of 5 %: up to it a machine meets the promise, if the power is at least 0.8.
+Between the two the test cannot tell.
 Poses are added one by one: the next is the one that best separates the two.
 
 Accuracy and repeatability of positioning follow ISO 230-2. At each target i, n_i
@@ -32,12 +35,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from oed.accuracy.conformity import measured_rms_within
 from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import covariance_root
 from oed.result.acceptance import PositioningRecord, PromiseRecord, VerdictRecord
+from oed.result.verdict import Judgement
 
 #: machines drawn to choose poses, and to state limits and power
 CHOOSING, STATING = 600, 8000
+#: power below which a test confirms nothing, whatever it reads
+LEAST_POWER = 0.8
+#: probability that a machine which misses its promise is said to meet it
+FALSE_CONFIRMATION = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +84,8 @@ class AcceptancePlan:
     """Poses to measure, and when a machine passes.
 
     poses        (n,) numbers of workspace poses
-    limits       (k,) largest rms of the measured errors with which it passes, SI
+    limits       (k,) rms of the measured errors beyond which it fails, SI
+    confirms     (k,) rms up to which it meets the promise, SI; NaN where the power is low
     power        (k,) probability that a machine which misses the promise is caught
     miss         factor on the promised rms of such a machine
     false_alarm  probability that a machine at the promise fails, all components counted
@@ -83,6 +93,7 @@ class AcceptancePlan:
 
     poses: Index
     limits: Array
+    confirms: Array
     power: Array
     miss: float
     false_alarm: float
@@ -138,10 +149,13 @@ def state_limits(
     bad = _statistics(promise, poses, miss, rng)
     each = 1.0 - (1.0 - false_alarm) ** (1.0 / len(promise.names))
     limits = np.quantile(good, 1.0 - each, axis=0)
+    power = np.mean(bad > limits, axis=0)
+    confirms = np.minimum(np.quantile(bad, FALSE_CONFIRMATION, axis=0), limits)
     return AcceptancePlan(
         poses=np.asarray(poses),
         limits=limits,
-        power=np.mean(bad > limits, axis=0),
+        confirms=np.where(power >= LEAST_POWER, confirms, np.nan),
+        power=power,
         miss=miss,
         false_alarm=float(np.mean((good > limits).any(axis=1))),
     )
@@ -183,13 +197,20 @@ def judge(
 
 def _verdict(errors: Array, demand: PromiseRecord) -> VerdictRecord:
     rms = float(np.sqrt(np.mean(errors**2)))
+    verdict: Judgement = "fail" if rms > demand.limit else "cannot tell"
+    if demand.confirms is not None and rms <= demand.confirms:
+        verdict = "pass"
     return VerdictRecord(
         rms=rms,
         max=float(np.abs(errors).max()),
         limit=demand.limit,
         promised=demand.promised,
         unit=demand.unit,
-        passed=rms <= demand.limit,
+        passed=verdict == "pass",
+        verdict=verdict,
+        probability=measured_rms_within(
+            rms, demand.uncertainty, len(errors), demand.promised
+        ),
     )
 
 

@@ -34,6 +34,7 @@ from oed.accuracy.maps import (
 from oed.base.arrays import Array
 from oed.base.linear_algebra import covariance_root
 from oed.result.mixture import NOTHING
+from oed.result.prediction import LEVELS
 
 __all__ = [
     "ErrorMaps",
@@ -72,6 +73,8 @@ class Spread:
                       machines
     p95_interval      the same of each machine's 95th percentile
     largest_interval  the same of each machine's largest error
+    rms_quantiles     of the rms over the workspace of one machine, at the probabilities
+                      `oed.result.prediction.LEVELS`
     monte_carlo       {figure: standard errors that the number of machines leaves}: of
                       `rms` where it is drawn, of `p95`, `largest`, and of both ends of
                       the intervals
@@ -83,6 +86,7 @@ class Spread:
     rms_interval: Interval = UNKNOWN_INTERVAL
     p95_interval: Interval = UNKNOWN_INTERVAL
     largest_interval: Interval = UNKNOWN_INTERVAL
+    rms_quantiles: tuple[float, ...] = ()
     monte_carlo: Mapping[str, tuple[float, ...]] = dataclasses.field(
         default_factory=dict
     )
@@ -291,6 +295,7 @@ def error_spread(errors: Array, worth: float | None = None) -> Spread:
         rms=rms.value,
         p95=p95.value,
         largest=largest.value,
+        rms_quantiles=tuple(np.quantile(of_machine["rms"], LEVELS).tolist()),
         monte_carlo=errors_of,
         **intervals,
     )

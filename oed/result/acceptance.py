@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from oed.result.record import Record
+from oed.result.verdict import Judgement
 
 
 class PromiseRecord(Record, frozen=True):
@@ -10,7 +11,10 @@ class PromiseRecord(Record, frozen=True):
 
     promised     rms error over the workspace; of what no drive corrects, with further
                  axes that take the known error back
-    limit        largest rms of the measured errors with which the machine passes
+    limit        largest rms of the measured errors that a machine at its promise has: it
+                 fails beyond
+    confirms     largest rms with which it meets its promise: a machine that misses stays
+                 below with a probability of 5 %; null where the test cannot confirm
     power        probability that a machine which misses the promise is caught
     uncertainty  standard uncertainty of one measured error
     without      rms error over the workspace without further axes, where no drive
@@ -23,6 +27,7 @@ class PromiseRecord(Record, frozen=True):
     uncertainty: float
     unit: str
     without: float | None = None
+    confirms: float | None = None
 
 
 class AcceptanceSection(Record, frozen=True):
@@ -55,7 +60,8 @@ class VerdictRecord(Record, frozen=True):
     """The judgement of one pose component, in `unit`.
 
     Of what no drive corrects, rms and max are those with further axes, and `without`
-    the rms error without them.
+    the rms error without them. `passed` holds where the verdict is pass; `probability` is
+    that of a true rms error within the promise, at the measured poses.
     """
 
     rms: float
@@ -65,6 +71,13 @@ class VerdictRecord(Record, frozen=True):
     unit: str
     passed: bool
     without: float | None = None
+    verdict: Judgement | None = None
+    probability: float | None = None
+
+    @property
+    def judgement(self) -> Judgement:
+        """The verdict; that of older versions knew pass and fail alone."""
+        return self.verdict or ("pass" if self.passed else "fail")
 
 
 class PositioningRecord(Record, frozen=True):
@@ -86,6 +99,8 @@ class PositioningRecord(Record, frozen=True):
 class VerificationSection(Record, frozen=True):
     """Whether the measured errors confirm the promise.
 
+    verdict  the worst of the components; null in results of older versions, whose tests
+             could not end in `cannot tell`
     further  verdicts on what no drive corrects, as far as it was measured
     healthy  {component: rms} that the plan predicted for a healthy machine
     """
@@ -96,3 +111,9 @@ class VerificationSection(Record, frozen=True):
     positioning: dict[str, PositioningRecord] = {}
     further: dict[str, VerdictRecord] = {}
     healthy: dict[str, float] = {}
+    verdict: Judgement | None = None
+
+    @property
+    def judgement(self) -> Judgement:
+        """The verdict; that of older versions knew pass and fail alone."""
+        return self.verdict or ("pass" if self.passed else "fail")

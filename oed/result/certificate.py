@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from oed.result.record import Record
+from oed.result.verdict import Judgement, judge
 
 
 class CertifiedParameter(Record, frozen=True):
@@ -22,7 +23,7 @@ class CertifiedParameter(Record, frozen=True):
 class CertifiedAccuracy(Record, frozen=True):
     """Errors of one pose component after compensation, SI.
 
-    passed    whether a measurement confirmed its limit; None for a prediction
+    verdict   of the acceptance test; None for a prediction
     interval  95 % of the machines have an rms error between its ends
     """
 
@@ -33,7 +34,7 @@ class CertifiedAccuracy(Record, frozen=True):
     p95: float | None = None
     interval: tuple[float, float] | None = None
     limit: float | None = None
-    passed: bool | None = None
+    verdict: Judgement | None = None
 
 
 class Conformity(Record, frozen=True):
@@ -42,6 +43,8 @@ class Conformity(Record, frozen=True):
     quantity   what the tolerance is of
     basis      what the probability rests on
     tolerance  largest rms error, or largest departure from nominal
+    can_pass   whether conformity can be stated: a prediction that no reading beyond the
+               fit confirms is certified as such, with its probability
     """
 
     quantity: str
@@ -49,6 +52,7 @@ class Conformity(Record, frozen=True):
     tolerance: float
     unit: str
     probability: float
+    can_pass: bool = True
 
 
 class Institution(Record, frozen=True):
@@ -132,15 +136,11 @@ class Certificate(Record, frozen=True, kw_only=True):
     conditions: list[str] = []
 
     @property
-    def verdicts(self) -> list[str]:
-        """pass, fail or noPass of each conformity; "" where no decision rule is stated."""
+    def verdicts(self) -> list[Judgement | None]:
+        """The verdict on each conformity; None where no decision rule is stated."""
         rule = self.head.decision
         if rule is None:
-            return [""] * len(self.conformity)
-        return [_verdict(c.probability, rule) for c in self.conformity]
-
-
-def _verdict(probability: float, rule: float) -> str:
-    if probability >= rule:
-        return "pass"
-    return "fail" if probability <= 1.0 - rule else "noPass"
+            return [None] * len(self.conformity)
+        return [
+            judge(c.probability, rule, can_pass=c.can_pass) for c in self.conformity
+        ]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import bisect
+from typing import Final, Literal
 
 from oed.result.budget import BudgetSection
 from oed.result.record import Record
@@ -11,6 +12,11 @@ from oed.result.record import Record
 Interval = tuple[float, float]
 #: what held-out readings say of a fit
 HeldOutVerdict = Literal["agrees", "confirms", "contradicts"]
+#: probabilities of the quantiles that are stored of a distribution
+LEVELS: Final = (
+    *(0.005, 0.01, 0.025, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
+    *(0.6, 0.7, 0.8, 0.9, 0.95, 0.975, 0.99, 0.995),
+)
 
 
 class SpreadRecord(Record, frozen=True):
@@ -18,6 +24,8 @@ class SpreadRecord(Record, frozen=True):
     `unit`.
 
     An interval holds that figure of 95 % of the machines, each over its workspace.
+    `rms_quantiles` are those of the rms error of one machine, at the probabilities
+    `LEVELS`.
     `monte_carlo` has the standard errors that the number of drawn machines leaves, by
     figure: of `p95`, `max` and both ends of an interval, of `rms` where it is drawn.
     """
@@ -29,7 +37,24 @@ class SpreadRecord(Record, frozen=True):
     rms_interval: Interval | None = None
     p95_interval: Interval | None = None
     max_interval: Interval | None = None
+    rms_quantiles: list[float] = []
     monte_carlo: dict[str, list[float]] = {}
+
+    def probability_within(self, limit: float) -> float:
+        """Probability that the rms error of one machine is at most a limit.
+
+        Between the outermost of `LEVELS`, for draws tell no more; one half where a result
+        of an older version has no quantiles.
+        """
+        quantiles = self.rms_quantiles
+        if not quantiles:
+            return 0.5
+        above = bisect.bisect_right(quantiles, limit)
+        if above in (0, len(quantiles)):
+            return LEVELS[min(above, len(LEVELS) - 1)]
+        low, high = quantiles[above - 1], quantiles[above]
+        share = (limit - low) / (high - low)
+        return LEVELS[above - 1] + share * (LEVELS[above] - LEVELS[above - 1])
 
 
 class ComponentAccuracy(Record, frozen=True):

@@ -20,6 +20,7 @@ from oed.result.identifiability import IdentifiabilitySection, KappaMap
 from oed.result.plan import PlanSection
 from oed.result.prediction import HeldOutSection, PredictionSection
 from oed.result.record import Record
+from oed.result.verdict import WantedVerdict
 
 SCHEMA = 1
 
@@ -139,6 +140,8 @@ class StudyResult(Record, frozen=True, kw_only=True):
     estimate: EstimateSection | None = None
     posterior: PosteriorSection | None = None
     prediction: PredictionSection | None = None
+    #: on each wanted accuracy, by component
+    verdicts: dict[str, WantedVerdict] = {}
     held_out: list[HeldOutSection] = []
     gap: GapSection | None = None
     corrected: CorrectedSection | None = None
@@ -163,3 +166,11 @@ class StudyResult(Record, frozen=True, kw_only=True):
     def final_prediction(self) -> PredictionSection | None:
         """The predicted accuracy with that estimate."""
         return self.prediction if self.corrected is None else self.corrected.prediction
+
+    @property
+    def judged_prediction(self) -> PredictionSection | None:
+        """The predicted accuracy that is judged: over all hypotheses where there are any."""
+        mixture = None if self.gap is None else self.gap.mixture
+        if mixture is not None and mixture.prediction is not None:
+            return mixture.with_effects or mixture.prediction
+        return self.final_prediction

@@ -14,6 +14,7 @@ from oed.base import own_files
 from oed.base.arrays import Array
 from oed.dataset.digests import digests
 from oed.result import StudyResult
+from oed.result.verdict import accuracy_verdicts
 from pkm_studies.base import files
 from pkm_studies.base.progress import Progress, Silent
 from pkm_studies.resolve.counted import counted
@@ -349,6 +350,7 @@ def assemble_result(state: RunState) -> StudyResult:
         readings=counted(state.study, readings),
         setups=[describe.setup_info(machine, setup, series) for setup in setups],
         versions=describe.package_versions(),
+        verdicts=accuracy_verdicts(state.result),
         headline=headline.sentences(state.result, recorded, info),
         warnings=list(dict.fromkeys(state.warnings)),
     )

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 
 from oed.result import StudyResult
+from oed.result.verdict import accuracy_verdicts
 from pkm_reports.comparison.glance import rms_by_component
 from pkm_reports.figures import side_by_side
 from pkm_reports.page import missing, text
@@ -27,8 +28,8 @@ def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
     columns = [TableColumn("Component"), *number_columns(*names)]
     with_goals = bool(goals)
     if with_goals:
-        columns += [*number_columns("Wanted"), TableColumn("Reached by")]
-    rows = [_row(name, of, names, goals) for name, of in sizes.items()]
+        columns += [*number_columns("Wanted"), TableColumn("Passed by")]
+    rows = [_row(name, of, results, goals) for name, of in sizes.items()]
     width = len(columns)
     table = Table(columns, [row[:width] for row in rows], caption)
     bars = "The same as bars, on a log scale."
@@ -50,15 +51,18 @@ def _goals(results: Mapping[str, StudyResult]) -> dict[str, float]:
 def _row(
     component: str,
     sizes: Mapping[str, tuple[float, str]],
-    names: list[str],
+    results: Mapping[str, StudyResult],
     goals: Mapping[str, float],
 ) -> list[str]:
     unit = next(iter(sizes.values()))[1]
-    cells = [text.number(sizes[n][0]) if n in sizes else text.MISSING for n in names]
+    cells = [text.number(sizes[n][0]) if n in sizes else text.MISSING for n in results]
     goal = missing.entry(goals, f"{component}_{unit}")
-    reached = [n for n in names if n in sizes and sizes[n][0] <= goal]
-    verdict = text.listing(reached) or "none"
-    if math.isnan(goal):
-        verdict = text.MISSING
+    passing = [
+        name
+        for name in sizes
+        if accuracy_verdicts(results[name], {component: goal})[component].judgement
+        == "pass"
+    ]
+    stated = text.MISSING if math.isnan(goal) else text.listing(passing) or "none"
     title = f"{component} [{text.unit_symbol(unit)}]"
-    return [title, *cells, text.number(goal), verdict]
+    return [title, *cells, text.number(goal), stated]

@@ -9,7 +9,6 @@ from typing import Final
 from oed.result import StudyResult
 from pkm_reports.page import text
 from pkm_reports.page.blocks import Block, Items, Paragraph, Table, TableColumn
-from pkm_reports.sections.answer import accuracy as answer_accuracy
 from pkm_reports.sections.answer import measure
 
 Results = Mapping[str, StudyResult]
@@ -86,7 +85,7 @@ def _best(results: Results) -> Iterator[str]:
 
 def _uncorrected(results: Results) -> set[str]:
     """Components that the controller of any of the machines does not correct."""
-    predictions = [answer_accuracy.final_prediction(r) for r in results.values()]
+    predictions = [r.judged_prediction for r in results.values()]
     return {
         name
         for prediction in predictions
@@ -103,12 +102,11 @@ def rms_by_component(results: Results) -> dict[str, dict[str, tuple[float, str]]
     """
     sizes: dict[str, dict[str, tuple[float, str]]] = {}
     for label, result in results.items():
-        prediction = answer_accuracy.final_prediction(result)
+        prediction = result.judged_prediction
         if prediction is None:
             continue
         for name, c in prediction.components.items():
-            spread = c.after if c.compensatable else c.known
-            sizes.setdefault(name, {})[label] = (spread.rms, spread.unit)
+            sizes.setdefault(name, {})[label] = (c.judged.rms, c.judged.unit)
     return sizes
 
 

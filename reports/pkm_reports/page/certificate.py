@@ -153,14 +153,11 @@ def _errors(accuracies: Sequence[CertifiedAccuracy], caption: str) -> Table:
     rows = []
     for a in accuracies:
         unit = units.FINE[a.unit]
-        verdict = {None: "", True: "within its limit", False: "above its limit"}[
-            a.passed
-        ]
         figures = [
             "" if v is None else text.number(units.number(v, unit), 3)
             for v in (a.rms, a.p95, a.max, a.limit)
         ]
-        rows.append([a.component, *figures, unit, verdict])
+        rows.append([a.component, *figures, unit, a.verdict or ""])
     columns = [
         *text_columns("Component"),
         *number_columns("Rms", "95th percentile", "Largest", "Limit of rms"),
@@ -178,7 +175,7 @@ def _conformity(c: Certificate) -> list[Block]:
         tolerance = text.number(units.number(entry.tolerance, unit), 4)
         probability = f"{entry.probability:.3f}"
         rows.append(
-            [entry.quantity, tolerance, unit, probability, verdict, entry.basis]
+            [entry.quantity, tolerance, unit, probability, verdict or "", entry.basis]
         )
     columns = [
         *text_columns("Quantity"),
@@ -194,6 +191,7 @@ def _conformity(c: Certificate) -> list[Block]:
     if c.head.decision is not None:
         caption += (
             f" Decision rule: pass from {c.head.decision} on, fail where the contrary"
-            " reaches it, else noPass."
+            " reaches it, else cannot tell. A prediction that no measurement confirms is"
+            " stated with its probability alone, and never as pass."
         )
     return [Table(columns, rows, caption)]

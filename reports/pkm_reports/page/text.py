@@ -10,9 +10,21 @@ from typing import Final
 from oed.base import text as toolkit_text
 from oed.base import units
 from oed.result.record import Number
+from oed.result.verdict import Judgement
 from pkm_reports.page.missing import finite, or_nan
 
 MISSING: Final = "–"
+#: a verdict as a cell, and the mark of its row
+VERDICTS: Final[dict[Judgement, str]] = {
+    "pass": "✓ pass",
+    "fail": "✗ fail",
+    "cannot tell": "? cannot tell",
+}
+MARKS: Final[dict[Judgement, str]] = {
+    "pass": "good",
+    "fail": "bad",
+    "cannot tell": "chosen",
+}
 MINUS: Final = "\N{MINUS SIGN}"
 #: no line breaks between a number and its unit
 NO_BREAK: Final = "\N{NO-BREAK SPACE}"

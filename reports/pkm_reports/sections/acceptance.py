@@ -57,10 +57,17 @@ def _runs(curves: Sequence[RunCurve]) -> list[Block]:
 def verdict(verification: VerificationSection) -> str:
     """The judgement in a sentence."""
     judged = {**verification.components, **verification.further}
-    failed = [n for n, c in judged.items() if not c.passed]
-    if not failed:
+    if verification.judgement == "pass":
         return "The acceptance test is passed: the measured errors confirm the promise."
-    return f"The acceptance test is failed: {text.listing(failed)} exceeds its limit."
+    names = [n for n, c in judged.items() if c.judgement == verification.judgement]
+    if verification.judgement == "fail":
+        return (
+            f"The acceptance test is failed: {text.listing(names)} exceeds its limit."
+        )
+    return (
+        f"The acceptance test cannot tell whether {text.listing(names)} meets the promise:"
+        " measure more accurately, or at more poses."
+    )
 
 
 def _about(acceptance: AcceptanceSection) -> str:
@@ -76,13 +83,16 @@ def _about(acceptance: AcceptanceSection) -> str:
 def _demands(acceptance: AcceptanceSection) -> Table:
     columns = [
         TableColumn("Component"),
-        *number_columns("Promised rms", "Limit", "Uncertainty", "Power"),
+        *number_columns(
+            "Promised rms", "Meets to", "Fails above", "Uncertainty", "Power"
+        ),
     ]
     demands = acceptance.components.items()
     rows = [[_component(name, d), *_demand(d)] for name, d in demands]
     caption = (
-        "Demands: the rms of the errors measured at the poses below must not exceed the"
-        " limit. Uncertainty: of one measured error, one standard deviation."
+        "Demands on the rms of the errors measured at the poses below. Between the two"
+        " limits the test cannot tell; without a lower one its power is too small to"
+        " confirm. Uncertainty: of one measured error, one standard deviation."
     )
     return Table(columns, rows, caption)
 
@@ -90,7 +100,8 @@ def _demands(acceptance: AcceptanceSection) -> Table:
 def _further_demands(acceptance: AcceptanceSection) -> Table:
     columns = [
         TableColumn("Component"),
-        *number_columns("Without", "With: promised", "Limit", "Uncertainty", "Power"),
+        *number_columns("Without", "With: promised", "Meets to", "Fails above"),
+        *number_columns("Uncertainty", "Power"),
     ]
     rows = [
         [
@@ -112,9 +123,10 @@ def _component(name: str, demand: PromiseRecord) -> str:
 
 
 def _demand(demand: PromiseRecord) -> list[str]:
-    """Cells of a demand: promised, limit, uncertainty, power."""
+    """Cells of a demand: promised, both limits, uncertainty, power."""
     return [
         text.number(demand.promised),
+        text.MISSING if demand.confirms is None else text.number(demand.confirms),
         text.number(demand.limit),
         text.number(demand.uncertainty, 2),
         text.fixed(demand.power, 2),
@@ -137,10 +149,8 @@ def _verdict(verification: VerificationSection) -> list[Block]:
     for name, c in verification.components.items():
         unit = text.unit_symbol(c.unit)
         sizes = [text.number(v) for v in (c.rms, c.limit, c.max)]
-        rows.append(
-            [f"{name} [{unit}]", *sizes, "✓ passed" if c.passed else "✗ failed"]
-        )
-        marks.append("good" if c.passed else "bad")
+        rows.append([f"{name} [{unit}]", *sizes, text.VERDICTS[c.judgement]])
+        marks.append(text.MARKS[c.judgement])
     caption = f"Measured errors against their limits. {verdict(verification)}"
     blocks: list[Block] = [Table(columns, rows, caption, marks)]
     if verification.further:
@@ -160,9 +170,9 @@ def _further_verdict(verification: VerificationSection) -> Table:
     for name, c in verification.further.items():
         sizes = [text.number(v) for v in (c.rms, c.limit, c.max)]
         without = "" if c.without is None else text.number(c.without)
-        words = "✓ passed" if c.passed else "✗ failed"
-        rows.append([f"{name} [{text.unit_symbol(c.unit)}]", without, *sizes, words])
-        marks.append("good" if c.passed else "bad")
+        title = f"{name} [{text.unit_symbol(c.unit)}]"
+        rows.append([title, without, *sizes, text.VERDICTS[c.judgement]])
+        marks.append(text.MARKS[c.judgement])
     caption = (
         "What no drive corrects: measured errors without further axes, and with axes that"
         " take the known error back."

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from oed.result.verdict import overall
 from pkm_studies.base import console
 from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import AllowCode, MachineStudy, ResultFolder
@@ -43,4 +44,5 @@ def certificate(
         print(sentence)
     for path in paths:
         print(f"Written: {path}")
-    return DONE
+    stated = overall(v for v in written.verdicts if v is not None)
+    return DONE if stated in (None, "pass") else FAILED

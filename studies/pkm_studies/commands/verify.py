@@ -39,7 +39,7 @@ def verify(
         str,
         typer.Option(
             metavar="z_um=2,...",
-            help="Standard uncertainty of a measured error [a fifth of the promise].",
+            help="Standard uncertainty of a measured error [by the study's instrument].",
         ),
     ] = "",
     power: Annotated[

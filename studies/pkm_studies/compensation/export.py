@@ -16,7 +16,8 @@ from oed.compensate import (
     component_errors,
     undriven_components,
 )
-from oed.result import StudyResult, trust
+from oed.result import StudyResult, trust, verdict
+from oed.result.verdict import accuracy_verdicts
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent, Origin
@@ -33,6 +34,7 @@ from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.workspace import regular
 from pkm_studies.stages import result_folder
 from pkm_studies.stages.corrected.table_grid import COMMANDS
+from pkm_studies.stages.rounding import format_number
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
 
@@ -163,7 +165,12 @@ def export(
         content, notes=(*content.notes, *controller.notes(content))
     )
     texts = controller.write(content)
-    sentences = (*content.notes, *cost(controller, content))
+    corrects_effects = controller.tables and bool(content.tables)
+    sentences = (
+        *content.notes,
+        *cost(controller, content),
+        *verdict_sentences(result, geometry_sent=not corrects_effects),
+    )
     whole = complete_budget(controller, content, result)
     if whole is not None:
         document = msgspec.json.format(msgspec.json.encode(whole.section), indent=1)
@@ -171,6 +178,16 @@ def export(
         advice = [words.rstrip(".") for words in whole.section.advice[:1]]
         sentences = (*sentences, whole.sentence, *advice)
     return Export(_write(texts, folder, out), sentences)
+
+
+def verdict_sentences(result: StudyResult, *, geometry_sent: bool) -> list[str]:
+    """The verdict on what the study wants, of the machine with this compensation."""
+    verdicts = accuracy_verdicts(result, geometry_sent=geometry_sent)
+    return [
+        verdict.sentence(name, v, format_number(v.rms), format_number(v.wanted))
+        + f", {v.scope}"
+        for name, v in verdicts.items()
+    ]
 
 
 def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]:

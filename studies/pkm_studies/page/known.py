@@ -14,14 +14,12 @@ from oed.design import candidates
 from oed.estimation.estimate import AT_PRIOR
 from pkm_reports.page import text
 from pkm_studies.page.session import MachineSession, SessionState
-from pkm_studies.sessions.next_effects import Outlook
 from pkm_studies.sessions.next_reading import Adviser, FittedReadings, reading_of
 from pkm_studies.sessions.next_sentences import Advice
 from pkm_studies.stages import describe
 from pkm_studies.stages.fit.estimate import estimate_section
 
-#: machines that are drawn for an interval, and the interval's probability
-DRAWS: Final = 4000
+#: probability beyond each end of an interval
 TAIL: Final = 0.025
 #: next readings and combinations that are shown, and parameters of a combination
 SHOWN: Final = 5
@@ -33,7 +31,7 @@ class ComponentRow:
     """One component: rms error over the workspace, unknown part, in `unit`.
 
     low, high  where the rms error of this machine lies with 95 %
-    wanted     empty where nothing is wanted; `reached` whether it is
+    wanted     empty where nothing is wanted, as is the verdict on it
     course     polyline of the rms after each reading, in a box of 100 x 30
     """
 
@@ -44,7 +42,7 @@ class ComponentRow:
     high: str
     after: str
     wanted: str
-    reached: bool
+    verdict: str
     course: str
 
 
@@ -55,7 +53,7 @@ def accuracies(session: MachineSession, state: SessionState) -> list[ComponentRo
         return []
     machine = session.adviser.base.resolved.machine
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
-    low, high = _interval(advice.outlook)
+    low, high = np.quantile(advice.outlook.drawn_rms(), [TAIL, 1.0 - TAIL], axis=0)
     course = _course(session.adviser, state.fitted, advice)
     rows = []
     for k, name in enumerate(advice.names):
@@ -75,26 +73,11 @@ def accuracies(session: MachineSession, state: SessionState) -> list[ComponentRo
                 high=shown(float(high[k])),
                 after=shown(float(advice.after[k])),
                 wanted=shown(wanted) if is_wanted else "",
-                reached=is_wanted and bool(advice.known[k] <= wanted),
+                verdict=advice.judgement(k) if is_wanted else "",
                 course=_polyline(course[:, k], wanted),
             )
         )
     return rows
-
-
-def _interval(outlook: Outlook) -> tuple[Array, Array]:
-    """Ends (K,), (K,) of the rms error of one machine: a sum of squares of normals."""
-    rng, belief = np.random.default_rng(0), outlook.now
-    values, vectors = np.linalg.eigh(belief.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    squares = rng.standard_normal((DRAWS, len(values))) ** 2
-    ends = []
-    for weight, other in zip(belief.weights, outlook.others, strict=True):
-        spread = np.linalg.eigvalsh(root.T @ weight @ root)
-        rms = np.sqrt(squares @ np.maximum(spread, 0.0) + other)
-        ends.append(np.quantile(rms, [TAIL, 1.0 - TAIL]))
-    low, high = np.array(ends).T
-    return low, high
 
 
 def _course(adviser: Adviser, fitted: FittedReadings | None, advice: Advice) -> Array:
@@ -258,6 +241,8 @@ def remaining(advice: Advice) -> int | None:
     """
     if advice.is_reached:
         return 0
+    if advice.is_reached_by_geometry:
+        return None
     if np.isfinite(advice.limits).any():
         return advice.more
     if advice.planned is None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from oed.result import StudyResult, trust
+from oed.result.verdict import Judgement
 from pkm_reports.page import text
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
@@ -31,7 +32,7 @@ class Card:
     place   its folder, relative to the shelf's
     is_usable  whether a controller's file and an acceptance test follow from it
     is_planned  whether an acceptance test is planned
-    is_passed   its verdict; None before
+    verdict     of that test; None before
     """
 
     key: str
@@ -44,7 +45,7 @@ class Card:
     doubts: tuple[str, ...]
     is_usable: bool
     is_planned: bool
-    is_passed: bool | None
+    verdict: Judgement | None
 
 
 class Shelf:
@@ -110,6 +111,7 @@ class Shelf:
     def _of_result(self, key: str, folder: Path, result: StudyResult) -> Card:
         written = (folder / RESULT).stat().st_mtime
         day = datetime.datetime.fromtimestamp(written).isoformat(" ", "minutes")
+        test = result.verification
         return Card(
             key=key,
             place=folder.relative_to(self.root).as_posix(),
@@ -121,9 +123,7 @@ class Shelf:
             doubts=tuple(text.cleaned(words) for words in trust.objections(result)),
             is_usable=result.estimate is not None or result.prediction is not None,
             is_planned=result.acceptance is not None,
-            is_passed=None
-            if result.verification is None
-            else result.verification.passed,
+            verdict=None if test is None else test.judgement,
         )
 
 

@@ -55,7 +55,7 @@ def check_effect_names(study: Study, request: GapRequest) -> None:
         "identify": study.identify,
     }
     for key, table in tables.items():
-        if table is not None:
+        if table is not None and table.effects is not None:
             named_effects(request, table.effects, study.place.key(key).key("effects"))
 
 

@@ -51,7 +51,7 @@ def sentences(certificate: Certificate) -> Iterator[str]:
         unit = units.FINE[c.unit]
         yield (
             f"{c.quantity}, {c.basis}: within {units.number(c.tolerance, unit):.4g} {unit}"
-            f" with probability {c.probability:.3f}{verdict and f': {verdict}'}."
+            f" with probability {c.probability:.3f}{f': {verdict}' if verdict else ''}."
         )
     if not certificate.conformity:
         yield "No tolerance is stated, so the certificate states no conformity."

@@ -33,6 +33,8 @@ from pkm_studies.resolve.planned_effects import (
 )
 from pkm_studies.stages.run_state import RunState, Stream
 
+#: machines that are drawn for an interval or a probability
+MACHINES = 4000
 #: share of a wanted accuracy that no reading reaches
 OUT_OF_REACH = 1e-9
 
@@ -44,6 +46,7 @@ class Outlook:
     pool     of the candidates, after the `taken` readings
     before   what was known before any reading;  now  what is known
     others   (K,) mean square over the workspace that no reading can reduce, SI
+    holds_effects  whether effects beside the geometry are in all this
     """
 
     pool: Candidates
@@ -51,6 +54,7 @@ class Outlook:
     before: Belief
     now: Belief
     others: Array
+    holds_effects: bool = False
 
     @property
     def blocks(self) -> Array:
@@ -60,6 +64,21 @@ class Outlook:
     def accuracy(self, belief: Belief) -> Array:
         """Rms (K,) of a belief."""
         return np.asarray(np.sqrt(belief.variances + self.others))
+
+    def drawn_rms(self) -> Array:
+        """Rms errors (machines, K) that this machine may have, SI.
+
+        The mean square over the workspace is a sum of squares of normal errors.
+        """
+        rng = np.random.default_rng(0)
+        values, vectors = np.linalg.eigh(self.now.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        squares = rng.standard_normal((MACHINES, len(values))) ** 2
+        columns = []
+        for weight, other in zip(self.now.weights, self.others, strict=True):
+            spread = np.linalg.eigvalsh(root.T @ weight @ root)
+            columns.append(squares @ np.maximum(spread, 0.0) + other)
+        return np.asarray(np.sqrt(np.column_stack(columns)))
 
     def limits(self, wanted: Array) -> Array:
         """Wanted rms (K,) of what readings can reduce; NaN where none is wanted.
@@ -74,7 +93,7 @@ def effects_at(
     state: RunState, measurement: Measurement, taken: Sequence[Series]
 ) -> PlannedEffects | None:
     """What the effects of [identify] do to readings taken and candidates; None without."""
-    names, resolved = state.study.identify.effects, state.resolved
+    names, resolved = state.study.identify.fitted_effects, state.resolved
     if names == NONE or resolved.prediction is None:
         return None
     request = resolved.gap_or_default
@@ -128,4 +147,4 @@ def outlook_with_effects(
     weights = weights_of(factors.swapaxes(0, 1) / np.sqrt(len(raw)))
     before, now = (np.asarray(np.linalg.inv(i), dtype=float) for i in (total, known))
     beliefs = Belief(before, weights), Belief(now, weights)
-    return Outlook(pool, count, *beliefs, effects.others)
+    return Outlook(pool, count, *beliefs, effects.others, holds_effects=True)

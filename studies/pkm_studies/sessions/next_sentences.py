@@ -10,6 +10,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.measurement.measurement import Series
+from oed.result.verdict import SURE, Judgement, judge, overall, percent
 from pkm_studies.resolve import quantities
 from pkm_studies.sessions.next_effects import Outlook
 from pkm_studies.stages import describe
@@ -22,6 +23,11 @@ if TYPE_CHECKING:
 MOST_AHEAD = 100
 #: share of the error below which a further reading is not worth its time
 LEAST_GAIN = 0.01
+EVERY = "every wanted accuracy"
+GEOMETRY_SO_FAR = (
+    "Geometry alone so far: every wanted accuracy would be reached if no effect acted"
+    " beside it. Evaluate the readings to learn whether one does (`oed identify`)."
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,6 +38,9 @@ class Advice:
     known      rms (K,) of each component over the workspace, SI, its unknown part
     after      the same after the next reading
     limits     wanted rms (K,), SI; NaN where none is
+    within     probability (K,) that the rms error of this machine is within what is
+               wanted; NaN where nothing is
+    follows_plan  whether the limits are what the study's plan would reach
     more       readings that reach what is wanted, one after another; None where
                `MOST_AHEAD` do not, or nothing is wanted
     planned    readings of the study's plan, if it states a number
@@ -48,6 +57,8 @@ class Advice:
     known: Array
     after: Array
     limits: Array
+    within: Array
+    follows_plan: bool
     candidate: int
     series: Series
     row: int
@@ -59,12 +70,25 @@ class Advice:
     objections: tuple[str, ...] = ()
     skipped: tuple[int, ...] = ()
 
+    def judgement(self, component: int) -> Judgement:
+        """The verdict on one component's wanted accuracy."""
+        can_pass = self.outlook.holds_effects and not self.objections
+        return judge(float(self.within[component]), can_pass=can_pass)
+
     @property
     def is_reached(self) -> bool:
-        """Whether every wanted accuracy is reached."""
-        wanted = np.isfinite(self.limits)
-        reached = wanted.any() and (self.known <= self.limits)[wanted].all()
-        return bool(reached) and not self.objections
+        """Whether every wanted accuracy passes, or what the plan would reach is reached."""
+        wanted = np.flatnonzero(np.isfinite(self.limits))
+        if self.follows_plan:
+            return not self.objections and bool((self.known <= self.limits).all())
+        return overall(self.judgement(int(k)) for k in wanted) == "pass"
+
+    @property
+    def is_reached_by_geometry(self) -> bool:
+        """Whether all would pass if nothing beside the geometry acted."""
+        stated = self.within[np.isfinite(self.limits)]
+        passes = bool(stated.size and (stated >= SURE).all())
+        return passes and not self.outlook.holds_effects and not self.follows_plan
 
     @property
     def gain(self) -> float:
@@ -88,11 +112,18 @@ def sentences(adviser: Adviser, advice: Advice) -> list[str]:
         line = f"  {name:<6} {sizes} after the next reading"
         if np.isfinite(advice.limits[k]):
             wanted = format_number(units.number(advice.limits[k], unit))
-            reached = advice.known[k] <= advice.limits[k]
-            line += f"   wanted {wanted}: {'pass' if reached else 'not yet'}"
+            line += f"   wanted {wanted}{_stated(advice, k)}"
         lines.append(line)
     skipped = skips(advice)
     return [*advice.findings, *lines, *stop(advice), *skipped, *_next(adviser, advice)]
+
+
+def _stated(advice: Advice, component: int) -> str:
+    """The verdict on a component; what a plan would reach has none."""
+    if advice.follows_plan:
+        return ""
+    within = percent(float(advice.within[component]))
+    return f": {advice.judgement(component)} (within it with {within})"
 
 
 def skips(advice: Advice) -> list[str]:
@@ -133,7 +164,10 @@ def stop(advice: Advice) -> list[str]:
     if advice.objections:
         return [f"Look for the cause before you go on: {'; '.join(advice.objections)}."]
     if advice.is_reached:
-        return ["Stop: every wanted accuracy is reached."]
+        reached = "what the plan would reach" if advice.follows_plan else EVERY
+        return [f"Stop: {reached} is reached."]
+    if advice.is_reached_by_geometry:
+        return [GEOMETRY_SO_FAR]
     if np.isfinite(advice.limits).any():
         if advice.more is None:
             return [f"{MOST_AHEAD} more readings would not reach what is wanted."]

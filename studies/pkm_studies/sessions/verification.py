@@ -5,13 +5,24 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 import msgspec
 import numpy as np
 
+from oed.accuracy.acceptance import LEAST_POWER
 from oed.base import own_files
 from oed.base.text import rounded
-from oed.result import AcceptanceSection, StudyResult, VerificationSection, trust
+from oed.result import (
+    AcceptanceSection,
+    PromiseRecord,
+    StudyResult,
+    VerdictRecord,
+    VerificationSection,
+    trust,
+    verdict,
+)
+from oed.result.verdict import Judgement
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent
@@ -31,6 +42,14 @@ from pkm_studies.stages import result_folder
 from pkm_studies.stages.run_state import Stream
 
 FILE = "acceptance.csv"
+CONCLUSIONS: Final[dict[Judgement, str]] = {
+    "pass": "The machine meets its promised accuracy.",
+    "fail": "The machine does not meet its promised accuracy.",
+    "cannot tell": (
+        "Whether the machine meets its promised accuracy, this test cannot tell: measure"
+        " more accurately, or at more poses."
+    ),
+}
 
 
 def plan_folder(
@@ -47,7 +66,7 @@ def plan_folder(
     """Plan the acceptance test of a result; the section, and the file to fill in.
 
     promised, uncertainty  `z_um=30,theta_arcsec=20`, in place of the predicted rms and
-                           of a fifth of it
+                           of the study's instrument
     power                  asked for
     most                   poses at most
     study_file             study, where it names a machine in a file of its own
@@ -118,11 +137,11 @@ def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
     yield f"Measure the pose errors of the compensated machine at {len(section.poses)} poses."
     for name, d in section.components.items():
         yield (
-            f"{name}: promised rms {rounded(d.promised, 3)} {d.unit}; it passes up to"
-            f" {rounded(d.limit, 3)} {d.unit} rms over these poses, measured to"
+            f"{name}: promised rms {rounded(d.promised, 3)} {d.unit}; {_limits(d)}"
+            f" rms over these poses, measured to"
             f" {rounded(d.uncertainty)} {d.unit} (1 sd). A machine with"
             f" {100 * (section.miss - 1):.0f} % more than promised is caught with"
-            f" probability {d.power:.2f}."
+            f" probability {d.power:.2f}{_confirmation(d)}."
         )
     yield f"A machine just at its promise fails with probability {section.false_alarm:.2f}."
     for name, d in section.further.items():
@@ -130,9 +149,9 @@ def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
         yield (
             f"{name}: no drive corrects it: {rounded(bare, 3)} {d.unit} rms are predicted"
             f" without further axes. With axes that take the known errors back it is"
-            f" promised {rounded(d.promised, 3)} {d.unit}, and passes up to {rounded(d.limit, 3)}"
-            f" {d.unit}, measured to {rounded(d.uncertainty)} {d.unit} (1 sd). Leave its"
-            " column empty where you do not measure it."
+            f" promised {rounded(d.promised, 3)} {d.unit}; {_limits(d)} rms, measured to"
+            f" {rounded(d.uncertainty)} {d.unit} (1 sd). Leave its column empty where you"
+            " do not measure it."
         )
     if section.further:
         yield f"Write 1 into {AXES} where these axes were on; 0, or nothing, where not."
@@ -140,21 +159,34 @@ def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
         yield f"Condition: {condition}."
 
 
+def _limits(demand: PromiseRecord) -> str:
+    """Up to which measured rms error it meets its promise, and from which on it fails."""
+    unit = demand.unit
+    fails = f"it fails above {rounded(demand.limit, 3)} {unit}"
+    if demand.confirms is None:
+        return fails
+    return f"it meets that up to {rounded(demand.confirms, 3)} {unit}, and {fails[3:]}"
+
+
+def _confirmation(demand: PromiseRecord) -> str:
+    if demand.confirms is not None:
+        return ""
+    return f": below {LEAST_POWER:g} this test can end in fail or cannot tell alone"
+
+
 def verdict_sentences(section: VerificationSection) -> Iterator[str]:
     """The judgement, component by component."""
     for name, c in section.components.items():
-        verdict = "passed" if c.passed else "failed"
         yield (
-            f"{name}: {verdict}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)}"
+            f"{name}: {_stated(c)}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)}"
             f" {c.unit} (promised {rounded(c.promised, 3)} {c.unit}), largest"
             f" {rounded(c.max, 3)} {c.unit}."
         )
     for name, c in section.further.items():
         bare = np.nan if c.without is None else c.without
-        verdict = "passed" if c.passed else "failed"
         yield (
             f"{name}: without further axes rms {rounded(bare, 3)} {c.unit}; with them"
-            f" {verdict}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)} {c.unit}"
+            f" {_stated(c)}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)} {c.unit}"
             f" (promised {rounded(c.promised, 3)} {c.unit}), largest {rounded(c.max, 3)}"
             f" {c.unit}."
         )
@@ -167,8 +199,15 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
             f" {p.unit}."
         )
     yield from healthy_sentences(section)
-    verdict = "meets" if section.passed else "does not meet"
-    yield f"The machine {verdict} its promised accuracy."
+    yield CONCLUSIONS[section.judgement]
+
+
+def _stated(component: VerdictRecord) -> str:
+    """The verdict, and the probability that the promise holds at these poses."""
+    if component.probability is None:
+        return component.judgement
+    within = verdict.percent(component.probability)
+    return f"{component.judgement} (the promise holds at these poses with {within})"
 
 
 def _both_ways(mean: float | None, reversal: float | None) -> str:

@@ -23,7 +23,7 @@ class AccuracyRow(NamedTuple):
 
 def accuracy_lines(result: StudyResult) -> list[str]:
     """The table as lines, and what its rows mean; empty without accuracy."""
-    prediction = result.final_prediction
+    prediction = result.judged_prediction
     if prediction is None or not prediction.components:
         return []
     from rich import box
@@ -60,7 +60,11 @@ def rows(result: StudyResult, prediction: PredictionSection) -> list[AccuracyRow
     if corrected is not None:
         alone = {n: s.rms for n, s in corrected.parameters_only.items()}
         lines.append(AccuracyRow("parameters compensated alone", alone))
-    after = "after compensation" if corrected is None else "effects compensated too"
+    mixture = None if result.gap is None else result.gap.mixture
+    is_bare = mixture is not None and mixture.with_effects is None
+    after = "effects compensated too"
+    if corrected is None or is_bare:
+        after = "after compensation"
     lines.append(AccuracyRow(after, {n: c.after.rms for n, c in components.items()}))
     budget = prediction.budget
     if budget is None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 from oed.result import (
     IMPORTANCE,
-    ComponentAccuracy,
     CorrectedSection,
     EstimateSection,
     GapBeforeSection,
@@ -19,8 +18,10 @@ from oed.result import (
     PredictionSection,
     StudyResult,
     indices,
+    verdict,
 )
 from oed.result.mixture import MIXTURE
+from oed.result.verdict import accuracy_verdicts
 from pkm_studies.stages.design.phrases import (
     design_sentences,
     effects_sentences,
@@ -57,7 +58,7 @@ def sentences(
         *plan_sentences(result.plan),
         *_separation(result.gap_before),
         *_corrected(result.corrected),
-        *([] if result.corrected is not None else _accuracy(result.prediction)),
+        *([] if result.corrected is not None else _accuracy(result.judged_prediction)),
         *_wanted(result),
         *_unmodelled(result.prediction),
         *forecast_words.figures(result.forecast),
@@ -111,7 +112,7 @@ def accuracy_sentences(result: StudyResult) -> list[str]:
     """Sentences of the headline that the terminal has as a table."""
     return [
         *_corrected(result.corrected),
-        *_accuracy(result.prediction),
+        *_accuracy(result.judged_prediction),
         *_unmodelled(result.prediction),
     ]
 
@@ -200,27 +201,27 @@ def without_drive(section: PredictionSection) -> str:
 
 
 def _wanted(result: StudyResult) -> list[str]:
-    """Each wanted accuracy against the predicted one, of the last prediction."""
-    section = result.final_prediction
-    if section is None or not section.wanted:
+    """Each wanted accuracy against the predicted one, and the verdict on it."""
+    verdicts = accuracy_verdicts(result)
+    section = result.judged_prediction
+    if section is None or not verdicts:
         return []
-    judged = {name: section.components[name] for name in section.wanted}
-    verdicts = [_verdict(n, c, section.wanted[n]) for n, c in judged.items()]
-    rules = [
-        f" {name} has no drive and is judged by its unknown part."
-        for name, component in judged.items()
-        if not component.compensatable
+    parts = [
+        verdict.sentence(name, v, format_number(v.rms), format_number(v.wanted))
+        for name, v in verdicts.items()
     ]
-    sentence = f"Wanted accuracy, predicted against wanted: {'; '.join(verdicts)}."
-    return [sentence + "".join(rules)]
-
-
-def _verdict(name: str, component: ComponentAccuracy, wanted: float) -> str:
-    reached, unit = component.judged.rms, component.judged.unit
-    verdict = "pass" if reached <= wanted else "fail"
-    return (
-        f"{name} {format_number(reached)} of {format_number(wanted)} {unit}, {verdict}"
-    )
+    scopes = join_words(list(dict.fromkeys(v.scope for v in verdicts.values())))
+    undriven = [
+        f" {name} has no drive and is judged by its unknown part."
+        for name in verdicts
+        if not section.components[name].compensatable
+    ]
+    decide = dict.fromkeys(v.decide for v in verdicts.values() if v.decide)
+    return [
+        f"Wanted accuracy, predicted against wanted ({scopes}): {'; '.join(parts)}."
+        + "".join(undriven)
+        + "".join(f" To decide: {words}." for words in decide)
+    ]
 
 
 def _unmodelled(section: PredictionSection | None) -> list[str]:

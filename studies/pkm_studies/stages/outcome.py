@@ -22,12 +22,16 @@ def report_outcome(
     verbose: bool = False,
     above: Sequence[str] = (),
 ) -> int:
-    """Print headline, files and claims, below the lines `above`; the exit code."""
+    """Print headline, files and claims, below the lines `above`; the exit code.
+
+    It is 0 where nothing speaks against the result and what is wanted passes.
+    """
     if not quiet:
         from pkm_studies.stages import summary
 
         print(*summary.lines(result, folder, verbose, above), sep="\n")
     from oed.result import trust
+    from oed.result.verdict import overall
 
     failing = [claim for claim in result.claims if not claim.met]
     for claim in failing:
@@ -37,7 +41,9 @@ def report_outcome(
         console.print_error(
             f"{objection}: do not rely on its parameters, nor on what they predict"
         )
-    return FAILED if failing or objections else DONE
+    stated = overall(v.judgement for v in result.verdicts.values())
+    failing_verdict = stated is not None and stated != "pass"
+    return FAILED if failing or objections or failing_verdict else DONE
 
 
 def verdict(claim: Claim) -> str:

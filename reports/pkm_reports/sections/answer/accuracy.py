@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -14,6 +13,12 @@ from oed.result import (
     PredictionSection,
     SpreadRecord,
     StudyResult,
+)
+from oed.result.verdict import (
+    SURE,
+    WantedVerdict,
+    accuracy_verdicts,
+    percent,
 )
 from pkm_reports.page import missing, text
 from pkm_reports.page.blocks import (
@@ -34,38 +39,13 @@ REFERENCES: Final = {
 }
 #: share of an error from which its unknown part is worth a sentence of its own
 CLEARLY_LESS: Final = 0.8
-#: probability beyond what draws can support
-SURE: Final = 0.99
 
 
-LIMIT_COLUMNS: Final = (TableColumn("Wanted", number=True), TableColumn("Reached"))
-
-
-@dataclasses.dataclass(frozen=True, slots=True)
-class AgainstGoal:
-    """Rms of one component against what is wanted of it, in one unit."""
-
-    reached: float
-    wanted: float
-
-    @property
-    def words(self) -> str:
-        """Whether the wanted accuracy is reached; a dash where none is stated."""
-        if math.isnan(self.wanted):
-            return text.MISSING
-        return "✓ yes" if self.is_reached else "✗ no"
-
-    @property
-    def is_reached(self) -> bool:
-        """Whether the rms error is at most what is wanted."""
-        return self.reached <= self.wanted
-
-    @property
-    def mark(self) -> str:
-        """Mark of the component's row."""
-        if math.isnan(self.wanted):
-            return ""
-        return "good" if self.is_reached else "bad"
+LIMIT_COLUMNS: Final = (
+    TableColumn("Wanted", number=True),
+    TableColumn("Within", number=True),
+    TableColumn("Verdict"),
+)
 
 
 def title(result: StudyResult) -> str:
@@ -79,7 +59,7 @@ def blocks(result: StudyResult) -> list[Block]:
     if result.verification is not None:
         content.append(Notice(acceptance.verdict(result.verification)))
     content += _held_out(result)
-    prediction = final_prediction(result)
+    prediction = result.judged_prediction
     if prediction is not None and prediction.components:
         content += _predicted(result, prediction)
     elif result.plan is not None and result.plan.accuracy:
@@ -138,14 +118,6 @@ def _held_out_table(sections: Sequence[HeldOutSection]) -> Table:
     return Table(columns, rows, caption)
 
 
-def final_prediction(result: StudyResult) -> PredictionSection | None:
-    """The prediction with effects compensated where there is one."""
-    corrected = result.corrected
-    if corrected is not None and corrected.prediction is not None:
-        return corrected.prediction
-    return result.prediction
-
-
 # -- what is wanted --------------------------------------------------------------------
 
 
@@ -156,42 +128,45 @@ def wanted(result: StudyResult) -> dict[str, float]:
         accuracies |= result.design.how_many.wanted
     if result.plan is not None:
         accuracies |= result.plan.goal
-    prediction = final_prediction(result)
+    prediction = result.judged_prediction
     if prediction is not None:
         unit = prediction.unit
         accuracies |= {f"{n}_{unit[n]}": v for n, v in prediction.wanted.items()}
     return accuracies
 
 
-def verdict(
-    name: str, component: ComponentAccuracy, limits: dict[str, float]
-) -> AgainstGoal:
-    """The rms that matters of a component against its limit; NaN where none is stated."""
-    key = f"{name}_{component.after.unit}"
-    return AgainstGoal(component.judged.rms, missing.entry(limits, key))
+def verdicts(
+    result: StudyResult, components: Mapping[str, ComponentAccuracy]
+) -> dict[str, WantedVerdict]:
+    """The verdict on all that the study asks for, by predicted component."""
+    limits = {
+        name: missing.entry(wanted(result), f"{name}_{c.after.unit}")
+        for name, c in components.items()
+    }
+    stated = {name: limit for name, limit in limits.items() if math.isfinite(limit)}
+    return accuracy_verdicts(result, stated)
 
 
 # -- the components --------------------------------------------------------------------
 
 
 def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block]:
-    limits = wanted(result)
     components = prediction.components
-    judged = {name: verdict(name, c, limits) for name, c in components.items()}
-    with_limits = any(math.isfinite(v.wanted) for v in judged.values())
+    judged = verdicts(result, components)
     effects = _effect_columns(prediction)
     columns = [
         TableColumn("Component"),
         *number_columns("After", *effects, "Unknown part"),
-        *(LIMIT_COLUMNS if with_limits else []),
+        *(LIMIT_COLUMNS if judged else []),
         *number_columns("Before"),
     ]
     rows, marks = [], []
     for name in _ordered(components, judged):
         larger = [text.number(missing.entry(v, name)) for v in effects.values()]
-        row = _row(name, components[name], judged[name], with_limits)
-        rows.append([*row[:2], *larger, *row[2:]])
-        marks.append(judged[name].mark)
+        row = _row(name, components[name])
+        limits = _limit_cells(judged.get(name)) if judged else []
+        rows.append([*row[:2], *larger, row[2], *limits, row[3]])
+        marks.append(text.MARKS[judged[name].judgement] if name in judged else "")
     table = Table(columns, rows, _caption(prediction, judged), marks)
     return [
         table,
@@ -203,38 +178,44 @@ def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block
 
 
 def _ordered(
-    components: dict[str, ComponentAccuracy], judged: dict[str, AgainstGoal]
+    components: Mapping[str, ComponentAccuracy], judged: Mapping[str, WantedVerdict]
 ) -> list[str]:
     """Components with a limit first, then those that the controller corrects."""
-
-    def rank(name: str) -> tuple[bool, bool]:
-        no_limit = math.isnan(judged[name].wanted)
-        return no_limit, not components[name].compensatable
-
-    return sorted(components, key=rank)
+    return sorted(
+        components, key=lambda n: (n not in judged, not components[n].compensatable)
+    )
 
 
-def _row(
-    name: str, component: ComponentAccuracy, judged: AgainstGoal, with_limits: bool
-) -> list[str]:
+def _row(name: str, component: ComponentAccuracy) -> list[str]:
+    """Cells of a component: name, after, unknown part, before."""
     unit = text.unit_symbol(component.after.unit)
-    before, after = text.number(component.before.rms), text.number(component.after.rms)
-    cells = [f"{name} [{unit}]", after, text.number(component.known.rms)]
-    limits = [text.number(judged.wanted), judged.words] if with_limits else []
-    return [*cells, *limits, before]
+    spreads = (component.after, component.known, component.before)
+    return [f"{name} [{unit}]", *(text.number(spread.rms) for spread in spreads)]
 
 
-def _caption(prediction: PredictionSection, judged: dict[str, AgainstGoal]) -> str:
+def _limit_cells(judged: WantedVerdict | None) -> list[str]:
+    """What is wanted, the probability that it is met, and the verdict."""
+    if judged is None:
+        return [text.MISSING] * len(LIMIT_COLUMNS)
+    within = percent(judged.probability)
+    return [text.number(judged.wanted), within, text.VERDICTS[judged.judgement]]
+
+
+def _caption(prediction: PredictionSection, judged: Mapping[str, WantedVerdict]) -> str:
     reference = text.meaning(prediction.reference, REFERENCES)
     caption = f"Predicted rms error over the workspace, {reference} (1 sigma)."
-    stated = [v for v in judged.values() if math.isfinite(v.wanted)]
-    if not stated:
+    if not judged:
         return f"{caption} The study states no wanted accuracy."
-    reached = sum(v.is_reached for v in stated)
-    return (
-        f"{caption} {reached} of {len(stated)} wanted accuracies are reached; what no"
-        " drive corrects is judged by its unknown part."
-    )
+    scopes = text.listing(dict.fromkeys(v.scope for v in judged.values()))
+    decide = dict.fromkeys(v.decide for v in judged.values() if v.decide)
+    sentences = [
+        caption,
+        f"Within: probability that the machine keeps what is wanted, {scopes}; it passes"
+        f" from {text.percent(SURE)} on. What no drive corrects is judged by its unknown"
+        " part.",
+        *(f"To decide: {text.sentence(words)}" for words in decide),
+    ]
+    return " ".join(sentences)
 
 
 def _unknown_part(components: dict[str, ComponentAccuracy]) -> list[Block]:
@@ -306,7 +287,7 @@ def _included(result: StudyResult) -> list[Block]:
     if section is None or not section.effects or section.faulty is None:
         return []
     largest = section.effects[0]
-    share = "above 99 %" if section.faulty > SURE else text.percent(section.faulty)
+    share = percent(section.faulty)
     return [
         Notice(
             f"The prediction holds {len(section.effects)} groups of effects beside the"
@@ -336,20 +317,18 @@ def _largest(spread: SpreadRecord) -> str:
 
 
 def _planned(plan: PlanSection) -> Table:
-    """Accuracy of a plan of stages, which has no prediction of its own."""
+    """Accuracy of a plan of stages, which has no prediction of its own, and no verdict."""
     columns = [
         TableColumn("Component"),
         *number_columns("Afterwards"),
-        *(LIMIT_COLUMNS if plan.goal else []),
+        *(number_columns("Wanted") if plan.goal else []),
         *number_columns("Before"),
     ]
-    rows, marks = [], []
+    rows = []
     for key, value in plan.accuracy.items():
-        judged = AgainstGoal(value, missing.entry(plan.goal, key))
-        limits = [text.number(judged.wanted), judged.words] if plan.goal else []
+        limits = [text.number(missing.entry(plan.goal, key))] if plan.goal else []
         before = text.number(missing.entry(plan.start_accuracy, key))
         rows.append([text.heading(key), text.number(value), *limits, before])
-        marks.append(judged.mark)
     within = wording.within_budget(plan)
     caption = f"Predicted rms error over the workspace after the plan{within}."
-    return Table(columns, rows, caption, marks)
+    return Table(columns, rows, caption)

@@ -13,6 +13,7 @@ from oed.result import (
     AcceptanceSection,
     VerdictRecord,
     VerificationSection,
+    verdict,
 )
 from pkm_studies.base import csv_table
 from pkm_studies.base.csv_table import CsvTable
@@ -45,8 +46,11 @@ def judge_file(section: AcceptanceSection, path: Path) -> VerificationSection:
             figures[name] = of_component
     components = judge(errors, section.components)
     further = _further(section, table, target)
+    judged = [c.verdict for c in (*components.values(), *further.values()) if c.verdict]
+    worst = verdict.overall(judged)
     return VerificationSection(
-        passed=all(c.passed for c in (*components.values(), *further.values())),
+        passed=worst == "pass",
+        verdict=worst,
         readings=len(table),
         components=components,
         positioning=figures,
@@ -75,9 +79,9 @@ def _further(
         known_of_rows = known[target]
         with_axes = np.where(taken_back, measured, measured - known_of_rows)
         remaining = _by_pose(with_axes, target, len(known))
-        verdict = judge({name: remaining}, {name: demand})[name]
+        judged = judge({name: remaining}, {name: demand})[name]
         without = float(np.sqrt(np.mean((remaining + known) ** 2)))
-        verdicts[name] = replace(verdict, without=without)
+        verdicts[name] = replace(judged, without=without)
     return verdicts
 
 

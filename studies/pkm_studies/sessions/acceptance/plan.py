@@ -72,11 +72,16 @@ def _demands(
         demands[component.name] = PromiseRecord(
             promised=units.number(promise.rms[k], unit),
             limit=units.number(plan.limits[k], unit),
+            confirms=_or_none(units.number(plan.confirms[k], unit)),
             power=float(plan.power[k]),
             uncertainty=units.number(promise.uncertainty[k], unit),
             unit=unit,
         )
     return demands
+
+
+def _or_none(value: float) -> float | None:
+    return value if np.isfinite(value) else None
 
 
 def _further_demands(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -28,8 +29,10 @@ from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.study import Study
 
 #: standard uncertainty of the acceptance measurement, as a share of the promise, where
-#: none is given
+#: none is given and no set-up of the study reads the component
 UNCERTAINTY_SHARE = 0.2
+#: channel that reads a component of the pose
+READ = "read_{}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,6 +100,7 @@ def promised_accuracy(
     covariance, tolerance = covariances(machine, section)
     varying = _varying(maps, covariance)
     driven = [k for k in varying if machine.components[k].compensatable]
+    read = _instrument_uncertainty(result, machine, reference)
 
     def promise(chosen: list[int]) -> Promise:
         """The promise for some components."""
@@ -104,27 +108,61 @@ def promised_accuracy(
         slope = maps.raw[:, chosen]
         rms = promised_rms(result, machine, slope, chosen, covariance)
         rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
+        known = {**read, **uncertainty}
         given = [
-            uncertainty.get(n, UNCERTAINTY_SHARE * r)
-            for n, r in zip(names, rms, strict=True)
+            known.get(n, UNCERTAINTY_SHARE * r) for n, r in zip(names, rms, strict=True)
         ]
         shapes = [covariance, tolerance]
         return Promise(names, slope, shapes, rms, np.array(given))
 
     others = [k for k in varying if k not in driven]
     corrected = result.corrected
+    conditions = (
+        _states_of_use(result.prediction)
+        if corrected is None
+        else (*corrected.conditions, *without_effects(result))
+    )
+    components = tuple(machine.components[k] for k in driven)
+    assumed = [c.name for c in components if c.name not in {**read, **uncertainty}]
     return PromisedAccuracy(
         machine=machine,
         command=command,
         promise=promise(driven),
-        components=tuple(machine.components[k] for k in driven),
+        components=components,
         reference=reference,
-        conditions=(
-            _states_of_use(result.prediction)
-            if corrected is None
-            else (*corrected.conditions, *without_effects(result))
-        ),
+        conditions=(*conditions, *_assumed_uncertainty(assumed)),
         further=_further(result, kinematics, maps, reference, others, promise),
+    )
+
+
+def _instrument_uncertainty(
+    result: StudyResult, machine: Machine, reference: Reference
+) -> dict[str, float]:
+    """Standard uncertainty, SI, of an error that a set-up of the study reads by itself.
+
+    Zeroed at home, an error is the difference of two readings.
+    """
+    readings = 1.0 if reference == "absolute" else math.sqrt(2.0)
+    sizes: dict[str, float] = {}
+    for component in machine.components:
+        for setup in result.setups:
+            for column, sigma in setup.sigma.items():
+                stem, unit = units.split(column)
+                if stem == READ.format(component.name):
+                    size = readings * float(units.to_si(sigma, unit))
+                    sizes[component.name] = min(size, sizes.get(component.name, size))
+    return sizes
+
+
+def _assumed_uncertainty(names: Sequence[str]) -> tuple[str, ...]:
+    """What is assumed of components that no set-up reads by itself."""
+    if not names:
+        return ()
+    share = f"{100.0 * UNCERTAINTY_SHARE:.0f} %"
+    return (
+        f"no set-up of the study reads {', '.join(names)} by itself: a measured error of"
+        f" it is taken to be uncertain by {share} of the promise, unless --uncertainty"
+        " states it",
     )
 
 

@@ -22,6 +22,7 @@ from oed.result.certificate import (
     CertifiedParameter,
     Conformity,
 )
+from oed.result.verdict import GEOMETRY_ALONE, accuracy_verdicts
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.resolve import quantities
 from pkm_studies.resolve.earlier_result import corrects_effects, mixture_of
@@ -158,8 +159,8 @@ def _predicted(
     result: StudyResult, promised: PromisedAccuracy
 ) -> Iterator[CertifiedAccuracy]:
     """Predicted errors of the driven components; from the covariance without a table."""
-    prediction = result.final_prediction
-    if prediction is None or prediction.mode != "identified":
+    prediction = result.judged_prediction
+    if prediction is None or prediction.mode == "plan":
         root = covariance_root(promised.promise.covariances[0])
         for k, component in enumerate(promised.components):
             sd = np.linalg.norm(promised.promise.maps[:, k] @ root, axis=1)
@@ -198,7 +199,7 @@ def _verified(result: StudyResult) -> Iterator[CertifiedAccuracy]:
             c.max * scale,
             units.si_unit(c.unit),
             limit=c.limit * scale,
-            passed=c.passed,
+            verdict=c.judgement,
         )
 
 
@@ -221,24 +222,24 @@ def _conformities(
         stated = {n: d.promised * units.factor(d.unit) for n, d in demands.items()}
     parts = {c.name: (promised.promise, k) for k, c in enumerate(promised.components)}
     further = promised.further
+    undriven = [] if further is None else [c.name for c in further.components]
     for name, largest in stated.items():
         if name in parts:
             promise, k = parts[name]
-            basis = "predicted from the calibration, over the workspace"
             none = np.zeros(len(promise.maps))
             p = _predicted_within(promise, k, none, largest, _rng(result, name))
-            yield _rms_conformity(name, basis, largest, known[name], p)
+            basis = "predicted from the calibration, over the workspace"
+            yield _predicted_conformity(result, name, basis, largest, known[name], p)
             yield from _measured_conformity(result, name, largest, known[name])
         elif name in section.parameters and _counts(name, section.parameters[name].sd):
             yield _of_parameter(section, name, largest, known[name])
-        elif further is not None and name in [c.name for c in further.components]:
-            k = [c.name for c in further.components].index(name)
-            basis = "predicted, no drive corrects it, over the workspace"
-            known_error = further.known[:, k]
+        elif further is not None and name in undriven:
+            k = undriven.index(name)
             p = _predicted_within(
-                further.promise, k, known_error, largest, _rng(result, name)
+                further.promise, k, further.known[:, k], largest, _rng(result, name)
             )
-            yield _rms_conformity(name, basis, largest, known[name], p)
+            basis = "predicted, no drive corrects it, over the workspace"
+            yield _predicted_conformity(result, name, basis, largest, known[name], p)
         else:
             raise place.error(
                 f"nothing is known of {name} that a tolerance could be compared with",
@@ -246,14 +247,41 @@ def _conformities(
             )
 
 
+def _predicted_conformity(
+    result: StudyResult,
+    name: str,
+    basis: str,
+    largest: float,
+    unit: str,
+    by_geometry: float,
+) -> Conformity:
+    """Conformity of a prediction: over the distribution that every verdict rests on.
+
+    by_geometry  probability by the geometry alone, where no such distribution is stored
+    """
+    prediction = result.judged_prediction
+    if prediction is None or not prediction.components[name].after.rms_quantiles:
+        basis = f"{basis}, {GEOMETRY_ALONE}"
+        quantity = f"rms error of {name}"
+        return Conformity(quantity, basis, largest, unit, by_geometry, can_pass=False)
+    spread = prediction.components[name].after
+    limit = units.number(largest, spread.unit)
+    verdict = accuracy_verdicts(result, {name: limit})[name]
+    basis = f"{basis}, {verdict.scope}"
+    if not verdict.confirmed:
+        basis += "; no measurement confirms it"
+    return Conformity(
+        quantity=f"rms error of {name}",
+        basis=basis,
+        tolerance=largest,
+        unit=unit,
+        probability=spread.probability_within(limit),
+        can_pass=verdict.confirmed and verdict.judgement == "pass",
+    )
+
+
 def _rng(result: StudyResult, name: str) -> np.random.Generator:
     return np.random.default_rng([result.seed, zlib.crc32(name.encode())])
-
-
-def _rms_conformity(
-    name: str, basis: str, largest: float, unit: str, probability: float
-) -> Conformity:
-    return Conformity(f"rms error of {name}", basis, largest, unit, probability)
 
 
 def _predicted_within(
@@ -280,7 +308,8 @@ def _measured_conformity(
         len(plan.poses),
         largest,
     )
-    yield _rms_conformity(name, "measured at the acceptance poses", largest, unit, p)
+    basis = "measured at the acceptance poses"
+    yield Conformity(f"rms error of {name}", basis, largest, unit, p)
 
 
 def _of_parameter(

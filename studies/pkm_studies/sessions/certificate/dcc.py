@@ -20,6 +20,7 @@ from oed.result.certificate import (
     CertifiedParameter,
     Institution,
 )
+from oed.result.verdict import Judgement
 
 Element = ElementTree.Element
 VERSION = "3.2.1"
@@ -37,6 +38,12 @@ UNITS = {
 #: coverage factor of expanded uncertainties, and its probability of a normal quantity
 FACTOR, PROBABILITY = "2", "0.9545"
 JOINT = 0.95
+#: words of the schema for the verdicts
+CONFORMITY: dict[Judgement, str] = {
+    "pass": "pass",
+    "fail": "fail",
+    "cannot tell": "noPass",
+}
 ZERO_CELSIUS = 273.15  # K
 JCGM = "JCGM 106:2012"
 METHOD = (
@@ -283,9 +290,9 @@ def _accuracy(
         for name, value in figures(a):
             quantity = _quantity(listed, f"{name} of {a.component}")
             _real(quantity, value, a.unit)
-            if a.passed is not None and name == "rms error":
-                words = "Acceptance test: the rms error is within its limit."
-                _statement(quantity, words, "pass" if a.passed else "fail")
+            if a.verdict is not None and name == "rms error":
+                words = "Acceptance test: the machine meets its promised rms error."
+                _statement(quantity, words, a.verdict)
 
 
 def figures(a: CertifiedAccuracy) -> Iterator[tuple[str, float]]:
@@ -315,12 +322,13 @@ def _conformity(results: Element, c: Certificate) -> None:
         if verdict:
             words = (
                 f"Decision rule: conforming from a probability of {c.head.decision} on,"
-                " not conforming where that of the contrary reaches it."
+                " not conforming where that of the contrary reaches it. A prediction that"
+                " no measurement confirms is not stated as conforming."
             )
             _statement(quantity, words, verdict)
 
 
-def _statement(quantity: Element, words: str, conformity: str) -> None:
+def _statement(quantity: Element, words: str, verdict: Judgement) -> None:
     meta = _add(_add(quantity, "measurementMetaData"), "metaData")
     _words(meta, "declaration", words)
-    _add(meta, "conformity", conformity)
+    _add(meta, "conformity", CONFORMITY[verdict])

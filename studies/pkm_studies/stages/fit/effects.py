@@ -59,7 +59,7 @@ def expected_effects(state: Measured, plain: Estimate) -> ExpectedColumns | None
            study.
     """
     request = state.resolved.gap_or_default
-    names = state.study.identify.effects
+    names = state.study.identify.fitted_effects
     place = state.study.place.key("identify").key("effects")
     allowed = named_effects(request, names, place)
     given = readings_with_covariates(state, request)

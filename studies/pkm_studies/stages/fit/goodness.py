@@ -69,7 +69,7 @@ def with_delivered(state: Measured, fitted: Goodness) -> Measured:
     checked = state.checked
     if checked is None:
         return state.with_sections(goodness=fit_figures(fitted))
-    if state.study.identify.effects != NONE:
+    if state.study.identify.fitted_effects != NONE:
         # its sentences are on the geometry alone
         figures = dataclasses.asdict(fitted)
         return state.with_sections(goodness=replace(state.goodness, **figures))

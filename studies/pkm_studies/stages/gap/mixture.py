@@ -173,9 +173,7 @@ def _with_accuracy(
     )
     predicted = {name: result.prediction for name, result in judged.items()}
     before, after = predicted[BEST].before, {n: p.after for n, p in predicted.items()}
-    geometry = least_error(
-        before, {name: after[name] for name in sent}, machine.driven
-    )
+    geometry = least_error(before, {name: after[name] for name in sent}, machine.driven)
     sections, choices = {}, []
     for name, prediction in predicted.items():
         record = accuracy_section(known.measurement.kinematics, prediction, "mixture")

@@ -129,6 +129,7 @@ def spread_record(spread: Spread, unit: str) -> SpreadRecord:
         rms_interval=interval(spread.rms_interval),
         p95_interval=interval(spread.p95_interval),
         max_interval=interval(spread.largest_interval),
+        rms_quantiles=[units.number(q, unit) for q in spread.rms_quantiles],
         monte_carlo={
             name.replace("largest", "max"): [units.number(e, unit) for e in errors]
             for name, errors in spread.monte_carlo.items()

@@ -60,7 +60,7 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     state.progress.stage("identification")
     plain = estimate = _identify(state, start, None)
     columns = None
-    if state.study.identify.effects != NONE:
+    if state.study.identify.fitted_effects != NONE:
         columns = expected_effects(state, plain)
     if columns is not None:
         estimate = _identify(state, start, columns)

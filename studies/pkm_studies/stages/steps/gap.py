@@ -9,6 +9,7 @@ from oed.design.rules import Rules
 from oed.measurement.measurement import Measurement
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
+from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.stages.gap import detectability, second_visit, section
 from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
 from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT, Stream
@@ -70,10 +71,19 @@ def _with_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest |
 
 
 def diagnose_gap(state: Fitted) -> Fitted:
-    """Find which effects cause what calibration leaves, where [gap] asks for it."""
-    if state.resolved.gap is None:
+    """Find which effects cause what calibration leaves.
+
+    Of readings of a machine always, unless the study allows the geometry alone or the
+    command names the effects; of those of a virtual machine where [gap] asks for it.
+    """
+    is_recorded = state.resolved.dataset is not None
+    names_effects = bool(state.with_effects)
+    is_asked = is_recorded and not names_effects
+    if state.study.identify.effects == NONE:
+        is_asked = False
+    if state.resolved.gap is None and not is_asked:
         return state
-    return _diagnose(state, state.resolved.gap)
+    return diagnose_always(state)
 
 
 def diagnose_always(state: Fitted) -> Fitted:

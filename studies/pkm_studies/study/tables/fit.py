@@ -43,16 +43,23 @@ class IdentifyTable(StudyTable, frozen=True, kw_only=True):
 
     stages          patterns of the parameters freed in turn; by default all at once
     max_iterations  of each stage
-    effects         effects that may act beside the geometry, by name, or "catalogue":
-                    all that the machine can have. They widen the result, and the
-                    prediction holds them
+    effects         effects that the fit allows beside the geometry, by name, or
+                    "catalogue": all that the machine can have. They widen the result, and
+                    the prediction holds them. By default the geometry is fitted, and the
+                    readings of a machine are asked which effects act; "none": they are
+                    not asked, and what is said holds for the geometry alone
     """
 
     stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(
         default_factory=lambda: [["*"]]
     )
     max_iterations: Count = 50
-    effects: Literal["none", "catalogue"] | list[str] = "none"
+    effects: Literal["none", "catalogue"] | list[str] | None = None
+
+    @property
+    def fitted_effects(self) -> str | list[str]:
+        """Effects that the fit allows: "none", "catalogue" or names."""
+        return "none" if self.effects is None else self.effects
 
 
 #: what predicted errors refer to
