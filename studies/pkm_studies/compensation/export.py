@@ -183,11 +183,12 @@ def export(
 def verdict_sentences(result: StudyResult, *, geometry_sent: bool) -> list[str]:
     """The verdict on what the study wants, of the machine with this compensation."""
     verdicts = accuracy_verdicts(result, geometry_sent=geometry_sent)
-    return [
+    parts = [
         verdict.sentence(name, v, format_number(v.rms), format_number(v.wanted))
-        + f", {v.scope}"
         for name, v in verdicts.items()
     ]
+    scopes = dict.fromkeys(v.scope for v in verdicts.values())
+    return [f"wanted: {'; '.join(parts)}; {', '.join(scopes)}"] if parts else []
 
 
 def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]:
