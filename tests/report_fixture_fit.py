@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from report_fixture_machine import CUPS, NAMES, TILTS
 
+from oed.result.prediction import LEVELS
+
 COMPONENTS = {
     "x": "um",
     "y": "um",
@@ -139,7 +141,7 @@ def prediction(rng: np.random.Generator) -> dict[str, Any]:
     realised = {}
     for name, unit in COMPONENTS.items():
         ratio = float(rng.uniform(0.85, 1.15))
-        realised[name] = _spread(ratio * parts[name]["after"]["rms"], unit)
+        realised[name] = spread(ratio * parts[name]["after"]["rms"], unit)
     return {
         "reference": "home",
         "components": parts,
@@ -208,19 +210,21 @@ def _component(
     }
     return {
         "compensatable": correctable,
-        "before": _spread(480.0 * scale, unit),
-        "after": _spread(after * scale, unit),
-        "known": _spread(66.0 * scale, unit),
+        "before": spread(480.0 * scale, unit),
+        "after": spread(after * scale, unit),
+        "known": spread(66.0 * scale, unit),
         "budget": budget,
     }
 
 
-def _spread(rms: float, unit: str) -> dict[str, Any]:
+def spread(rms: float, unit: str) -> dict[str, Any]:
+    """A spread whose rms of one machine lies evenly between half and 1.5 times its rms."""
     return {
         "rms": rms,
         "p95": 1.9 * rms,
         "max": 2.7 * rms,
         "unit": unit,
+        "rms_quantiles": [rms * (0.5 + p) for p in LEVELS],
     }
 
 

@@ -8,6 +8,7 @@ import report_fixture_plan
 from report_fixture import result_of
 
 from oed.result import StudyResult
+from oed.result.prediction import LEVELS
 from pkm_reports.page import text
 from pkm_reports.page.blocks import Facts, Items, Notice, Paragraph, Table
 from pkm_reports.sections.answer import accuracy, causes, parts, unknown, warnings
@@ -59,10 +60,10 @@ def test_the_wanted_accuracy_stands_beside_the_predicted(
     raw["design"]["how_many"]["wanted"] = {"z_um": limit}
     (table, *_) = accuracy.blocks(result_of(raw))
     assert isinstance(table, Table)
-    assert [c.title for c in table.columns][-3:-1] == ["Wanted", "Reached"]
+    assert [c.title for c in table.columns][-3:-1] == ["Within", "Verdict"]
     assert table.rows[0][0] == "z [µm]"
-    assert table.rows[0][-2] == ("✓ yes" if reached else "✗ no")
-    assert table.marks[0] == ("good" if reached else "bad")
+    assert table.rows[0][-2] == ("? cannot tell" if reached else "✗ fail")
+    assert table.marks[0] == ("chosen" if reached else "bad")
     others = {row[-2] for row in table.rows[1:]}
     assert others == {text.MISSING}
 
@@ -72,13 +73,13 @@ def test_an_error_that_no_drive_corrects_is_judged_by_its_unknown_part() -> None
     x = raw["prediction"]["components"]["x"]
     assert not x["compensatable"]
     x["after"] |= {"rms": 1493.0}
-    x["known"] |= {"rms": 60.0}
+    x["known"] |= {"rms": 60.0, "rms_quantiles": [60.0] * len(LEVELS)}
     raw["design"]["how_many"]["wanted"] = {"x_um": 100.0}
     result = result_of(raw)
     words = _words(result)["how-accurate"]
     assert "x keeps an error of 1493 µm" in words
     assert "60 µm of it is unknown" in words
-    assert "x [µm] 1493 60 100 ✓ yes" in words
+    assert "x [µm] 1493 60 100 over 99 % ? cannot tell" in words
 
 
 def test_without_a_wanted_accuracy_nothing_is_judged() -> None:
@@ -89,11 +90,11 @@ def test_without_a_wanted_accuracy_nothing_is_judged() -> None:
     assert "yes" not in words
 
 
-def test_a_plan_of_stages_is_judged_by_its_goal() -> None:
+def test_a_plan_of_stages_stands_beside_its_goal() -> None:
     raw = report_fixture.bare() | {"plan": report_fixture_plan.plan(wanted=True)}
     words = _words(result_of(raw))
     assert "stages" in words["how-long"]
-    assert "z [µm] 32.6 26.3 ✗ no 8300" in words["how-accurate"]
+    assert "z [µm] 32.6 26.3 8300" in words["how-accurate"]
 
 
 # -- unknown ---------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import pytest
 import report_fixture
 from msgspec.structs import replace
 from report_fixture import result_of, text_of
+from report_fixture_fit import spread
 
 from oed.result import StudyResult
 from pkm_reports import write_comparison
@@ -23,9 +24,10 @@ from pkm_studies.results import stored_result
 def results() -> dict[str, StudyResult]:
     """Two plans for one head: the second takes twice as long and halves z."""
     raw = report_fixture.sample()
-    raw["prediction"]["components"]["z"]["after"] |= {"rms": 30.0}
+    raw["prediction"]["mode"] = "corrected"
+    raw["prediction"]["components"]["z"]["after"] = spread(30.0, "um")
     first = result_of(raw)
-    raw["prediction"]["components"]["z"]["after"] |= {"rms": 15.0}
+    raw["prediction"]["components"]["z"]["after"] = spread(15.0, "um")
     raw["design"]["order"]["minutes"] *= 2.0
     raw["identifiability"]["rank"] = 22
     return {"one": first, "two": result_of(raw)}
@@ -61,11 +63,11 @@ def test_accuracies_stand_beside_what_is_wanted(
     design = results["one"].design
     assert design is not None
     assert design.how_many is not None
-    goal = replace(design.how_many, wanted={"z_um": 20.0})
+    goal = replace(design.how_many, wanted={"z_um": 25.0})
     results["one"] = replace(results["one"], design=replace(design, how_many=goal))
     table = accuracy.blocks(results)[0]
     row = next(r for r in table.rows if r[0].startswith("z"))
-    assert row[1:] == ["30", "15", "20", "two"]
+    assert row[1:] == ["30", "15", "25", "two"]
 
 
 def test_parameters_are_compared_for_one_machine_alone(

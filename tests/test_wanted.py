@@ -11,7 +11,7 @@ import report_fixture
 import sample
 from report_fixture import result_of
 
-from oed.result import StudyResult
+from oed.result import StudyResult, verdict
 from pkm_reports.page.blocks import Table
 from pkm_reports.sections.answer import accuracy
 from pkm_studies.commands import cli
@@ -34,32 +34,42 @@ def _result(folder: Path) -> StudyResult:
     return msgspec.json.decode(raw, type=StudyResult)
 
 
-def test_pass_and_fail_stand_beside_the_predicted(
+def test_verdicts_stand_beside_the_predicted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """z has a drive and is judged as it remains, x has none: its unknown part counts.
+    """A plan's verdict holds usual effects; x has no drive and stays geometry alone.
 
-    A limit that is missed leaves the exit code as it is.
+    What does not pass exits with 1.
     """
     study = _study(tmp_path, "z_mm = 100, theta_arcsec = 1e-6, x_um = 1e6")
     out = tmp_path / "out"
-    assert cli.main(["run", str(study), "--out", str(out), "--quiet"]) == 0
+    assert cli.main(["run", str(study), "--out", str(out), "--quiet"]) == 1
     capsys.readouterr()
     result = _result(out)
     section = result.prediction
     assert section is not None
     assert section.wanted == pytest.approx({"z": 1e5, "theta": 1e-6, "x": 1e6})
+    stated = {name: v.judgement for name, v in result.verdicts.items()}
+    assert stated == {"z": "pass", "theta": "fail", "x": "cannot tell"}
+    assert result.verdicts["x"].scope == verdict.GEOMETRY_ALONE
+    assert result.verdicts["z"].rms >= section.components["z"].after.rms
     (sentence,) = [s for s in result.headline if s.startswith("Wanted accuracy")]
-    z, x = section.components["z"], section.components["x"]
-    assert f"z {z.after.rms:.3g} of 100000 um, pass" in sentence
-    assert f"x {x.known.rms:.3g} of 1e+06 um, pass" in sentence
+    x = section.components["x"]
+    assert "of 100000 um, pass, predicted (probability over 99 %)" in sentence
+    assert f"x {x.known.rms:.3g} of 1e+06 um, cannot tell" in sentence
     assert "arcsec, fail" in sentence
-    assert sentence.endswith("x has no drive and is judged by its unknown part.")
+    assert "x has no drive and is judged by its unknown part." in sentence
     (table, *_) = accuracy.blocks(result)
     assert isinstance(table, Table)
     verdicts = {row[0].split()[0]: row[-2] for row in table.rows}
-    assert verdicts["z"] == verdicts["x"] == "✓ yes"
-    assert verdicts["theta"] == "✗ no"
+    assert verdicts["z"] == "✓ pass"
+    assert verdicts["x"] == "? cannot tell"
+    assert verdicts["theta"] == "✗ fail"
+
+
+def test_what_passes_exits_with_zero(tmp_path: Path) -> None:
+    study = _study(tmp_path, "z_mm = 100")
+    assert cli.main(["run", str(study), "--out", str(tmp_path / "o"), "--quiet"]) == 0
 
 
 def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
@@ -74,7 +84,8 @@ def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     lines = advice.sentences(adviser, adviser.advise(sheet))
-    assert [line for line in lines if line.endswith("wanted 20: not yet")]
+    (line,) = [line for line in lines if "wanted 20: " in line]
+    assert line.endswith("fail (within it with under 1 %)")
     option = advice.Adviser(load(study), "z_um=5")
     assert np.nanmin(option.limits) == pytest.approx(5e-6)
 

@@ -48,5 +48,7 @@ def measured_rms_within(
     rms: float, uncertainty: float, poses: int, largest: float
 ) -> float:
     """Probability that the true rms error over measured poses is at most `largest`."""
+    if uncertainty == 0.0:
+        return float(rms <= largest)
     scale = poses / uncertainty**2
     return float(special.chndtr(scale * largest**2, poses, scale * rms**2))

@@ -13,7 +13,7 @@ Interval = tuple[float, float]
 #: what held-out readings say of a fit
 HeldOutVerdict = Literal["agrees", "confirms", "contradicts"]
 #: probabilities of the quantiles that are stored of a distribution
-LEVELS: Final = (
+LEVELS: Final[tuple[float, ...]] = (
     *(0.005, 0.01, 0.025, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5),
     *(0.6, 0.7, 0.8, 0.9, 0.95, 0.975, 0.99, 0.995),
 )
@@ -43,18 +43,21 @@ class SpreadRecord(Record, frozen=True):
     def probability_within(self, limit: float) -> float:
         """Probability that the rms error of one machine is at most a limit.
 
-        Between the outermost of `LEVELS`, for draws tell no more; one half where a result
-        of an older version has no quantiles.
+        Between the outermost of `LEVELS`, for draws tell no more. A result of an older
+        version has the interval alone, or nothing: then it is one half.
         """
-        quantiles = self.rms_quantiles
+        levels, quantiles = LEVELS, self.rms_quantiles
+        if not quantiles and self.rms_interval is not None:
+            levels = (0.025, 0.5, 0.975)
+            quantiles = [self.rms_interval[0], self.rms, self.rms_interval[1]]
         if not quantiles:
             return 0.5
         above = bisect.bisect_right(quantiles, limit)
         if above in (0, len(quantiles)):
-            return LEVELS[min(above, len(LEVELS) - 1)]
+            return levels[min(above, len(levels) - 1)]
         low, high = quantiles[above - 1], quantiles[above]
         share = (limit - low) / (high - low)
-        return LEVELS[above - 1] + share * (LEVELS[above] - LEVELS[above - 1])
+        return levels[above - 1] + share * (levels[above] - levels[above - 1])
 
 
 class ComponentAccuracy(Record, frozen=True):
