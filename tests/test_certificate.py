@@ -188,8 +188,9 @@ def test_a_public_reader_reads_the_values_back(folder: Path, oed: Run) -> None:
 
     state(folder, "z_um = 30.0\n")
     code, out, _ = oed("certificate", folder)
-    assert code == 0
+    assert code == 1  # no measurement confirms the prediction
     assert "rms error of z" in out
+    assert "no measurement confirms it" in out
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         read = XMLToJson((folder / "certificate.xml").read_text("utf-8"))
@@ -265,11 +266,15 @@ def test_conformity_of_the_machine(folder: Path, oed: Run) -> None:
     assert promised == pytest.approx([1e-6 * acceptance.components["z"].promised] * 2)
 
 
-def test_verdicts_follow_the_stated_rule(folder: Path) -> None:
-    wide = certified(folder, "z_um = 1e300\nx_um = 0.001\n")
-    assert wide.verdicts == ["pass", "fail"]
+def test_verdicts_follow_the_stated_rule(folder: Path, oed: Run) -> None:
+    """A prediction conforms where an acceptance test confirms it, and never alone."""
+    tolerance = "z_um = 1e6\nx_um = 0.001\n"
+    assert certified(folder, tolerance).verdicts == ["cannot tell", "fail"]
+    with_acceptance(folder, oed)
+    verdicts = certified(folder, tolerance).verdicts
+    assert verdicts[:2] == ["pass", "pass"]
     state(folder, "z_um = 1000.0\n", HEAD.replace("decision = 0.95\n", ""))
-    assert certify.certify_folder(folder)[0].verdicts == [""]
+    assert set(certify.certify_folder(folder)[0].verdicts) == {None}
 
 
 def test_what_is_not_stated_is_asked_for(folder: Path, oed: Run) -> None:

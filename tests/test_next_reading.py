@@ -171,6 +171,14 @@ def test_the_command_says_what_is_next_and_when_to_stop(
 ) -> None:
     arguments = ["next", str(study), "--readings", str(readings(6))]
     assert cli.main([*arguments, "--wanted", "z_um=1e7"]) == 0
+    out = capsys.readouterr().out
+    assert "Geometry alone so far: every wanted accuracy would be reached" in out
+    assert "Stop" not in out
+    allowed = study.with_name("effects.study.toml")
+    table = '\n[identify]\neffects = ["encoder_scale"]\n'
+    allowed.write_text(study.read_text("utf-8") + table, encoding="utf-8")
+    arguments[1] = str(allowed)
+    assert cli.main([*arguments, "--wanted", "z_um=1e7"]) == 0
     assert "Stop: every wanted accuracy is reached." in capsys.readouterr().out
     assert cli.main([*arguments, "--wanted", "z_um=1e-6"]) == 0
     out = capsys.readouterr().out
@@ -261,11 +269,14 @@ def test_the_plan_is_one_of_the_fewest(study: Path) -> None:
     prior = adviser.prior(measurement, pool)
     every = next_reading.best_remaining(prior, pool.blocks, 21)
     adviser.limits = adviser.accuracy(measurement, pool, every[:12])
-    more = adviser.advise_after(measurement, (), np.zeros(0)).more
+    said = adviser.advise_after(measurement, (), np.zeros(0))
+    more = said.more
     assert more is not None
-    assert more <= 12
-    fewer = next_reading.best_remaining(prior, pool.blocks, more - 1, adviser.limits)
-    assert (adviser.accuracy(measurement, pool, fewer) > adviser.limits).any()
+    assert more >= 12  # these pass in every other machine, and 19 of 20 are to
+    upper = np.quantile(said.outlook.drawn_rms(), 0.95, axis=0)
+    limits = adviser.limits * said.known / upper
+    fewer = next_reading.best_remaining(prior, pool.blocks, more - 1, limits)
+    assert (adviser.accuracy(measurement, pool, fewer) > limits).any()
 
 
 def test_what_is_missing_is_said(tmp_path: Path) -> None:
