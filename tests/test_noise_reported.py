@@ -16,7 +16,8 @@ from oed.noise.law import reach_words
 from pkm_studies.commands import cli
 
 ESTIMATED = sample.changed(
-    test_bad_fit.STUDY, ("length_um = 0.5", "length_um = 0.5\nestimate = true")
+    test_bad_fit.STUDY + '\n[identify]\neffects = "none"\n',
+    ("length_um = 0.5", "length_um = 0.5\nestimate = true"),
 )
 
 

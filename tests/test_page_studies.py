@@ -135,9 +135,9 @@ def test_an_acceptance_test_is_judged(tmp_path: Path) -> None:
         assert "z_mm" in answer["error"]
         assert [p.name for p in folder.iterdir()] == ["result.json"]
         filled = "z_mm,error_z_um\n1100,{}\n1200,{}\n"
-        for errors, words in (((3, -4), "rms 3.54 um"), ((4, 4), "failed")):
+        for errors, words in (((3, -4), "rms 3.54 um"), ((4, 4), "z: fail: rms 4 um")):
             status, answer = client.post("/judge", key=key, text=filled.format(*errors))
             assert status == 200
             assert words in answer["sentences"][0]
         assert len(list(folder.glob("acceptance-measured-*.csv"))) == 2
-        assert "Acceptance test failed." in client.ask("GET", "/results")[1].decode()
+        assert "Acceptance test: fail." in client.ask("GET", "/results")[1].decode()

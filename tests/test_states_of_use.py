@@ -79,8 +79,10 @@ def test_states_beyond_the_readings_are_said_to_be() -> None:
 
 
 def test_states_need_effects(tmp_path: Path) -> None:
+    """Where the study keeps the geometry alone."""
+    bare = '[identify]\neffects = "none"\n'
     with pytest.raises(InputError, match="only effects differ"):
-        resolve(load(written(tmp_path, "{ payload_N = 1 }", "")), readings=[])
+        resolve(load(written(tmp_path, "{ payload_N = 1 }", bare)), readings=[])
 
 
 def test_a_state_that_no_reading_recorded_is_refused(

@@ -58,6 +58,7 @@ class Promise:
     covariances  of the parameters (p, p): shapes of error fields, equally likely
     rms          (k,) promised rms errors
     uncertainty  (k,) standard uncertainty of one measured error
+    zeroed       whether errors are differences to one reading at home, which they share
     """
 
     names: tuple[str, ...]
@@ -65,6 +66,7 @@ class Promise:
     covariances: Sequence[Array]
     rms: Array
     uncertainty: Array
+    zeroed: bool = False
 
     def fields(self, count: int, rng: np.random.Generator) -> Array:
         """Error fields (count, m, k) of unit rms over the workspace."""
@@ -180,7 +182,11 @@ def _statistics(
 ) -> Array:
     """T (machines, k), SI, of machines at a factor on the promise."""
     fields = promise.fields(STATING, rng)[:, poses]
-    noise = rng.standard_normal(fields.shape) * promise.uncertainty
+    noise = rng.standard_normal(fields.shape)
+    if promise.zeroed:  # half of the variance is that of the reading at home
+        home = rng.standard_normal((len(fields), 1, fields.shape[2]))
+        noise = (noise + home) / np.sqrt(2.0)
+    noise = noise * promise.uncertainty
     errors = factor * promise.rms * fields + noise
     return np.asarray(np.sqrt(np.mean(errors**2, axis=1)))
 

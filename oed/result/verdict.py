@@ -79,12 +79,15 @@ def accuracy_verdicts(
     wanted: Mapping[str, float] | None = None,
     *,
     geometry_sent: bool = False,
+    larger: Mapping[str, float] | None = None,
 ) -> dict[str, WantedVerdict]:
     """The verdict on each wanted accuracy of a result, by component.
 
     wanted         {component: rms error in its unit}, of components that are predicted;
                    those of [prediction] by default
     geometry_sent  whether a controller is judged that corrects the geometry alone
+    larger         {component: rms error in its unit} with what a file adds to the predicted
+                   one, by its tables and digits
     """
     section = result.judged_prediction
     mixture = None if result.gap is None else result.gap.mixture
@@ -93,12 +96,13 @@ def accuracy_verdicts(
     if section is None:
         return {}
     scope, effects = _scope(result, section), _usual_effects(section)
+    raised = {**effects, **(larger or {})}
     verdicts = {}
     for name, limit in (section.wanted if wanted is None else wanted).items():
         spread = section.components[name].judged
         factor = 1.0
-        if name in effects and spread.rms > 0.0:
-            factor = max(effects[name] / spread.rms, 1.0)
+        if name in raised and spread.rms > 0.0:
+            factor = max(raised[name] / spread.rms, 1.0)
         is_bare = section.mode == "plan" and name not in effects
         holds = GEOMETRY_ALONE if is_bare else scope
         probability = spread.probability_within(limit / factor)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -165,13 +166,16 @@ def export(
         content, notes=(*content.notes, *controller.notes(content))
     )
     texts = controller.write(content)
-    corrects_effects = controller.tables and bool(content.tables)
+    whole = complete_budget(controller, content, result)
     sentences = (
         *content.notes,
         *cost(controller, content),
-        *verdict_sentences(result, geometry_sent=not corrects_effects),
+        *verdict_sentences(
+            result,
+            corrects_effects=controller.tables and bool(content.tables),
+            with_file={} if whole is None else whole.section.predicted,
+        ),
     )
-    whole = complete_budget(controller, content, result)
     if whole is not None:
         document = msgspec.json.format(msgspec.json.encode(whole.section), indent=1)
         texts = {**texts, BUDGET_FILE: document.decode() + "\n"}
@@ -180,15 +184,27 @@ def export(
     return Export(_write(texts, folder, out), sentences)
 
 
-def verdict_sentences(result: StudyResult, *, geometry_sent: bool) -> list[str]:
-    """The verdict on what the study wants, of the machine with this compensation."""
-    verdicts = accuracy_verdicts(result, geometry_sent=geometry_sent)
+def verdict_sentences(
+    result: StudyResult, *, corrects_effects: bool, with_file: Mapping[str, float]
+) -> list[str]:
+    """The verdict on what the study wants, of the machine with this compensation.
+
+    with_file  {component: rms error in its unit} with the file's tables and digits
+    """
+    verdicts = accuracy_verdicts(
+        result, geometry_sent=not corrects_effects, larger=with_file
+    )
     parts = [
         verdict.sentence(name, v, format_number(v.rms), format_number(v.wanted))
         for name, v in verdicts.items()
     ]
-    scopes = dict.fromkeys(v.scope for v in verdicts.values())
-    return [f"wanted: {'; '.join(parts)}; {', '.join(scopes)}"] if parts else []
+    if not parts:
+        return []
+    scopes = ", ".join(dict.fromkeys(v.scope for v in verdicts.values()))
+    sent = "its effects as well" if corrects_effects else "the geometry alone"
+    return [
+        f"wanted, where the controller corrects {sent}: {'; '.join(parts)}; {scopes}"
+    ]
 
 
 def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]:

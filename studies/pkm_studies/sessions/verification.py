@@ -17,10 +17,8 @@ from oed.result import (
     AcceptanceSection,
     PromiseRecord,
     StudyResult,
-    VerdictRecord,
     VerificationSection,
     trust,
-    verdict,
 )
 from oed.result.verdict import Judgement
 from pkm_studies.base import files
@@ -171,14 +169,14 @@ def _limits(demand: PromiseRecord) -> str:
 def _confirmation(demand: PromiseRecord) -> str:
     if demand.confirms is not None:
         return ""
-    return f": below {LEAST_POWER:g} this test can end in fail or cannot tell alone"
+    return f": below {LEAST_POWER:g} this test ends only in fail or cannot tell"
 
 
 def verdict_sentences(section: VerificationSection) -> Iterator[str]:
     """The judgement, component by component."""
     for name, c in section.components.items():
         yield (
-            f"{name}: {_stated(c)}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)}"
+            f"{name}: {c.judgement}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)}"
             f" {c.unit} (promised {rounded(c.promised, 3)} {c.unit}), largest"
             f" {rounded(c.max, 3)} {c.unit}."
         )
@@ -186,7 +184,7 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
         bare = np.nan if c.without is None else c.without
         yield (
             f"{name}: without further axes rms {rounded(bare, 3)} {c.unit}; with them"
-            f" {_stated(c)}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)} {c.unit}"
+            f" {c.judgement}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)} {c.unit}"
             f" (promised {rounded(c.promised, 3)} {c.unit}), largest {rounded(c.max, 3)}"
             f" {c.unit}."
         )
@@ -200,14 +198,6 @@ def verdict_sentences(section: VerificationSection) -> Iterator[str]:
         )
     yield from healthy_sentences(section)
     yield CONCLUSIONS[section.judgement]
-
-
-def _stated(component: VerdictRecord) -> str:
-    """The verdict, and the probability that the promise holds at these poses."""
-    if component.probability is None:
-        return component.judgement
-    within = verdict.percent(component.probability)
-    return f"{component.judgement} (the promise holds at these poses with {within})"
 
 
 def _both_ways(mean: float | None, reversal: float | None) -> str:

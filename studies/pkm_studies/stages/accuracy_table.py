@@ -67,6 +67,8 @@ def rows(result: StudyResult, prediction: PredictionSection) -> list[AccuracyRow
         after = "after compensation"
     lines.append(AccuracyRow(after, {n: c.after.rms for n, c in components.items()}))
     budget = prediction.budget
+    if budget is None and corrected is None and result.prediction is not None:
+        budget = result.prediction.budget
     if budget is None:
         return lines
     for worst in budget.unmodelled[:1]:

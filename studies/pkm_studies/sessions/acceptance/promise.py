@@ -113,7 +113,8 @@ def promised_accuracy(
             known.get(n, UNCERTAINTY_SHARE * r) for n, r in zip(names, rms, strict=True)
         ]
         shapes = [covariance, tolerance]
-        return Promise(names, slope, shapes, rms, np.array(given))
+        zeroed = reference == "home"
+        return Promise(names, slope, shapes, rms, np.array(given), zeroed)
 
     others = [k for k in varying if k not in driven]
     corrected = result.corrected
@@ -123,7 +124,8 @@ def promised_accuracy(
         else (*corrected.conditions, *without_effects(result))
     )
     components = tuple(machine.components[k] for k in driven)
-    assumed = [c.name for c in components if c.name not in {**read, **uncertainty}]
+    every = [machine.components[k].name for k in varying]
+    assumed = [name for name in every if name not in {**read, **uncertainty}]
     return PromisedAccuracy(
         machine=machine,
         command=command,
