@@ -38,14 +38,14 @@ from benchmarks.blind.generator.severity import Metric as TrueMetric
 from benchmarks.blind.loading import Case
 from benchmarks.blind.results import Record
 from benchmarks.blind.run import law_of
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array
 from oed.gap.cause.closure import Split, closure
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Atom, Library
-from oed.noise.factor import Factor
+from oed.noise.factor import Errors
 from oed.noise.law import NoiseLaw
-from oed.noise.runs import Runs
+from oed.noise.runs import RunLayout, Runs
 from pkm_studies.campaign.jobs import Job, read_row, run_jobs
 
 #: size of a rival against its physical prior scale
@@ -319,13 +319,29 @@ class TrueLaw(NoiseLaw):
 
     true: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
-    def covariance(self, runs: Runs, members: Index) -> Array:
-        """As in `NoiseLaw`."""
-        return np.asarray(self.true[np.ix_(members, members)])
-
-    def factor(self, runs: Runs, rows: Index | None = None) -> Factor:
-        """As in `NoiseLaw`."""
-        return self.dense_factor(runs, rows)
+    def errors(self, runs: Runs, layout: RunLayout) -> Errors:
+        """As in `NoiseLaw`: half the least variance of each segment, and what it shares."""
+        order, ends = layout.order, np.append(layout.starts[1:], len(layout.order))
+        shared = np.zeros((len(order), int(np.diff(ends, prepend=0).max())))
+        single = np.empty(len(order))
+        for start, end, members in zip(
+            layout.starts, ends, layout.segments, strict=True
+        ):
+            values, axes = np.linalg.eigh(self.true[np.ix_(members, members)])
+            single[start:end] = 0.5 * values[0]
+            roots = np.sqrt(values - 0.5 * values[0])
+            shared[start:end, : end - start] = axes * roots
+        nothing = np.zeros(len(order))
+        return Errors(
+            order=order,
+            starts=layout.starts,
+            before=np.arange(len(order)),
+            decay=nothing,
+            single=single,
+            carried=nothing,
+            shared=shared,
+            scale=np.ones(len(order)),
+        )
 
 
 def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
@@ -342,7 +358,7 @@ def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
             "the true noise relates readings of different runs; the law of a diagnosis"
             " cannot"
         )
-    return TrueLaw(0.0, 0.0, 1.0, np.ones(len(problem)), true=covariance)
+    return TrueLaw(0.0, 0.0, 1.0, true=covariance)
 
 
 def _closures(
@@ -357,7 +373,7 @@ def _closures(
     """
     change = (truth["clean"] - truth["y0"]) / problem.sigma
     law = true_law(problem, sigma)
-    estimated = None if estimate is None else law_of(dict(estimate), len(problem))
+    estimated = None if estimate is None else law_of(dict(estimate))
     closures = []
     for split in SPLITS:
         best = _closure(problem, law, change, split)

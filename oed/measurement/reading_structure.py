@@ -162,30 +162,24 @@ def stated_errors(
     related = any(setup.instrument.sources is not None for setup in setups)
     if not (related or statement.carried_share or any(e.size for e in errors)):
         return None
-    roots, places, lines = [], [], []
+    inverses, places = [], []
     for s in series:
         blocks = np.linalg.cholesky(reading_covariances(measurement.of(s), s))
-        count, channels = blocks.shape[:2]
-        roots += list(blocks)
+        inverses += list(np.linalg.inv(blocks))
         run = np.unique(s.run, return_inverse=True)[1]
-        places.append(np.repeat(_places(run), channels))
-        lines.append(np.tile(np.arange(channels), count))
+        places.append(np.repeat(_places(run), blocks.shape[1]))
     widest = max(e.shape[2] for e in errors)
     padded = [np.pad(e, ((0, 0), (0, 0), (0, widest - e.shape[2]))) for e in errors]
     # the number of rows is stated: it does not follow where nothing is shared
     flat = [e.reshape(e.shape[0] * e.shape[1], widest) for e in padded]
     shared = np.concatenate(flat)
-    root = sparse.csr_array(sparse.block_diag(roots))
-    inverse = sparse.csr_array(sparse.block_diag([np.linalg.inv(r) for r in roots]))
-    for matrix in (root, inverse):
-        matrix.eliminate_zeros()
+    inverse = sparse.csr_array(sparse.block_diag(inverses))
+    inverse.eliminate_zeros()
     return StatedErrors(
-        root=sparse.csr_array(sparse.diags_array(1.0 / sigma) @ root),
         inverse=sparse.csr_array(inverse @ sparse.diags_array(sigma)),
         carried=statement.carried_share,
         reach=statement.reach_median,
         place=np.concatenate(places).astype(float),
-        line=np.concatenate(lines).astype(np.intp),
         shared=shared / sigma[:, None],
     )
 

@@ -15,7 +15,7 @@ from reference import tian_2016 as paper
 from scipy import stats
 
 from kernel import a3_plans
-from kernel.dense_noise import dense_covariance
+from kernel.dense_noise import dense_covariance, law_covariance
 from oed.accuracy.budget import budget_model
 from oed.design import candidates
 from oed.estimation.identification import identify
@@ -275,7 +275,7 @@ def test_the_diagnosis_takes_what_is_stated_as_known() -> None:
     law = gap_laws.posterior(problem, problem.slopes[:, :0])
     assert law.draws.shape[1] == 0
     for k, members in enumerate(problem.members):
-        block = law.mode.covariance(problem, problem.members[k]) * np.outer(
+        block = law_covariance(law.mode, problem, problem.members[k]) * np.outer(
             *2 * [problem.sigma[members]]
         )
         exact = expected(series, RUN)[np.ix_(members, members)]
