@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import sparse
@@ -162,6 +163,40 @@ class LinearFactor:
             shared = errors.unmix.T @ shared
         diagonal = diagonal - (shared**2).sum(axis=1)
         return _in_place(errors.order, diagonal / errors.scale**2)
+
+
+def joined(parts: Sequence[Errors]) -> Errors:
+    """Errors of readings that stand one after the other, each set in its own order."""
+    counts = [len(part.order) for part in parts]
+    first = np.cumsum([0, *counts[:-1]])
+    widest = max(part.shared.shape[1] for part in parts)
+
+    def together(name: str) -> Array:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    def numbers(name: str) -> Index:
+        pairs = zip(parts, first, strict=True)
+        return np.concatenate([getattr(part, name) + start for part, start in pairs])
+
+    shared = [
+        np.pad(part.shared, ((0, 0), (0, widest - part.shared.shape[1])))
+        for part in parts
+    ]
+    unmix = [
+        sparse.eye_array(count) if part.unmix is None else part.unmix
+        for part, count in zip(parts, counts, strict=True)
+    ]
+    return Errors(
+        order=numbers("order"),
+        starts=numbers("starts"),
+        before=numbers("before"),
+        decay=together("decay"),
+        single=together("single"),
+        carried=together("carried"),
+        shared=np.concatenate(shared),
+        scale=together("scale"),
+        unmix=sparse.csr_array(sparse.block_diag(unmix)),
+    )
 
 
 def _in_place(order: Index, ordered: Array) -> Array:
