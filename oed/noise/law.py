@@ -119,10 +119,8 @@ STATED_LAW = NoiseLaw(0.0, 0.0, 1.0)
 
 
 def law_of(laws: Laws, row: int, channel: Index) -> NoiseLaw:
-    """One of some laws of a common share, for readings whose channels (N,) have a
-    scale each.
-    """
-    carried = float(laws.carried[row, 0])
+    """One of some laws, for readings whose channels (N,) have a scale each."""
+    carried = float(laws.carried[row])
     return NoiseLaw(
         run_sd=float(laws.level[row]),
         ar1_sd=float(np.sqrt(carried)),

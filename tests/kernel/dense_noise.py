@@ -18,12 +18,12 @@ def dense_covariance(structure: ReadingStructure, laws: Laws) -> Array:
     run = structure.run[structure.chain]
     distance = np.abs(structure.position[:, None] - structure.position)
     carried = np.exp(-distance / laws.reach[0]) * same_chain
-    single = np.diag(1.0 - laws.carried[0, structure.group])
+    single = (1.0 - laws.carried[0]) * np.eye(len(structure))
     columns = structure.columns * laws.sizes[0, structure.kinds]
     shared = (columns @ columns.T) * (run[:, None] == run)
     course = laws.course[0] ** 2 * (structure.course @ structure.course.T)
     scale = laws.scale[0, structure.group]
-    unit = single + laws.carried[0, structure.group] * carried + shared
+    unit = single + laws.carried[0] * carried + shared
     if structure.course.size:
         unit += course
     return np.asarray(unit * scale[:, None] * scale)
