@@ -28,7 +28,7 @@ class TrueLaw(NoiseLaw):
         shared = np.zeros((len(order), int(np.diff(ends, prepend=0).max())))
         single = np.empty(len(order))
         for start, end, members in zip(
-            layout.starts, ends, layout.segments, strict=True
+            layout.starts, ends, np.split(order, layout.starts[1:]), strict=True
         ):
             values, axes = np.linalg.eigh(self.true[np.ix_(members, members)])
             single[start:end] = 0.5 * values[0]

@@ -32,7 +32,6 @@ def bound(
     criterion: Criterion,
     rules: Rules,
     prior: Array,
-    tolerance: float = 1e-8,
     rounding: Rounding = EXACT,
 ) -> Relaxation:
     """Relaxation whose bound holds for all plans under the rules; a concave criterion.
@@ -46,7 +45,7 @@ def bound(
         return _bound_under_quotas(blocks, criterion, rules, rules.quotas, prior)
     by_candidates: dict[bytes, Relaxation] = {}
     for problem in rules.relaxations(len(blocks)):
-        optimum = _relax(blocks, criterion, problem, prior, tolerance, rounding)
+        optimum = _relax(blocks, criterion, problem, prior, rounding)
         new = _over_all_candidates(optimum, problem, len(blocks))
         key = problem.candidates.tobytes()
         # number and budget both hold: the lower of their bounds does
@@ -81,18 +80,17 @@ def _relax(
     criterion: Criterion,
     problem: RelaxedRules,
     prior: Array,
-    tolerance: float,
     rounding: Rounding,
 ) -> Relaxation:
     """The relaxation, over v = cost w where there is a cost."""
     candidates, total, cost = problem
     scaled = blocks[candidates]
     if cost is None:
-        return _relax_counted(scaled, criterion, total, prior, tolerance, rounding)
+        return _relax_counted(scaled, criterion, total, prior, rounding)
     scaled = scaled / np.sqrt(cost)[:, None, None]
     errors = rounding.rows / float(np.sqrt(cost.min())) + quotient_error(scaled)
     rounding = rounding._replace(rows=errors)
-    return _relax_capped(scaled, criterion, total, prior, cost, tolerance, rounding)
+    return _relax_capped(scaled, criterion, total, prior, cost, rounding)
 
 
 def _relax_counted(
@@ -100,7 +98,6 @@ def _relax_counted(
     criterion: Criterion,
     total: float,
     prior: Array,
-    tolerance: float,
     rounding: Rounding,
 ) -> Relaxation:
     """The relaxation over weights of at most 1, which equal candidates share evenly."""
@@ -109,7 +106,7 @@ def _relax_counted(
     if copies.exist:
         blocks = blocks[copies.first]
         cap = copies.number.astype(float)
-    optimum = _relax_capped(blocks, criterion, total, prior, cap, tolerance, rounding)
+    optimum = _relax_capped(blocks, criterion, total, prior, cap, rounding)
     if not copies.exist:
         return optimum
     return dataclasses.replace(
@@ -125,14 +122,15 @@ def _relax_capped(
     total: float,
     prior: Array,
     cap: Array | float,
-    tolerance: float,
     rounding: Rounding,
 ) -> Relaxation:
     """The relaxation over weights of at most `cap`."""
     if isinstance(criterion, ExtremeEigenvalues):
         optimum = condition.e_optimal(scaled, total, prior, cap)
         return _in_log_phi(optimum, criterion.least)
-    return relaxation.relax(scaled, total, prior, cap, tolerance, criterion, rounding)
+    return relaxation.relax(
+        scaled, total, prior, cap, criterion=criterion, rounding=rounding
+    )
 
 
 def _over_all_candidates(

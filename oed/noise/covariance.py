@@ -51,9 +51,9 @@ class Noise:
         flat = values.reshape(-1, values.shape[-1])
         return self.whiten(flat.T).T.reshape(values.shape)
 
-    def scaled(self, factor: Array) -> Noise:
-        """The same noise times a factor (N,), equal within each run."""
-        return Noise(self.sigma * factor)
+    def scaled(self, factor: float) -> Noise:
+        """The same noise times a factor."""
+        return self if factor == 1.0 else Noise(self.sigma * factor)
 
     def of_runs(self) -> tuple[Noise, Array]:
         """Noise that is independent between runs, and what all readings share beside it.
@@ -99,11 +99,10 @@ class FactoredNoise(Noise):
         """Diagonal (N,) of Sigma^-1."""
         return self.factor.precision_diagonal()
 
-    def scaled(self, factor: Array) -> Noise:
-        """The same noise times a factor (N,), equal within each run."""
+    def scaled(self, factor: float) -> Noise:
+        """The same noise times a factor."""
         errors = self.factor.errors
-        scale = errors.scale * factor[errors.order]
-        changed = LinearFactor(dataclasses.replace(errors, scale=scale))
+        changed = LinearFactor(dataclasses.replace(errors, scale=factor * errors.scale))
         return FactoredNoise(self.sigma * factor, factor=changed)
 
     def correlate(self, white: Array) -> Array:

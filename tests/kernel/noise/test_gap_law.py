@@ -56,7 +56,8 @@ def test_whitened_by_channels_is_whitened_by_the_whole(related: bool) -> None:
     assert Metric(problem, law).gram(values, values) == pytest.approx(
         values.T @ np.linalg.solve(geometry, values), rel=1e-6, abs=1e-6
     )
-    assert {len(members) for members in problem.layout.segments} == {
+    segments = np.split(problem.layout.order, problem.layout.starts[1:])
+    assert {len(members) for members in segments} == {
         len(problem.members[0]) // (1 if related else 2)
     }
 
