@@ -128,8 +128,7 @@ def carried_along(count: int, rng: np.random.Generator) -> np.ndarray:
 
 def known_law(problem: GapProblem) -> NoiseLaw:
     """The law that the readings were drawn with."""
-    variance = np.full(len(problem), 1.0 - CARRIED)
-    return NoiseLaw(LEVEL / NOISE, np.sqrt(CARRIED), REACH, variance)
+    return NoiseLaw(LEVEL / NOISE, np.sqrt(CARRIED), REACH, 1.0 - CARRIED)
 
 
 def prepare(folder: Path, readings: int, gap: bool) -> tuple[GapProblem, list[Effect]]:

@@ -17,7 +17,7 @@ from oed.gap.data.diagnosis import AnswerContent, Diagnosis, Size
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import signature
 from oed.model.effect import Column, Effect, State
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from oed.result.gap import (
     AnswerRecord,
     ClosureRecord,
@@ -177,7 +177,7 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         ),
         set95=(ACTS,),
         marginal={"cold": 0.01, "backlash": 0.98},
-        law=stated_law(problem),
+        law=STATED_LAW,
         noise_words=("The noise is as stated.",),
         constants={},
         coefficients=_coefficients(columns.names, mean * scales, sd * scales),

@@ -15,7 +15,7 @@ import rounds
 from numpy.typing import NDArray
 from oracles import a3_geometry as a3
 
-from oed.accuracy.maps import controller_errors
+from oed.accuracy.maps import driven_errors
 from oed.measurement.measurement import Measurement
 from oed.model.machine import Machine
 from oed.result import StudyResult
@@ -154,7 +154,7 @@ def test_errors_before_compensation_are_those_that_the_controller_leaves(
     table = rounds.of_table(folder / "first" / "compensation.csv")
     joints = rounds.of_parameters(KNOWN) if name == "first" else table
     command = commands()
-    left = controller_errors(kinematics, command, si(TRUTH), "absolute")
+    left = driven_errors(kinematics, command, si(TRUTH), "absolute")
     names = [c.name for c in a3_head.machine.components]
     driven = left[:, [names.index(n) for n in ("z", "psi", "theta")]]
     exact = rounds.errors(TRUTH, joints, command)

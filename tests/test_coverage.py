@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from oed.accuracy import prediction
-from oed.accuracy.maps import compensated_errors
+from oed.accuracy.maps import driven_errors
 from oed.estimation.identification import identify
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import noise_prior
@@ -44,9 +44,9 @@ def test_oracle_and_toolkit_read_the_same_machine(name: str) -> None:
     assert np.abs(bench.read(truth) - readings).max() < 1e-12
     keep = len(m.machine.parameters)
     believed = m.nominal[:keep] + 0.9 * (truth - m.nominal)[:keep]
-    errors = compensated_errors(
-        m.kinematics, bench.command, believed, truth[None, :keep]
-    )[0]
+    errors = driven_errors(
+        m.kinematics, bench.command, truth[:keep], "home", believed=believed
+    )
     exact = bench.errors(believed, truth[:keep])
     assert np.abs(exact).max() > 1e-5
     assert np.abs(errors - exact).max() < 1e-9
@@ -189,9 +189,9 @@ def test_what_compensation_leaves_is_predicted_exactly() -> None:
     rng = np.random.default_rng(4)
     identified = (m.tolerance * rng.standard_normal(len(m.nominal)))[:24]
     exact = bench.errors(identified, identified)
-    known = compensated_errors(
-        m.kinematics, bench.command, identified, identified[None]
-    )[0]
+    known = driven_errors(
+        m.kinematics, bench.command, identified, "home", believed=identified
+    )
     maps = prediction.error_maps(m.kinematics, bench.command, "home")
     nothing = np.zeros((24, 24))
     figures = {

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from effects_sample import NAMES, effect_of
+from kernel.dense_noise import stated_correlation
 from scipy import linalg
 
 from oed.gap.data import state as states_of
@@ -139,7 +140,7 @@ def predicted(case: Planar) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
     for members in whole.members:
         stated = np.eye(len(members))
         if whole.stated is not None:
-            stated = whole.stated.correlation(members)
+            stated = stated_correlation(whole, members)
         noise[np.ix_(members, members)] = stated
     plain = noise + whole.slopes @ whole.slopes.T
     named = [

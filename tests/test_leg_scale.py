@@ -14,7 +14,7 @@ from oed.estimation import identification
 from oed.gap.data import linearisation, problem
 from oed.gap.data.linearisation import ActingEffectForm
 from oed.measurement.measurement import Measurement
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from oed.result import StudyResult
 from pkm_models.effects import encoder_scale
 from pkm_studies import pipeline
@@ -102,7 +102,7 @@ def test_the_linear_model_holds_where_the_effect_acts(tmp_path: Path) -> None:
     names = tuple(f"leg {k + 1}" for k in range(6))
     form = ActingEffectForm(encoder_scale.effect, {}, names, 1000.0)
     nothing = np.zeros(len(given))
-    settled = linearisation.settle(given, [form], stated_law(given), nothing)
+    settled = linearisation.settle(given, [form], STATED_LAW, nothing)
     assert 10.0 < settled.departure < np.inf
     assert settled.coefficients[0] * 50e-6 == pytest.approx(-0.06, abs=4e-4)
     # what is left beside parameters and effect is noise
@@ -117,5 +117,5 @@ def test_the_linear_model_holds_where_the_effect_acts(tmp_path: Path) -> None:
     measurement, data = small
     given = problem.prepare(measurement, data.series, data.y, data.covariates)
     small_form = ActingEffectForm(encoder_scale.effect, {}, names, 3.0)
-    settled = linearisation.settle(given, [small_form], stated_law(given), nothing)
+    settled = linearisation.settle(given, [small_form], STATED_LAW, nothing)
     assert settled.departure < 1.0

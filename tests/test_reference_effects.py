@@ -18,7 +18,7 @@ from oed.gap.forms import library
 from oed.measurement import draw_parameters, draw_readings
 from oed.model.effect import Effect, State
 from oed.model.instrument import Instrument, Setup
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from pkm_models.instruments import (
     ball_bar,
     ball_plate,
@@ -186,7 +186,7 @@ def _offered(problem: GapProblem) -> list[Effect]:
 
 def _diagnosis(problem: GapProblem) -> Diagnosis:
     rng = np.random.default_rng(1)
-    return diagnose(problem, _offered(problem), rng, law=stated_law(problem))
+    return diagnose(problem, _offered(problem), rng, law=STATED_LAW)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -18,7 +18,7 @@ from sample import changed, table_lines
 
 from oed import dataset
 from oed.gap.before import detect, runs
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from oed.result import DetectabilityTable
 from pkm_models.effects import encoder_scale, gravity
 from pkm_reports import sections
@@ -116,9 +116,7 @@ def test_the_table_is_the_kernels(ran: tuple[dict[str, Any], Path]) -> None:
     ]
     problem, _ = runs.prepare(resolved.measurement, candidates)
     effects = [gravity.effect, encoder_scale.effect]
-    detection = detect.detect(
-        problem, stated_law(problem), effects, np.random.default_rng(0)
-    )
+    detection = detect.detect(problem, STATED_LAW, effects, np.random.default_rng(0))
     np.testing.assert_allclose(
         table["apart"], detection.separation, rtol=1e-6, atol=1e-8
     )

@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.blind import case, loading, oracle, run
+from benchmarks.blind import case, loading, run
 from benchmarks.blind.generator import write as truth_of
+from benchmarks.blind.true_law import true_law
 from oed.gap import procedure as diagnose
 
 
@@ -36,7 +37,7 @@ def work(job: run.DiagnosisJob) -> dict[str, Any]:
 def _diagnose(job: run.DiagnosisJob) -> dict[str, Any]:
     problem = loading.prepare(job.folder, job.case)
     with np.load(job.folder / "truth" / f"{job.case.id}.npz") as truth:
-        law = oracle.true_law(problem, truth_of.covariance(truth))
+        law = true_law(problem, truth_of.covariance(truth))
     effects = loading.bench(job.case.study).effects
     rng = run.random_stream(job)
     return run.diagnosis_record(diagnose.diagnose(problem, effects, rng, law=law))

@@ -38,14 +38,13 @@ from benchmarks.blind.generator.severity import Metric as TrueMetric
 from benchmarks.blind.loading import Case
 from benchmarks.blind.results import Record
 from benchmarks.blind.run import law_of
-from oed.base.arrays import Array, Index
+from benchmarks.blind.true_law import true_law
+from oed.base.arrays import Array
 from oed.gap.cause.closure import Split, closure
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Atom, Library
-from oed.noise.factor import Factor
 from oed.noise.law import NoiseLaw
-from oed.noise.runs import Runs
 from pkm_studies.campaign.jobs import Job, read_row, run_jobs
 
 #: size of a rival against its physical prior scale
@@ -310,41 +309,6 @@ def _distances_of_forms(
 # -- closure ---------------------------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
-class TrueLaw(NoiseLaw):
-    """The true covariance of the readings in place of a law's.
-
-    true    (N, N) in units of the stated noise
-    """
-
-    true: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
-
-    def covariance(self, runs: Runs, members: Index) -> Array:
-        """As in `NoiseLaw`."""
-        return np.asarray(self.true[np.ix_(members, members)])
-
-    def factor(self, runs: Runs, rows: Index | None = None) -> Factor:
-        """As in `NoiseLaw`."""
-        return self.dense_factor(runs, rows)
-
-
-def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
-    """The law of a covariance (N, N), SI.
-
-    Raises ValueError where it relates readings of different runs.
-    """
-    covariance = sigma / np.outer(problem.sigma, problem.sigma)
-    across = covariance.copy()
-    for members in problem.members:
-        across[np.ix_(members, members)] = 0.0
-    if float(np.abs(across).max(initial=0.0)) > 1e-9:
-        raise ValueError(
-            "the true noise relates readings of different runs; the law of a diagnosis"
-            " cannot"
-        )
-    return TrueLaw(0.0, 0.0, 1.0, np.ones(len(problem)), true=covariance)
-
-
 def _closures(
     problem: GapProblem,
     sigma: Array,
@@ -357,7 +321,7 @@ def _closures(
     """
     change = (truth["clean"] - truth["y0"]) / problem.sigma
     law = true_law(problem, sigma)
-    estimated = None if estimate is None else law_of(dict(estimate), len(problem))
+    estimated = None if estimate is None else law_of(dict(estimate))
     closures = []
     for split in SPLITS:
         best = _closure(problem, law, change, split)

@@ -174,7 +174,7 @@ def _closure(c: ClosureRecord) -> dict[str, Any]:
 
 
 def _law(law: NoiseLaw) -> dict[str, Any]:
-    """All of a law; variances and ratios of single readings where they are not all 1."""
+    """All of a law; ratios of single readings where they are not all 1."""
     return {
         "repeat": law.run_sd,
         "wander": law.ar1_sd,
@@ -183,21 +183,20 @@ def _law(law: NoiseLaw) -> dict[str, Any]:
         "level": law.level,
         "tails": _known(law.student_dof),
         "strays": law.outlier_share,
-        "variance": _unless_one(law.variance),
+        "variance": law.variance,
         "ratio": None if law.channel_ratio is None else _unless_one(law.channel_ratio),
     }
 
 
-def law_of(record: dict[str, Any], size: int) -> NoiseLaw:
-    """The law of a result's record, for `size` readings."""
-    variance = record["variance"] or [1.0] * size
+def law_of(record: dict[str, Any]) -> NoiseLaw:
+    """The law of a result's record."""
     ratio, dof = record["ratio"], record["tails"]
     return NoiseLaw(
         run_sd=record["repeat"],
         ar1_sd=record["wander"],
         seat_sd=record.get("seat", 0.0),
         ar1_length=record["reach"],
-        variance=np.array(variance, dtype=float),
+        variance=record["variance"],
         level=record["level"],
         student_dof=math.inf if dof is None else dof,
         outlier_share=record.get("strays", 0.0),

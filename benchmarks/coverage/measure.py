@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.coverage import noise
 from benchmarks.coverage.bench import Bench
-from oed.accuracy.maps import compensated_errors
+from oed.accuracy.maps import driven_errors
 from oed.estimation.coordinates import coordinates_of_readings
 from oed.estimation.estimate import Estimate
 from oed.estimation.identification import identify
@@ -109,11 +109,12 @@ def _bands(
     """Which pose components' intervals (n, k) hold the compensated machine's error."""
     keep = len(bench.measurement.machine.parameters)
     identified = estimate.theta[:keep]
-    errors = compensated_errors(
+    errors = driven_errors(
         bench.measurement.kinematics,
         bench.command,
-        identified,
         theta[:, :keep],
+        "home",
+        believed=identified,
     )
     return _holds(errors, bench.errors(identified, truth[:keep]))
 

@@ -41,7 +41,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as libraries
 from oed.model.effect import Column, Effect, State
 from oed.model.size_prior import EFFECT_SIZES
-from oed.noise.law import NoiseLaw
+from oed.noise.law import STATED_LAW
 
 #: sqrt(lambda) of the effects, and noises that a mean is over
 SIZE, NOISES = 10.0, 16
@@ -112,10 +112,7 @@ def log_factor(case: ChangedReadings, effect: Effect) -> float:
     Readings are the exact change and white noise, geometry drawn from its tolerances.
     """
     problem = case.problem
-    law = NoiseLaw(
-        run_sd=0.0, ar1_sd=0.0, ar1_length=1.0, variance=np.ones(len(problem))
-    )
-    metric = Metric(problem, law)
+    metric = Metric(problem, STATED_LAW)
     library = libraries.build(problem, [effect], metric)
     if not library.atoms:
         return 0.0

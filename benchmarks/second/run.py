@@ -91,5 +91,4 @@ def true_law(problem: GapProblem, law: Mapping[str, Any]) -> NoiseLaw:
         run_sd=law.get("repeat_over_sigma", 0.0),
         ar1_sd=law.get("ar_over_sigma", 0.0),
         ar1_length=-1.0 / math.log(correlation),
-        variance=np.ones(len(problem)),
     )

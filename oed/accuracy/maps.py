@@ -23,9 +23,8 @@ from scipy.spatial.transform import Rotation
 
 from oed.base.arrays import Array
 from oed.mechanism.error_model import ErrorModel, error_model
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.mechanism.nearby_poses import NearbyPoses
-from oed.mechanism.pose_errors import NO_TOOL, pose_error, twist_between
+from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.pose_errors import NO_TOOL, pose_error
 
 Reference = Literal["home", "absolute", "best_fit"]
 
@@ -212,63 +211,31 @@ def components_against(
     return components.reshape(*twist.shape[:-2], len(command), -1)
 
 
-def compensated_errors(
-    kinematics: Kinematics,
-    command: Array,
-    identified: Array,
-    parameters: Array,
-    tool: Array = NO_TOOL,
-) -> Array:
-    """Errors (m, n, k) of pose components at commands (n, n_dof), zeroed at home; SI.
-
-    identified  (np,) parameters of the compensation
-    parameters  (m, np) of the machine, near the identified ones
-
-    Raises AssemblyError.
-    """
-    poses = kinematics.machine.and_home(command, tool)
-    wanted_x, _ = kinematics.inverse(poses, kinematics.machine.nominal, tool)
-    rotation, point, _ = kinematics.frames(wanted_x, tool)
-    true_rotation, true_point = _frames(kinematics, poses, identified, parameters, tool)
-    twist = twist_between(rotation, point, true_rotation, true_point)
-    return components_against(kinematics, command, twist, "home", tool)
-
-
-def controller_errors(
+def driven_errors(
     kinematics: Kinematics,
     command: Array,
     parameters: Array,
     reference: Reference,
+    *,
+    believed: Array | None = None,
     tool: Array = NO_TOOL,
 ) -> Array:
     """Exact errors (n, k) of pose components at commands (n, n_dof), SI.
 
-    The machine has these parameters (np,) and is at the joints that its controller
-    sends, whatever that holds. Raises AssemblyError.
+    parameters  (np,) of the machine, or (m, np) of m machines, whose errors are (m, n, k)
+    believed    (np,) or (m, np) by which its joints are driven; what its controller holds
+                by default
+
+    Raises AssemblyError.
     """
-    machine = kinematics.machine
-    poses = machine.and_home(command, tool)
-    _, joints = kinematics.sent(poses, tool)
+    poses = kinematics.machine.and_home(command, tool)
+    if believed is None:
+        _, joints = kinematics.sent(poses, tool)
+    else:
+        several = np.atleast_2d(believed)
+        of_each = np.repeat(several, len(poses), axis=0)
+        every = np.tile(poses, (len(several), 1))
+        _, joints = kinematics.inverse(every, of_each, tool)
+        joints = joints.reshape(*believed.shape[:-1], len(poses), -1)
     twist = pose_error(kinematics, poses, joints, parameters, tool)
     return components_against(kinematics, command, twist, reference, tool)
-
-
-def _frames(
-    kinematics: Kinematics,
-    poses: Array,
-    identified: Array,
-    parameters: Array,
-    tool: Array,
-) -> tuple[Array, Array]:
-    """Rotations (m, n, 3, 3) and points (m, n, 3) where the machine really stands."""
-    x, q = kinematics.inverse(poses, identified, tool)
-    reached = NearbyPoses(kinematics, q, identified, x).solve(parameters)
-    failed = np.isnan(reached).any(axis=2)
-    if failed.any():
-        raise AssemblyError(
-            f"{kinematics.machine.name}: a draw of the parameters cannot be assembled",
-            np.flatnonzero(failed.any(axis=0)),
-        )
-    rotation, point, _ = kinematics.frames(reached.reshape(-1, reached.shape[2]), tool)
-    shape = reached.shape[:2]
-    return rotation.reshape(*shape, 3, 3), point.reshape(*shape, 3)

@@ -95,9 +95,7 @@ def fit(
     scale  factor on the noise
     """
     measurement = session.measurement
-    noise, root = session.noise(), session.prior_root()
-    if scale != 1.0:
-        noise = noise.scaled(np.full(len(session), scale))
+    noise, root = session.noise().scaled(scale), session.prior_root()
     free = np.flatnonzero(measurement.free)
     nominal = measurement.nominal
     first: Array = np.zeros(len(free))

@@ -72,8 +72,7 @@ class _AmountProblem:
         self.measurement = session.measurement
         self.root = session.prior_root()
         self.count = self.root.shape[1]
-        factor = np.full(len(session), scale)
-        self.noise = session.noise().scaled(factor) if scale != 1.0 else session.noise()
+        self.noise = session.noise().scaled(scale)
         self.first = np.concatenate([np.zeros(self.count), trial.amounts / trial.steps])
         self.weight = np.concatenate(
             [np.ones(self.count), np.full(len(trial.steps), 1.0 / WIDE)]

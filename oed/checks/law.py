@@ -44,8 +44,7 @@ class CheckedLaw:
     def laws(self, structure: ReadingStructure) -> Laws:
         """The law for readings of a structure; groups it does not know are as stated."""
         scale = np.array([[self.scale.get(name, 1.0) for name in structure.names]])
-        share = self.law.carried[:, 0]  # all groups have the same
-        return dataclasses.replace(self.law, scale=scale, carried=share)
+        return dataclasses.replace(self.law, scale=scale)
 
     def with_scale(self, least: float, most: float) -> CheckedLaw:
         """The law with scales no smaller and no larger than these."""

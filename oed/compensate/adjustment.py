@@ -27,9 +27,8 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from oed.accuracy.maps import Reference, maps_by_reference
+from oed.accuracy.maps import Reference, driven_errors, maps_by_reference
 from oed.base.arrays import Array
-from oed.compensate.export_errors import known_errors
 from oed.mechanism.kinematics import Kinematics
 from oed.model.adjustment import Adjustment
 from oed.model.machine import Parameter
@@ -270,8 +269,8 @@ class AdjustableMachine:
         covariance = self.covariance.copy()
         covariance[at, at] += self._errors(at) ** 2
         here = (self.kinematics, self.command, parameters, self.reference)
-        corrected = known_errors(*here)
-        plain = known_errors(*here, controller=machine.nominal)
+        corrected = driven_errors(*here, believed=parameters)
+        plain = driven_errors(*here, believed=machine.nominal)
         raw = self._maps(parameters)[0]
         variance = np.einsum("nkp,pq,nkq->k", raw, covariance, raw, optimize=True)
         variance /= len(self.command)
@@ -307,7 +306,7 @@ class AdjustableMachine:
         parameters[columns] += amounts
         here = (self.kinematics, self.command, parameters, self.reference)
         weights = self.weights[:, None] / np.sqrt(len(self.command))
-        known = known_errors(*here) * weights[:, 0]
+        known = driven_errors(*here, believed=parameters) * weights[:, 0]
         raw, remaining = (slope * weights for slope in self._maps(parameters))
         floor = np.einsum("nkp,pq,nkq->", raw, self.covariance, raw, optimize=True)
         slopes = remaining[:, :, columns].reshape(known.size, len(columns))

@@ -101,26 +101,3 @@ def interpolation_errors(
         further,
         np.vstack([tabled[:, nq:], offsets_at_home]),
     )
-
-
-def known_errors(
-    kinematics: Kinematics,
-    command: Array,
-    parameters: Array,
-    reference: Reference,
-    controller: Array | None = None,
-) -> Array:
-    """Errors (n, k) that exact compensation leaves at commands (n, n_dof), SI.
-
-    controller  (np,) parameters of the controller; those of the machine by default
-
-    They are known as well as the parameters (np,) are: of what no joint drives, and of
-    the rest to rounding. Raises AssemblyError.
-    """
-    machine = kinematics.machine
-    home = machine.home_command[None]
-    poses = np.vstack([command, home])
-    modelled = parameters if controller is None else controller
-    joints = compensated_joints(kinematics, poses, modelled)
-    twist = pose_error(kinematics, poses, joints, parameters)
-    return components_against(kinematics, command, twist, reference)

@@ -8,12 +8,14 @@ the condition number have relaxations of their own.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 
 import numpy as np
 
 from oed.base.arrays import Array
 from oed.design import condition, relaxation
+from oed.design.condition import EigenvalueRelaxation
 from oed.design.copies import find_copies
 from oed.design.criterion import Criterion, ExtremeEigenvalues
 from oed.design.quotas import QuotaSet
@@ -25,54 +27,38 @@ from oed.design.whitening import EXACT, Rounding, quotient_error
 INEXACT = 1e-3
 
 
-@dataclasses.dataclass(frozen=True)
-class Bound:
-    """An upper bound of log phi over all plans.
-
-    value        the bound
-    duality_gap  how much too high the bound can be, as a bound of the relaxation
-    weights      (C,) weights of the relaxation that attains it
-    slopes       (C,) of log phi along each weight, there
-    """
-
-    value: float
-    duality_gap: float
-    weights: Array
-    slopes: Array
-
-
 def bound(
     blocks: Array,
     criterion: Criterion,
     rules: Rules,
     prior: Array,
-    tolerance: float = 1e-8,
     rounding: Rounding = EXACT,
-) -> Bound:
-    """Bound over all plans under the rules, for a concave criterion.
+) -> Relaxation:
+    """Relaxation whose bound holds for all plans under the rules; a concave criterion.
 
-    It allows for the rounding of blocks and prior, except under quotas.
+    Its weights (C,) are those that attain the bound. It allows for the rounding of blocks
+    and prior, except under quotas.
 
     Raises ValueError under quotas for a criterion without a conic form.
     """
     if rules.quotas is not None:
         return _bound_under_quotas(blocks, criterion, rules, rules.quotas, prior)
-    by_candidates: dict[bytes, Bound] = {}
+    by_candidates: dict[bytes, Relaxation] = {}
     for problem in rules.relaxations(len(blocks)):
-        optimum = _relax(blocks, criterion, problem, prior, tolerance, rounding)
+        optimum = _relax(blocks, criterion, problem, prior, rounding)
         new = _over_all_candidates(optimum, problem, len(blocks))
         key = problem.candidates.tobytes()
         # number and budget both hold: the lower of their bounds does
-        if key not in by_candidates or new.value < by_candidates[key].value:
+        if key not in by_candidates or new.bound < by_candidates[key].bound:
             by_candidates[key] = new
     if not by_candidates:
         raise ValueError("the budget does not pay for mounting any set-up")
-    return max(by_candidates.values(), key=lambda b: b.value)
+    return max(by_candidates.values(), key=lambda relaxed: relaxed.bound)
 
 
 def _bound_under_quotas(
     blocks: Array, criterion: Criterion, rules: Rules, quotas: QuotaSet, prior: Array
-) -> Bound:
+) -> Relaxation:
     """The conic solver's bound, or the one without quotas where that is lower.
 
     The latter can only be lower where the solver's answer is inexact.
@@ -80,16 +66,13 @@ def _bound_under_quotas(
     from oed.design import conic  # cvxpy takes a second to import
 
     size, limits = float(quotas.size), quotas.linear_limits()
-    optimum = conic.relax(blocks, size, criterion, prior, 1.0, limits)
-    best = Bound(optimum.bound, optimum.duality_gap, optimum.weights, optimum.slopes)
+    best = conic.relax(blocks, size, criterion, prior, 1.0, limits)
     if best.duality_gap <= INEXACT:
         return best
     without = bound(blocks, criterion, dataclasses.replace(rules, quotas=None), prior)
-    if without.value >= best.value:
+    if without.bound >= best.bound:
         return best
-    return dataclasses.replace(
-        best, value=without.value, duality_gap=without.duality_gap
-    )
+    return dataclasses.replace(best, value=without.value, bound=without.bound)
 
 
 def _relax(
@@ -97,18 +80,17 @@ def _relax(
     criterion: Criterion,
     problem: RelaxedRules,
     prior: Array,
-    tolerance: float,
     rounding: Rounding,
 ) -> Relaxation:
     """The relaxation, over v = cost w where there is a cost."""
     candidates, total, cost = problem
     scaled = blocks[candidates]
     if cost is None:
-        return _relax_counted(scaled, criterion, total, prior, tolerance, rounding)
+        return _relax_counted(scaled, criterion, total, prior, rounding)
     scaled = scaled / np.sqrt(cost)[:, None, None]
     errors = rounding.rows / float(np.sqrt(cost.min())) + quotient_error(scaled)
     rounding = rounding._replace(rows=errors)
-    return _relax_capped(scaled, criterion, total, prior, cost, tolerance, rounding)
+    return _relax_capped(scaled, criterion, total, prior, cost, rounding)
 
 
 def _relax_counted(
@@ -116,7 +98,6 @@ def _relax_counted(
     criterion: Criterion,
     total: float,
     prior: Array,
-    tolerance: float,
     rounding: Rounding,
 ) -> Relaxation:
     """The relaxation over weights of at most 1, which equal candidates share evenly."""
@@ -125,7 +106,7 @@ def _relax_counted(
     if copies.exist:
         blocks = blocks[copies.first]
         cap = copies.number.astype(float)
-    optimum = _relax_capped(blocks, criterion, total, prior, cap, tolerance, rounding)
+    optimum = _relax_capped(blocks, criterion, total, prior, cap, rounding)
     if not copies.exist:
         return optimum
     return dataclasses.replace(
@@ -141,32 +122,31 @@ def _relax_capped(
     total: float,
     prior: Array,
     cap: Array | float,
-    tolerance: float,
     rounding: Rounding,
 ) -> Relaxation:
     """The relaxation over weights of at most `cap`."""
     if isinstance(criterion, ExtremeEigenvalues):
         optimum = condition.e_optimal(scaled, total, prior, cap)
-        ends = np.log([max(optimum.value, 1e-300), optimum.bound])
-        value, upper = criterion.least * ends
-        return Relaxation(optimum.weights, float(value), float(upper), optimum.slopes)
-    return relaxation.relax(scaled, total, prior, cap, tolerance, criterion, rounding)
+        return _in_log_phi(optimum, criterion.least)
+    return relaxation.relax(
+        scaled, total, prior, cap, criterion=criterion, rounding=rounding
+    )
 
 
 def _over_all_candidates(
     optimum: Relaxation, problem: RelaxedRules, count: int
-) -> Bound:
-    """The bound with weights and slopes of all candidates (C,), as numbers."""
+) -> Relaxation:
+    """The relaxation with weights and slopes of all candidates (C,), as numbers."""
     weights, slopes = np.zeros(count), np.zeros(count)
     cost = np.ones(len(problem.candidates)) if problem.cost is None else problem.cost
     weights[problem.candidates] = optimum.weights / cost
     slopes[problem.candidates] = optimum.slopes
-    return Bound(optimum.bound, optimum.duality_gap, weights, slopes)
+    return dataclasses.replace(optimum, weights=weights, slopes=slopes)
 
 
 def condition_bound(
     blocks: Array, criterion: Criterion, rules: Rules, prior: Array
-) -> Bound | None:
+) -> Relaxation | None:
     """Bound of kappa, O2 and O4 for plans of a given size; None with a budget.
 
     More readings can make the condition number worse, so a plan within a budget need
@@ -179,21 +159,17 @@ def condition_bound(
         return None
     size = float(rules.size)
     if criterion.name == "O4":
-        best = condition.o4(blocks, size, prior)
-        upper = float(np.log(best.bound))
-        return Bound(upper, best.duality_gap, best.weights, best.slopes)
+        return _in_log_phi(condition.o4(blocks, size, prior), 1.0)
     if rules.quotas is not None:
         from oed.design import conic  # cvxpy takes a second to import
 
         limits = rules.quotas.linear_limits()
-        try:
-            optimum = conic.relax(blocks, size, criterion, prior, 1.0, limits)
-        except conic.NoConicAnswerError:
-            pass
-        else:
-            return Bound(
-                optimum.bound, optimum.duality_gap, optimum.weights, optimum.slopes
-            )
-    best = condition.relax(blocks, size, prior)
-    upper = -float(np.log(best.bound))
-    return Bound(upper, best.duality_gap, best.weights, best.slopes)
+        with contextlib.suppress(conic.NoConicAnswerError):
+            return conic.relax(blocks, size, criterion, prior, 1.0, limits)
+    return _in_log_phi(condition.relax(blocks, size, prior), -1.0)
+
+
+def _in_log_phi(optimum: EigenvalueRelaxation, power: float) -> Relaxation:
+    """A relaxation whose criterion is a power of phi, in log phi."""
+    value, upper = power * np.log([max(optimum.value, 1e-300), optimum.bound])
+    return Relaxation(optimum.weights, float(value), float(upper), optimum.slopes)

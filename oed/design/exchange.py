@@ -23,11 +23,12 @@ from oed.design.blocks import (
     information,
     spectrum,
 )
-from oed.design.bounds import Bound, bound, condition_bound
+from oed.design.bounds import bound, condition_bound
 from oed.design.candidate_file import NumpyCandidates
 from oed.design.criterion import Criterion, Determinant, Variance, named
 from oed.design.enumeration import best_of_all
 from oed.design.evaluator import CriterionEvaluator
+from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
 from oed.design.whitening import EXACT, Rounding, WhiteCandidates, whiten
@@ -177,7 +178,7 @@ def choose(
         upper = _bound_of(blocks, goal, rules, base)
     if upper is None:
         return choice
-    return choice.with_bound(goal, value, upper.value, upper.duality_gap)
+    return choice.with_bound(goal, value, upper.bound, upper.duality_gap)
 
 
 def _choose_mapped(
@@ -348,7 +349,7 @@ def _guiding_criterion(
 
 def _bound_of(
     blocks: Array, criterion: Criterion, rules: Rules, base: Array
-) -> Bound | None:
+) -> Relaxation | None:
     """The bound of a criterion that is not smooth; None where none is known."""
     if criterion.concave:
         return bound(blocks, criterion, rules, base)

@@ -16,9 +16,10 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.design.blocks import as_blocks, information
-from oed.design.bounds import Bound, bound
+from oed.design.bounds import bound
 from oed.design.criterion import Criterion
 from oed.design.exchange import Choice, Problem, pose
+from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 
 #: the methods of this project, and the conic solvers that cvxpy calls
@@ -86,13 +87,13 @@ def choose_by_weights(
     return Weights(
         weights=optimum.weights,
         value=goal.conventional_value(at_weights, size),
-        bound=goal.conventional_value(optimum.value, size),
-        duality_gap=optimum.value - at_weights,
-        choice=choice.with_bound(goal, value, optimum.value, optimum.duality_gap),
+        bound=goal.conventional_value(optimum.bound, size),
+        duality_gap=optimum.bound - at_weights,
+        choice=choice.with_bound(goal, value, optimum.bound, optimum.duality_gap),
     )
 
 
-def _optimum(problem: Problem, rules: Rules, size: int, solver: Solver) -> Bound:
+def _optimum(problem: Problem, rules: Rules, size: int, solver: Solver) -> Relaxation:
     """The relaxation's weights by a solver."""
     blocks, goal, base = problem.blocks, problem.criterion, problem.base
     if solver == "built_in":
@@ -100,5 +101,4 @@ def _optimum(problem: Problem, rules: Rules, size: int, solver: Solver) -> Bound
     from oed.design import conic  # cvxpy takes a second to import
 
     name: conic.Solver = "CLARABEL" if solver == "clarabel" else "SCS"
-    optimum = conic.relax(blocks, size, goal, base, solver=name)
-    return Bound(optimum.bound, optimum.duality_gap, optimum.weights, optimum.slopes)
+    return conic.relax(blocks, size, goal, base, solver=name)

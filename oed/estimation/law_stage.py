@@ -104,7 +104,7 @@ def _by_stated_weights(
 
     robust  the fit with readings far off replaced;  first  with the stated noise
     """
-    wider = stated.scaled(np.full(len(robust.y), check.widening))
+    wider = stated.scaled(check.widening)
     (stage,) = first.stages
     before = first.residuals_before
     estimate = last_stage(robust, wider, first.theta, before, stage.patterns)

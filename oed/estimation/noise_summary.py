@@ -48,7 +48,7 @@ def _numbers(
     variances = structure.variances.sum(axis=1)
     of_channels = structure.variances.T / variances
     scales = np.sqrt(laws.scale**2 @ of_channels)
-    within = laws.scale * _scatter_within_run(laws, structure.longest)
+    within = laws.scale * _scatter_within_run(laws, structure.longest)[:, None]
     scatter = np.sqrt(within**2 @ of_channels)
 
     def number(
@@ -89,7 +89,7 @@ def _numbers(
     yield from seated.values()
     if CARRIED in posterior.prior.names:
         statement = structure.statement
-        share, values = statement.carried_share, laws.carried[:, 0]
+        share, values = statement.carried_share, laws.carried
         far = values - share > MOST_CARRIED
         yield number("carried", "", "1", values, share, far)
         never = np.zeros(len(laws), dtype=bool)
@@ -99,7 +99,7 @@ def _numbers(
 
 
 def _scatter_within_run(laws: Laws, longest: int) -> Array:
-    """Scatter (L, G) about the mean of the longest run, over that of a single reading.
+    """Scatter (L,) about the mean of the longest run, over that of a single reading.
 
     What is carried farther than a run is none of its scatter, and no residual shows it.
     With decay d, the mean correlation of two of n readings is
@@ -109,7 +109,7 @@ def _scatter_within_run(laws: Laws, longest: int) -> Array:
     whole = -np.expm1(-longest / laws.reach)
     pairs = max(longest * (longest - 1), 1)
     related = 2.0 * (1.0 - fresh) * (longest * fresh - whole) / (pairs * fresh**2)
-    return np.asarray(np.sqrt(1.0 - laws.carried * related[:, None]))
+    return np.asarray(np.sqrt(1.0 - laws.carried * related))
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from oed.model.instrument import Setup
 from oed.model.machine import Machine
 from oed.model.parameter_vector import ParameterVector
 from oed.model.series import Series, TakenReadings, index_poses, run_labels
-from oed.noise.covariance import Noise, concatenate_noise
+from oed.noise.covariance import Noise
 
 __all__ = ["Measurement", "Response", "Series"]
 
@@ -228,7 +228,7 @@ class Measurement(ParameterVector):
 
     def noise(self, series: Sequence[Series]) -> Noise:
         """Stated noise of the readings (N,) at their nominal poses, SI."""
-        return concatenate_noise([stated_noise(self.of(s), s) for s in series])
+        return stated_noise([(self.of(s), s) for s in series])
 
     def sigma(self, series: Sequence[Series]) -> Array:
         """Standard deviation (N,) of each reading's stated noise, SI."""

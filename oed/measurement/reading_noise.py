@@ -1,19 +1,18 @@
-"""Noise of the readings of one set-up, as instrument and study state it."""
+"""Noise of readings, as instrument and study state it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
 from oed.base.arrays import Array
 from oed.measurement.setup_readings import SetupReadings
 from oed.model.instrument import Setup
 from oed.model.series import Series
-from oed.noise.covariance import FactoredNoise, Noise, block_noise
-from oed.noise.factor import Errors, LinearFactor
-
-#: readings of a run, all channels counted, up to which its covariance is written out
-DENSE_MOST = 500
+from oed.noise.covariance import FactoredNoise, Noise
+from oed.noise.factor import Errors, LinearFactor, joined
 
 
 def reading_sigma(setup: Setup, series: Series) -> Array:
@@ -24,78 +23,68 @@ def reading_sigma(setup: Setup, series: Series) -> Array:
     return np.where(np.isfinite(series.sigma), series.sigma, common)
 
 
-def stated_noise(readings: SetupReadings, series: Series) -> Noise:
-    """Noise of a series' readings at their nominal poses, SI.
+def stated_noise(several: Sequence[tuple[SetupReadings, Series]]) -> Noise:
+    """Noise of the readings of several series at their nominal poses, SI.
 
-    It is independent, unless the instrument's channels have common sources, the
-    readings of a run share errors, or an error is carried along a run; then it is
-    correlated within each run.
+    It is independent, unless an instrument's channels have common sources, the readings
+    of a run share errors, or an error is carried along a run; then it is related within
+    each run.
     """
-    setup, shared = readings.setup, run_errors(readings, series)
-    channels, statement = len(setup.sigma), setup.statement
-    alone = not shared.size and statement.carried_share == 0.0
-    if setup.instrument.sources is None and alone:
-        return Noise(reading_sigma(setup, series).ravel())
-    separate = reading_covariances(readings, series)
-    longest = np.unique(series.run, return_counts=True)[1].max()
-    if longest * channels > DENSE_MOST:
-        return _factored(setup, separate, series, shared)
-    places, covariances = [], []
-    for run in dict.fromkeys(series.run):
-        members = np.flatnonzero(series.run == run)
-        place = members[:, None] * channels + np.arange(channels)
-        errors = shared[members].reshape(place.size, -1)
-        covariances.append(_single(setup, separate[members]) + errors @ errors.T)
-        places.append(place.ravel())
-    return block_noise(covariances, places)
+    if all(_is_independent(readings, series) for readings, series in several):
+        sigmas = [reading_sigma(readings.setup, series) for readings, series in several]
+        return Noise(np.concatenate([sigma.ravel() for sigma in sigmas]))
+    errors = joined([_errors(readings, series) for readings, series in several])
+    variances = [_variances(readings, series) for readings, series in several]
+    sigma = np.sqrt(np.concatenate(variances))
+    return FactoredNoise(sigma, factor=LinearFactor(errors))
 
 
-def _factored(
-    setup: Setup, separate: Array, series: Series, errors_of_runs: Array
-) -> FactoredNoise:
-    """The same noise by a factor in linear time."""
+def _is_independent(readings: SetupReadings, series: Series) -> bool:
+    """Whether no two readings of a series have an error in common."""
+    setup = readings.setup
+    alone = setup.instrument.sources is None and not setup.statement.carried_share
+    return alone and not run_errors(readings, series).size
+
+
+def _variances(readings: SetupReadings, series: Series) -> Array:
+    """Variances (N,) of the readings of a series."""
+    alone = np.einsum("ncc->nc", reading_covariances(readings, series))
+    shared = np.square(run_errors(readings, series)).sum(axis=2)
+    return np.asarray((alone + shared).ravel())
+
+
+def _errors(readings: SetupReadings, series: Series) -> Errors:
+    """What the covariance of the readings of a series consists of, run by run."""
+    setup = readings.setup
     channels, share = len(setup.sigma), setup.statement.carried_share
     run = np.unique(series.run, return_inverse=True)[1]
     reading = np.argsort(run, kind="stable")
     order = (reading[:, None] * channels + np.arange(channels)).ravel()
     first = np.diff(run[reading], prepend=-1) > 0
-    starts = np.flatnonzero(first) * channels
     place = np.arange(len(order))
     begins = np.repeat(first, channels)
     decay = np.where(begins, 0.0, np.exp(-1.0 / setup.statement.reach_median))
-    roots = np.linalg.cholesky(separate)
-    inverse = sparse.block_diag(list(np.linalg.inv(roots)[reading]), format="csr")
-    shared = errors_of_runs.reshape(len(order), -1)
-    errors = Errors(
+    separate = reading_covariances(readings, series)[reading]
+    shared = run_errors(readings, series)[reading]
+    return Errors(
         order=order,
-        starts=starts,
+        starts=np.flatnonzero(first) * channels,
         before=np.where(begins, place, place - channels),
         decay=decay if share else np.zeros(len(order)),
         single=np.full(len(order), 1.0 - share),
         carried=np.full(len(order), share),
-        shared=shared[order],
+        shared=shared.reshape(len(order), -1),
         scale=np.ones(len(order)),
-        unmix=sparse.csr_array(inverse),
+        unmix=decoupling(separate),
     )
-    variance = np.square(roots).sum(axis=2).ravel() + np.square(shared).sum(axis=1)
-    return FactoredNoise(np.sqrt(variance), factor=LinearFactor(errors))
 
 
-def _single(setup: Setup, separate: Array) -> Array:
-    """Covariance (n c, n c) of a run's n readings of c channels without what all share.
-
-    separate  (n, c, c) of each reading
-    """
-    share = setup.statement.carried_share
-    if share == 0.0:
-        return np.asarray(linalg.block_diag(*separate))
-    place = np.arange(len(separate))
-    distance = np.abs(place[:, None] - place)
-    along = share * np.exp(-distance / setup.statement.reach_median)
-    along += (1.0 - share) * np.eye(len(place))
-    root = np.linalg.cholesky(separate)
-    covariance = np.einsum("ij,iac,jbc->iajb", along, root, root, optimize=True)
-    return np.asarray(covariance.reshape(len(place) * root.shape[1], -1))
+def decoupling(covariances: Array) -> sparse.csr_array:
+    """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
+    inverses = np.linalg.inv(np.linalg.cholesky(covariances))
+    matrix = sparse.csr_array(sparse.block_diag(list(inverses)))
+    matrix.eliminate_zeros()
+    return matrix
 
 
 def reading_covariances(readings: SetupReadings, series: Series) -> Array:

@@ -11,11 +11,11 @@ from scipy import sparse
 from oed.base.arrays import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_noise import (
+    decoupling,
     reading_covariances,
     run_errors,
 )
 from oed.noise.course import course_terms
-from oed.noise.covariance import block_noise
 from oed.noise.stated import StatedErrors
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import (
@@ -53,7 +53,7 @@ def reading_structure(
         parts.shared.append(np.tile(common, len(s)))
         stated = [c.name in setup.statement.levels for c in channels]
         parts.stated.append(np.tile(stated, len(s)))
-        blocks.append(_decoupling(reading_covariances(measurement.of(s), s)))
+        blocks.append(decoupling(reading_covariances(measurement.of(s), s)))
         runs += len(number)
     run, channel = (
         np.concatenate(parts.run),
@@ -162,30 +162,23 @@ def stated_errors(
     related = any(setup.instrument.sources is not None for setup in setups)
     if not (related or statement.carried_share or any(e.size for e in errors)):
         return None
-    roots, places, lines = [], [], []
+    inverses, places = [], []
     for s in series:
-        blocks = np.linalg.cholesky(reading_covariances(measurement.of(s), s))
-        count, channels = blocks.shape[:2]
-        roots += list(blocks)
+        inverses.append(decoupling(reading_covariances(measurement.of(s), s)))
         run = np.unique(s.run, return_inverse=True)[1]
+        channels = len(measurement.setups[s.setup].sigma)
         places.append(np.repeat(_places(run), channels))
-        lines.append(np.tile(np.arange(channels), count))
     widest = max(e.shape[2] for e in errors)
     padded = [np.pad(e, ((0, 0), (0, 0), (0, widest - e.shape[2]))) for e in errors]
     # the number of rows is stated: it does not follow where nothing is shared
     flat = [e.reshape(e.shape[0] * e.shape[1], widest) for e in padded]
     shared = np.concatenate(flat)
-    root = sparse.csr_array(sparse.block_diag(roots))
-    inverse = sparse.csr_array(sparse.block_diag([np.linalg.inv(r) for r in roots]))
-    for matrix in (root, inverse):
-        matrix.eliminate_zeros()
+    inverse = sparse.csr_array(sparse.block_diag(inverses))
     return StatedErrors(
-        root=sparse.csr_array(sparse.diags_array(1.0 / sigma) @ root),
         inverse=sparse.csr_array(inverse @ sparse.diags_array(sigma)),
         carried=statement.carried_share,
         reach=statement.reach_median,
         place=np.concatenate(places).astype(float),
-        line=np.concatenate(lines).astype(np.intp),
         shared=shared / sigma[:, None],
     )
 
@@ -197,16 +190,6 @@ def _places(run: Index) -> Index:
         members = np.flatnonzero(run == number)
         place[members] = np.arange(len(members))
     return place
-
-
-def _decoupling(covariances: Array) -> sparse.csr_array:
-    """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
-    places = np.arange(covariances.shape[0] * covariances.shape[1])
-    noise = block_noise(covariances, places.reshape(covariances.shape[:2]))
-    assert noise.whitening is not None
-    whitening = noise.whitening.copy()
-    whitening.eliminate_zeros()
-    return whitening
 
 
 def renewed_slopes(

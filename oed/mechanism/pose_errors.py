@@ -21,13 +21,18 @@ def pose_error(
 ) -> Array:
     """Exact twist error (n, 6) [m, rad] of a machine sent to joints q (n, nq).
 
-    The machine has parameters `truth` (np,) and ought to be at commands (n, n_dof).
-    Raises AssemblyError.
+    The machine has parameters `truth` (np,) and ought to be at commands (n, n_dof). Of m
+    machines it is (m, n, 6), with parameters (m, np), and joints of each (m, n, nq) or the
+    same for all. Raises AssemblyError.
     """
     x, _ = kinematics.inverse(command, kinematics.machine.nominal, tool)
     wanted_rotation, wanted_point, _ = kinematics.frames(x, tool)
-    rotation, point, _ = kinematics.frames(kinematics.forward(q, truth, x), tool)
-    return twist_between(wanted_rotation, wanted_point, rotation, point)
+    reached = kinematics.forward(q, truth, x)
+    rotation, point, _ = kinematics.frames(reached.reshape(-1, x.shape[1]), tool)
+    shape = (*reached.shape[:-1], 3)
+    return twist_between(
+        wanted_rotation, wanted_point, rotation.reshape(*shape, 3), point.reshape(shape)
+    )
 
 
 def twist_between(

@@ -1,7 +1,7 @@
 """Triangular root of errors that follow each other along chains, by a banded matrix.
 
-A chain has the error single_i + carried_i, with `single` of covariance E, which relates
-the channels of a reading at most, and `carried` an Ornstein-Uhlenbeck process:
+A chain has the error single_i + carried_i, with `single` independent and `carried` an
+Ornstein-Uhlenbeck process:
 
     carried_i = d_i carried_b(i) + sqrt(1 - d_i^2) a white_i,
 
@@ -74,26 +74,19 @@ class BandedFactor:
     """Root of the covariance of N errors along chains."""
 
     def __init__(
-        self,
-        before: Index,
-        decay: Array,
-        single: Array | sparse.csr_array,
-        fresh: Array,
+        self, before: Index, decay: Array, single: Array, fresh: Array
     ) -> None:
         """Factor the covariance.
 
         before  (N,) the reading before in the chain; itself for the first
         decay   (N,) what stays of what is carried there; 0 for the first
-        single  (N,) variances, or sparse (N, N) covariance, of what is not carried
+        single  (N,) variances of what is not carried
         fresh   (N,) variances of what joins it: a^2 (1 - d^2)
 
         Raises LinAlgError where the covariance is not positive definite.
         """
         self._before, self._decay = before, decay
-        if isinstance(single, np.ndarray):
-            band = _band_of_chains(before, decay, single, fresh)
-        else:
-            band = _band_of_blocks(before, decay, single, fresh)
+        band = _band_of_chains(before, decay, single, fresh)
         self._band = linalg.cholesky_banded(band, lower=True, check_finite=False)
         #: log determinant of the covariance
         self.log_det = 2.0 * float(np.log(self._band[0]).sum())
@@ -228,19 +221,6 @@ def _band_of_chains(
     band[0] = variance + fresh
     band[0, rows] += decay[rows] ** 2 * variance[at]
     band[rows - at, at] = -decay[rows] * variance[at]
-    return band
-
-
-def _band_of_blocks(
-    before: Index, decay: Array, covariance: sparse.csr_array, fresh: Array
-) -> Array:
-    """The same where channels of a reading have common sources."""
-    differences = _differences(before, decay)
-    related = differences @ covariance @ differences.T
-    matrix = sparse.tril(related + sparse.diags_array(fresh)).tocoo()
-    width = int((matrix.row - matrix.col).max(initial=0))
-    band = np.zeros((width + 1, len(decay)))
-    band[matrix.row - matrix.col, matrix.col] = matrix.data
     return band
 
 

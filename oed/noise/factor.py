@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import itertools
-from collections.abc import Iterator, Sequence
-from typing import Protocol
+from collections.abc import Sequence
 
 import numpy as np
 from scipy import sparse
@@ -34,7 +32,7 @@ class Errors:
     starts   (S,) first reading of each segment
     before   (k,) the reading before in its chain; itself for the first
     decay    (k,) correlation with what is carried there; 0 for the first
-    single   (k,) variances, or sparse (k, k) covariance, of what is not carried
+    single   (k,) variances of what is not carried
     carried  (k,) variances of what is carried along, alike within a chain
     shared   (k, K) errors that a segment shares
     scale    (k,)
@@ -45,7 +43,7 @@ class Errors:
     starts: Index
     before: Index
     decay: Array
-    single: Array | sparse.csr_array
+    single: Array
     carried: Array
     shared: Array
     scale: Array
@@ -68,7 +66,7 @@ class Errors:
     def covariance_of(self, values: Array) -> Array:
         """Y^T C Y (m, m), for Y (N, m): of sums of the errors. P is 1."""
         ordered = values[self.order] * self.scale[:, None]
-        covariance = ordered.T @ (ordered * np.asarray(self.single)[:, None])
+        covariance = ordered.T @ (ordered * self.single[:, None])
         carried = sums_along_chains(self.before, self.decay, ordered)
         fresh = self.carried * (1.0 - self.decay**2)
         covariance += carried.T @ (carried * fresh[:, None])
@@ -91,31 +89,6 @@ class Errors:
     def unmixed(self, values: Array) -> Array:
         """P^-1 Y (k, m)."""
         return values if self.unmix is None else self.unmix @ values
-
-
-class Factor(Protocol):
-    """Root of a covariance C of readings in the order `order` (k,).
-
-    log_det  of C
-    """
-
-    order: Index
-    log_det: float
-
-    def whiten(self, values: Array) -> Array:
-        """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
-
-    def precision(self, values: Array) -> Array:
-        """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
-
-    def precision_diagonal(self) -> Array:
-        """Diagonal (N,) of C^-1, of a factor of all readings."""
-
-    def standardise(self, values: Array) -> Array:
-        """Y (N, m) in order (k, m), over what only mixes channels and scales readings."""
-
-    def scored(self, standard: Array) -> Array:
-        """The precision of standardised values (k, m) times them."""
 
 
 class LinearFactor:
@@ -192,54 +165,38 @@ class LinearFactor:
         return _in_place(errors.order, diagonal / errors.scale**2)
 
 
-class DenseFactor:
-    """The same for segments whose covariances are given."""
+def joined(parts: Sequence[Errors]) -> Errors:
+    """Errors of readings that stand one after the other, each set in its own order."""
+    counts = [len(part.order) for part in parts]
+    first = np.cumsum([0, *counts[:-1]])
+    widest = max(part.shared.shape[1] for part in parts)
 
-    def __init__(self, segments: Sequence[Index], covariances: Sequence[Array]) -> None:
-        """Factor covariances (k_i, k_i) of the readings of each segment (k_i,)."""
-        self.order = np.concatenate(segments)
-        roots = [np.linalg.cholesky(covariance) for covariance in covariances]
-        self._inverses = [np.linalg.inv(root) for root in roots]
-        self._ends = np.cumsum([0, *(len(members) for members in segments)])
-        diagonals = [np.log(np.diag(root)).sum() for root in roots]
-        #: log determinant of the covariance
-        self.log_det = 2.0 * float(np.sum(diagonals))
+    def together(name: str) -> Array:
+        return np.concatenate([getattr(part, name) for part in parts])
 
-    def whiten(self, values: Array) -> Array:
-        """W Y (k, m), for Y (N, m)."""
-        parts = self._parts(values[self.order])
-        return np.concatenate(
-            [w @ part for w, part in zip(self._inverses, parts, strict=True)]
-        )
+    def numbers(name: str) -> Index:
+        pairs = zip(parts, first, strict=True)
+        return np.concatenate([getattr(part, name) + start for part, start in pairs])
 
-    def precision(self, values: Array) -> Array:
-        """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
-        return _in_place(self.order, self.scored(self.standardise(values)))
-
-    def standardise(self, values: Array) -> Array:
-        """Y (N, m) in order (k, m)."""
-        return values[self.order]
-
-    def scored(self, standard: Array) -> Array:
-        """The precision of values (k, m) in order times them."""
-        pairs = zip(self._inverses, self._parts(standard), strict=True)
-        return np.concatenate([w.T @ (w @ part) for w, part in pairs])
-
-    def precisions(self) -> Iterator[tuple[Index, Array]]:
-        """Places of each segment's readings in the order, and their precision."""
-        for (a, b), w in zip(
-            itertools.pairwise(self._ends), self._inverses, strict=True
-        ):
-            yield np.arange(a, b), w.T @ w
-
-    def precision_diagonal(self) -> Array:
-        """Diagonal (N,) of C^-1, of a factor of all readings."""
-        diagonal = np.concatenate([(w**2).sum(axis=0) for w in self._inverses])
-        return _in_place(self.order, diagonal)
-
-    def _parts(self, values: Array) -> list[Array]:
-        ends = self._ends
-        return [values[a:b] for a, b in itertools.pairwise(ends)]
+    shared = [
+        np.pad(part.shared, ((0, 0), (0, widest - part.shared.shape[1])))
+        for part in parts
+    ]
+    unmix = [
+        sparse.eye_array(count) if part.unmix is None else part.unmix
+        for part, count in zip(parts, counts, strict=True)
+    ]
+    return Errors(
+        order=numbers("order"),
+        starts=numbers("starts"),
+        before=numbers("before"),
+        decay=together("decay"),
+        single=together("single"),
+        carried=together("carried"),
+        shared=np.concatenate(shared),
+        scale=together("scale"),
+        unmix=sparse.csr_array(sparse.block_diag(unmix)),
+    )
 
 
 def _in_place(order: Index, ordered: Array) -> Array:

@@ -12,29 +12,17 @@ what segments share.
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 from scipy import linalg
 
 from oed.base.arrays import Array, Index
 from oed.noise.banded import BandedFactor
-from oed.noise.factor import DenseFactor, Errors, LinearFactor
+from oed.noise.factor import Errors, LinearFactor
 from oed.noise.shared import SharedFactor
 
 
-class Innovations(Protocol):
-    """Innovations of held-out readings among all."""
-
-    def innovations(self, scored: Array) -> Array:
-        """Innovations (h, m), in the order of the held-out readings.
-
-        scored  (k, m) precision times standardised values, of all readings in order
-        """
-
-
-class LinearInnovations:
-    """The same of a linear factor."""
+class Innovations:
+    """Innovations of held-out readings among all, of a factor of their covariance."""
 
     def __init__(self, factor: LinearFactor, chains: Chains, held: Index) -> None:
         """Factor the precision of the readings `held` (h,)."""
@@ -50,7 +38,10 @@ class LinearInnovations:
         self._shared = SharedFactor(shared, starts, sign=-1.0)
 
     def innovations(self, scored: Array) -> Array:
-        """As in `Innovations`."""
+        """Innovations (h, m), in the order of the held-out readings.
+
+        scored  (k, m) precision times standardised values, of all readings in order
+        """
         white = self._shared.whiten(self._banded.whiten(scored[self._at]))
         return white[self._rank]
 
@@ -62,15 +53,8 @@ class Chains:
     variances of single readings.
     """
 
-    @staticmethod
-    def suit(errors: Errors) -> bool:
-        """Whether single errors are independent, and none is exact."""
-        single = errors.single
-        return isinstance(single, np.ndarray) and bool(single.min() > 0.0)
-
     def __init__(self, errors: Errors) -> None:
-        """Condition on all readings; `suit` must hold."""
-        assert isinstance(errors.single, np.ndarray)
+        """Condition on all readings; no single error may be exact."""
         self._precision = 1.0 / errors.single
         self._chain = _chain_numbers(errors.before)
         self._size = len(errors.order)
@@ -140,28 +124,3 @@ def _before_of(chain: Index) -> Index:
     same = chain[order[1:]] == chain[order[:-1]]
     before[order[1:][same]] = order[:-1][same]
     return before
-
-
-class DenseInnovations:
-    """The same of a dense factor: cubic in the length of a segment."""
-
-    def __init__(self, factor: DenseFactor, held: Index) -> None:
-        """Factor the precision of the readings `held` (h,)."""
-        place = np.full(len(factor.order), -1, dtype=np.intp)
-        place[held] = np.arange(len(held))
-        self._of_order = place[factor.order]
-        self._parts = []
-        for rows, precision in factor.precisions():
-            at = np.flatnonzero(self._of_order[rows] >= 0)
-            if at.size:
-                root = linalg.cholesky(precision[np.ix_(at, at)], lower=True)
-                self._parts.append((rows[at], root))
-        self._size = len(held)
-
-    def innovations(self, scored: Array) -> Array:
-        """As in `Innovations`."""
-        white = np.empty((self._size, scored.shape[1]))
-        for rows, root in self._parts:
-            solved = linalg.solve_triangular(root, scored[rows], lower=True)
-            white[self._of_order[rows]] = solved
-        return white

@@ -2,14 +2,15 @@
 
 In units of the stated noise, the readings of a run have the covariance
 
-    level^2 [ V^1/2 B V^1/2 + run^2 1 1^T + seat^2 c c^T
-              + ar1^2 exp(-|k - l| / length) ],
+    level^2 [ U (v D^2 + ar1^2 exp(-|k - l| / length)) U^T + v S S^T
+              + run^2 1 1^T + seat^2 c c^T ],
 
-B the instrument's own correlation (often 1), V the variances of single readings (often
-1), `run` how well a run's level repeats, c the slopes over the unknowns that a run seats
-anew (a magnetic cup, ISO 230-4) and `seat` their size, `ar1` an error that is carried
-along a run over `length` readings, each channel's its own. It is one of the laws of
-`oed.noise.process`, written out run by run.
+R = U D and S the instrument's own errors (`oed.noise.stated`, often 1 and 0), U of unit
+diagonal, v the variance of single readings (often 1), `run` how well a run's level
+repeats, c the slopes over the unknowns that a run seats anew (a magnetic cup, ISO 230-4)
+and `seat` their size, `ar1` an error that is carried along a run over `length` readings,
+each channel's its own. It is one of the laws of `oed.noise.process`, written out run by
+run.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from scipy import sparse
 
 from oed.base.arrays import Array, Index
-from oed.noise.factor import DenseFactor, Errors, LinearFactor
+from oed.noise.factor import Errors, LinearFactor
+from oed.noise.prior import LEAST_SHARE
 from oed.noise.process import Laws
 from oed.noise.runs import RunLayout, Runs
 
@@ -35,8 +36,7 @@ class NoiseLaw:
     """A noise law, in units of the stated noise.
 
     run_sd, ar1_sd, ar1_length, seat_sd   see the module; length in readings
-    variance (N,)           of single readings over the level's; ones where they are
-                            alike
+    variance                of single readings over the level's
     channel_ratio (N,)      noise of each reading's channel over the first one's, both
                             over the stated; None: ones
     level                   factor on everything; 1 where it is marginalised elsewhere
@@ -49,51 +49,17 @@ class NoiseLaw:
     run_sd: float
     ar1_sd: float
     ar1_length: float
-    variance: Array
+    variance: float = 1.0
     level: float = 1.0
     student_dof: float = np.inf
     outlier_share: float = 0.0
     channel_ratio: Array | None = None
     seat_sd: float = 0.0
 
-    def covariance(self, runs: Runs, members: Index) -> Array:
-        """Covariance (k, k) of readings of one run: quadratic in their number."""
-        root = np.sqrt(self.variance[members])
-        covariance = np.diag(self.variance[members])
-        if runs.stated is not None:
-            covariance = runs.stated.correlation(members) * np.outer(root, root)
-        position, channel = runs.position[members], runs.channel[members]
-        distance = np.abs(position[:, None] - position)
-        level, seat = runs.levels[members], runs.seat[members]
-        related = (
-            self.run_sd**2 * np.outer(level, level)
-            + self.ar1_sd**2 * np.exp(distance * (-1.0 / self.ar1_length))
-            + self.seat_sd**2 * (seat @ seat.T)
-        )
-        covariance += np.where(channel[:, None] == channel, related, 0.0)
-        if self.channel_ratio is not None:
-            ratio = self.channel_ratio[members]
-            covariance *= np.outer(ratio, ratio)
-        return self.level**2 * covariance
-
-    def factor(
-        self, runs: Runs, rows: Index | None = None
-    ) -> LinearFactor | DenseFactor:
-        """Root of the covariance of all readings, or of the readings `rows`.
-
-        It is linear in their number, unless instrument and law both carry an error
-        along.
-        """
-        if runs.stated is not None and runs.stated.carried and self.ar1_sd:
-            return self.dense_factor(runs, rows)
+    def factor(self, runs: Runs, rows: Index | None = None) -> LinearFactor:
+        """Root of the covariance of all readings, or of the readings `rows`."""
         layout = runs.layout if rows is None else runs.layout_of(rows)
         return LinearFactor(self.errors(runs, layout))
-
-    def dense_factor(self, runs: Runs, rows: Index | None = None) -> DenseFactor:
-        """The same by the covariance of each segment: cubic in its length."""
-        layout = runs.layout if rows is None else runs.layout_of(rows)
-        blocks = [self.covariance(runs, members) for members in layout.segments]
-        return DenseFactor(layout.segments, blocks)
 
     def errors(self, runs: Runs, layout: RunLayout) -> Errors:
         """What the covariance consists of, for readings in an order.
@@ -102,25 +68,26 @@ class NoiseLaw:
         """
         order, stated = layout.order, runs.stated
         shared = self.shared(runs, order) * self.shared_sizes(runs, order)
-        variance, carried = self.variance[order], self.ar1_sd**2
+        single = np.full(len(order), self.variance)
+        carried = np.full(len(order), self.ar1_sd**2)
         scale = np.full(len(order), self.level)
         if self.channel_ratio is not None:
             scale = scale * self.channel_ratio[order]
-        single: Array | sparse.csr_array = variance
         decay, unmix = layout.decay(runs.position, self.ar1_length), None
-        if stated is not None and carried:
-            single = stated.single(order, np.sqrt(variance))
+        if stated is not None and stated.carried:
+            carried = single * min(stated.carried, 1.0 - LEAST_SHARE)
+            single = single - carried
+            decay, unmix = layout.decay(stated.place, stated.reach), stated.unmix(order)
         elif stated is not None:
-            single, carried = np.full(len(order), 1.0 - stated.carried), stated.carried
-            decay = layout.decay(stated.place, stated.reach)
-            unmix = stated.unmix(order, np.sqrt(variance))
+            sd, unmix = stated.unmix_to_unit(order)
+            single = single * sd**2
         return Errors(
             order=order,
             starts=layout.starts,
             before=layout.before,
-            decay=decay if carried else np.zeros(len(order)),
+            decay=decay if carried.any() else np.zeros(len(order)),
             single=single,
-            carried=np.full(len(order), carried),
+            carried=carried,
             shared=shared[:, shared.any(axis=0)],
             scale=scale,
             unmix=unmix,
@@ -136,8 +103,7 @@ class NoiseLaw:
         columns = [runs.levels[order, None] * lines]
         columns += [s[:, None] * lines for s in runs.seat[order].T]
         if runs.stated is not None:
-            root = np.sqrt(self.variance[order])
-            columns.append(root[:, None] * runs.stated.shared[order])
+            columns.append(np.sqrt(self.variance) * runs.stated.shared[order])
         return np.hstack(columns)
 
     def shared_sizes(self, runs: Runs, order: Index) -> Array:
@@ -148,21 +114,18 @@ class NoiseLaw:
         return np.repeat([self.run_sd, self.seat_sd, 1.0], counts)
 
 
-def stated_law(runs: Runs) -> NoiseLaw:
-    """The stated noise and nothing else."""
-    return NoiseLaw(0.0, 0.0, 1.0, np.ones(len(runs)))
+#: the stated noise and nothing else
+STATED_LAW = NoiseLaw(0.0, 0.0, 1.0)
 
 
 def law_of(laws: Laws, row: int, channel: Index) -> NoiseLaw:
-    """One of some laws of a common share, for readings whose channels (N,) have a
-    scale each.
-    """
-    carried = float(laws.carried[row, 0])
+    """One of some laws, for readings whose channels (N,) have a scale each."""
+    carried = float(laws.carried[row])
     return NoiseLaw(
         run_sd=float(laws.level[row]),
         ar1_sd=float(np.sqrt(carried)),
         ar1_length=float(laws.reach[row]),
-        variance=np.full(len(channel), 1.0 - carried),
+        variance=1.0 - carried,
         channel_ratio=laws.scale[row, channel],
         seat_sd=float(laws.seat[row]),
     )

@@ -170,7 +170,7 @@ def errors_of(structure: ReadingStructure, laws: Laws) -> Errors:
     ordered, position = chain[order], structure.position[order]
     first = np.diff(ordered, prepend=-1) > 0
     steps = np.diff(position, prepend=0.0)
-    carried = laws.carried[0, structure.group][order]
+    carried = np.full(len(order), laws.carried[0])
     place = np.arange(len(order))
     decay = np.exp(-np.where(first, np.inf, steps) / laws.reach[0])
     new_run = np.diff(structure.run[ordered], prepend=-1) > 0
@@ -261,8 +261,8 @@ def errors_of_readings(
     instruments  (N,) name of the instrument of each reading
     """
     names, whole = np.asarray(instruments), errors_of(structure, laws)
-    share, scale = laws.carried[0, structure.group], laws.scale[0, structure.group]
-    single = (1.0 - share) * scale**2
+    scale = laws.scale[0, structure.group]
+    single = (1.0 - laws.carried[0]) * scale**2
     stated = np.minimum(single, 1.0)
     variances = {
         instrument_source(name): np.where(names == name, stated, 0.0)

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import optimize, special
 
 from oed.base.arrays import Array, Index
-from oed.noise.factor import Factor
+from oed.noise.factor import LinearFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
@@ -176,7 +176,7 @@ class Precision:
     diagonal: Array
 
 
-def with_columns(factor: Factor, columns: Array) -> Precision:
+def with_columns(factor: LinearFactor, columns: Array) -> Precision:
     """The precision of C + G G^T, for the factor of C and columns G (N, k).
 
     It is C^-1 - A A^T with A = C^-1 G V / sqrt(1 + s), G^T C^-1 G = V s V^T. The numbers s

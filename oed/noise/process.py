@@ -39,8 +39,7 @@ class Laws:
     """L noise laws, in units of the stated noise.
 
     scale    (L, G) of each group of readings
-    carried  (L, G) share f of the variance of single readings that is carried along, of
-             each group; (L,) where all have the same
+    carried  (L,) share f of the variance of single readings that is carried along
     reach    (L,) of what is carried along, in readings
     level    (L,) standard deviation of a run's level
     seat     (L,) standard deviation of a renewed unknown
@@ -58,8 +57,6 @@ class Laws:
     course: Array = dataclasses.field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        shares = self.carried.reshape(len(self), -1)
-        object.__setattr__(self, "carried", np.broadcast_to(shares, self.scale.shape))
         if not self.course.size:
             object.__setattr__(self, "course", np.zeros(len(self)))
         for name in ("stated_level", "stated_seat"):
@@ -106,7 +103,7 @@ class Whitening:
     def __init__(self, structure: ReadingStructure, laws: Laws) -> None:
         self.structure, self.laws = structure, laws
         self._chain_scale = laws.scale[:, structure.group_of_chain]
-        self._chain_share = laws.carried[:, structure.group_of_chain, None]
+        self._share = laws.carried[:, None, None]
 
     @functools.cached_property
     def _decay(self) -> Array:
@@ -118,7 +115,7 @@ class Whitening:
         """White and carried errors (L C T,); None where nothing is carried."""
         if not self.laws.carried.any():
             return None
-        decay, carried = self._decay, self._chain_share
+        decay, carried = self._decay, self._share
         single = np.broadcast_to(1.0 - carried, decay.shape)
         fresh = carried * (1.0 - decay**2)
         return ChainFactor(decay.ravel(), single.ravel(), fresh.ravel())
@@ -238,7 +235,7 @@ class Whitening:
         count, (chains, length) = len(self.laws), self.structure.shape
         white = rng.standard_normal((2, count, chains, length))
         carried = self._carried_along(white[0])
-        share = self._chain_share
+        share = self._share
         alone = _with_tails(white[1], tails, rng)
         if estimated and tails.student_dof is not None:
             alone *= _student_over_pseudo(tails.student_dof)

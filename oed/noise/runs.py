@@ -31,11 +31,6 @@ class RunLayout:
     starts: Index
     before: Index
 
-    @functools.cached_property
-    def segments(self) -> list[Index]:
-        """Readings of each segment."""
-        return np.split(self.order, self.starts[1:])
-
     def decay(self, position: Array, length: float) -> Array:
         """Correlation (k,) with the reading before, over a length; 0 for the first.
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
 from scipy import sparse
 
 from oed.base.arrays import Array, Index
@@ -22,45 +21,30 @@ from oed.base.arrays import Array, Index
 class StatedErrors:
     """Stated errors of N readings.
 
-    root     (N, N) sparse, R: lower triangular within each reading
-    inverse  (N, N) sparse, R^-1
+    inverse  (N, N) sparse, R^-1: lower triangular within each reading
     carried  share f
     reach    of what is carried along, in readings
     place    (N,) number of each reading in its run; its channels have the same
-    line     (N,) channel of each reading, whose carried error is its own
     shared   (N, K), S; a column may serve every run, whose errors are independent
     """
 
-    root: sparse.csr_array
     inverse: sparse.csr_array
     carried: float
     reach: float
     place: Array
-    line: Index
     shared: Array
 
-    def correlation(self, members: Index) -> Array:
-        """Correlation (k, k) of readings of one run."""
-        root = self.root[members][:, members].toarray()
-        distance = np.abs(self.place[members, None] - self.place[members])
-        same = self.line[members, None] == self.line[members]
-        along = self.carried * np.exp(-distance / self.reach) * same
-        along += (1.0 - self.carried) * np.eye(len(members))
-        shared = self.shared[members]
-        return np.asarray(root @ along @ root.T + shared @ shared.T)
+    def unmix(self, order: Index) -> sparse.csr_array:
+        """R^-1 (k, k) of readings in an order."""
+        return sparse.csr_array(self.inverse[order][:, order])
 
-    def single(self, order: Index, root: Array) -> Array | sparse.csr_array:
-        """Covariance of V^1/2 R x of independent x, with V^1/2 the `root` (k,).
+    def unmix_to_unit(self, order: Index) -> tuple[Array, sparse.csr_array | None]:
+        """Diagonal D (k,) of R = U D, and U^-1 (k, k), of readings in an order.
 
-        Variances (k,) where R is diagonal, or sparse (k, k), of readings in an order.
-        Nothing is carried along.
+        None where U is 1: no channels have common sources.
         """
-        mixing = sparse.diags_array(root) @ self.root[order][:, order]
-        if mixing.nnz == len(order):
-            return mixing.diagonal() ** 2
-        return sparse.csr_array(mixing @ mixing.T)
-
-    def unmix(self, order: Index, root: Array) -> sparse.csr_array:
-        """(V^1/2 R)^-1 (k, k) of readings in an order, with V^1/2 the `root` (k,)."""
-        inverse = self.inverse[order][:, order]
-        return sparse.csr_array(inverse @ sparse.diags_array(1.0 / root))
+        inverse = self.unmix(order)
+        diagonal = 1.0 / inverse.diagonal()
+        if inverse.nnz == len(order):
+            return diagonal, None
+        return diagonal, sparse.csr_array(sparse.diags_array(diagonal) @ inverse)

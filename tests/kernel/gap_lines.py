@@ -11,13 +11,14 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 
+from kernel.dense_noise import law_covariance
 from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.measurement.measurement import Measurement
 from oed.model.effect import Column, Effect, State
 from oed.model.instrument import mount
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof
 
@@ -55,7 +56,7 @@ def readings(
     noise = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
     for k, members in enumerate(problem.members):
         noise[members] += np.linalg.cholesky(
-            stated_law(problem).covariance(problem, problem.members[k])
+            law_covariance(STATED_LAW, problem, problem.members[k])
         ) @ rng.standard_normal(len(members))
     return with_readings(problem, noise)
 

@@ -53,13 +53,13 @@ def circles(
 
 def law(problem: GapProblem) -> NoiseLaw:
     """A law with everything: a run's level and seating, an error carried along,
-    readings of different scatter, a level.
+    a scatter and a level.
     """
     return NoiseLaw(
         0.7,
         0.9,
         5.0,
-        np.random.default_rng(3).uniform(0.6, 1.8, len(problem)),
+        1.2,
         level=1.3,
         seat_sd=0.6,
     )
@@ -69,7 +69,7 @@ def dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     """Covariance (N, N) of readings without a gap, reading by reading from the law's
     formula.
     """
-    total = np.diag(law.variance)
+    total = law.variance * np.eye(len(problem))
     for members in problem.members:
         for i in members:
             for j in members:

@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 
+from kernel.dense_noise import law_covariance
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy
 from oed.gap.forms.library import Library
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 
 
 def terms(problem: GapProblem, *names: str) -> Library:
@@ -39,8 +40,8 @@ def orthogonal_sum(
     """
     noise = problem.slopes @ problem.slopes.T
     for k, members in enumerate(problem.members):
-        noise[np.ix_(members, members)] += stated_law(problem).covariance(
-            problem, problem.members[k]
+        noise[np.ix_(members, members)] += law_covariance(
+            STATED_LAW, problem, problem.members[k]
         )
     inverse, orthogonal = np.linalg.inv(noise), []
     for part, energy in zip(parts, energies, strict=True):

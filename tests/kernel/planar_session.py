@@ -7,11 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
+from kernel.dense_noise import law_covariance
 from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof
 
@@ -83,7 +84,7 @@ def _with_noise(
     noise = np.zeros(len(planned))
     for k, members in enumerate(planned.members):
         block = np.linalg.cholesky(
-            stated_law(planned).covariance(planned, planned.members[k])
+            law_covariance(STATED_LAW, planned, planned.members[k])
         )
         noise[members] = block @ rng.standard_normal(len(members))
     y = measurement.readings(planned.series, theta) + change + noise * planned.sigma

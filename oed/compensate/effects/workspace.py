@@ -19,7 +19,7 @@ from oed.accuracy.budget import Budget, budget_model, budget_of
 from oed.accuracy.maps import (
     ErrorMaps,
     Reference,
-    controller_errors,
+    driven_errors,
     error_maps,
 )
 from oed.accuracy.prediction import Prediction, Spread
@@ -86,7 +86,7 @@ def predict_corrected(
     prior = corrected.measurement.prior_covariance[np.ix_(used, used)]
     before = None
     if kinematics.controller is not None:
-        before = controller_errors(kinematics, command, theta[:count], reference)
+        before = driven_errors(kinematics, command, theta[:count], reference)
         before = before + of_effects.raw @ mean[count:]
 
     compensated = prediction.predict(

@@ -158,13 +158,11 @@ def both_visits(
 
 def law_of_both(law: NoiseLaw, taken: GapProblem, both: GapProblem) -> NoiseLaw:
     """A noise law of the readings taken, for those to come as well."""
-    later = np.full(len(both) - len(taken), np.median(law.variance))
     ratio = law.channel_ratio
     if ratio is not None:
         of_channel = dict(zip(taken.channel.tolist(), ratio.tolist(), strict=True))
         ratio = np.array([of_channel[c] for c in both.channel.tolist()])
-    variance = np.append(law.variance, later)
-    return dataclasses.replace(law, variance=variance, channel_ratio=ratio)
+    return dataclasses.replace(law, channel_ratio=ratio)
 
 
 def answer_forms(

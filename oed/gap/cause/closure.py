@@ -25,7 +25,6 @@ without that uncertainty.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -35,8 +34,7 @@ from scipy import linalg
 from oed.base.arrays import Array, Index
 from oed.gap.cause.folds import Paths
 from oed.gap.data.problem import GapProblem
-from oed.noise.factor import LinearFactor
-from oed.noise.hold_out import Chains, DenseInnovations, Innovations, LinearInnovations
+from oed.noise.hold_out import Chains, Innovations
 from oed.noise.law import NoiseLaw
 from oed.noise.shared import SharedFactor
 from oed.result.gap import ClosureRecord
@@ -151,16 +149,8 @@ class RunNoise:
     """Noise of the runs: innovations of held-out readings given the others of a run."""
 
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        factor = law.factor(problem)
-        if isinstance(factor, LinearFactor) and not Chains.suit(factor.errors):
-            factor = law.dense_factor(problem)
-        self._factor = factor
-        self._hold_out: Callable[[Index], Innovations]
-        if isinstance(factor, LinearFactor):
-            chains = Chains(factor.errors)
-            self._hold_out = functools.partial(LinearInnovations, factor, chains)
-        else:
-            self._hold_out = functools.partial(DenseInnovations, factor)
+        self._factor = law.factor(problem)
+        self._chains = Chains(self._factor.errors)
 
     def score(self, values: Array) -> Array:
         """The noise's precision times values (N, k), as `Innovations` wants it."""
@@ -176,7 +166,7 @@ class RunNoise:
 
     def hold_out(self, held: Index) -> Innovations:
         """Readings held out; those of their run predict their noise."""
-        return self._hold_out(held)
+        return Innovations(self._factor, self._chains, held)
 
 
 def learn(information: Information, white: Array) -> tuple[Array, float]:

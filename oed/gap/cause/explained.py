@@ -12,7 +12,7 @@ from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import Explained, Size
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from oed.result.gap import CoefficientRecord
 
 
@@ -31,7 +31,7 @@ def explain(
     sd = level * np.sqrt(np.diag(np.linalg.inv(precision)))
     by_effects = np.zeros(len(problem))
     constants, coefficients, sizes, start = {}, [], [], 0
-    stated = Metric(search.problem, stated_law(problem))
+    stated = Metric(search.problem, STATED_LAW)
     for effect, atom, size in zip(h.effects, h.atoms, h.sizes, strict=True):
         rows = library.atoms[atom].columns
         at = slice(start, start + len(rows))

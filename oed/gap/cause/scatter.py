@@ -31,7 +31,7 @@ from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
 from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import UNKNOWN_SIZES
-from oed.noise.law import NoiseLaw, stated_law
+from oed.noise.law import STATED_LAW, NoiseLaw
 from oed.noise.prior import KNOWN_TO
 from oed.result.trust import chi2_is_large
 
@@ -157,16 +157,15 @@ def unstated_scatter(problem: GapProblem, law: NoiseLaw) -> float | None:
 
 
 def _within_runs(law: NoiseLaw) -> float:
-    variance = law.variance + law.ar1_sd**2
-    if law.channel_ratio is not None:
-        variance = variance * law.channel_ratio**2
-    return law.level * float(np.sqrt(np.mean(variance)))
+    ratio = 1.0 if law.channel_ratio is None else law.channel_ratio
+    square = (law.variance + law.ar1_sd**2) * float(np.mean(np.square(ratio)))
+    return law.level * float(np.sqrt(square))
 
 
 def rough_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter:
     """Scatter of readings over that between readings taken again, or over the stated."""
     again = replicates(problem)
-    parts = energies(problem, stated_law(problem), again)
+    parts = energies(problem, STATED_LAW, again)
     if not parts.pure_freedom:
         factor = float(np.sqrt(parts.rest / max(parts.rest_freedom, 1)))
         return ExcessScatter(factor, DATA_SHEET, shape(problem, law))
@@ -268,7 +267,7 @@ def shape(problem: GapProblem, law: NoiseLaw) -> str:
     best = max(gains, key=lambda name: gains[name], default="")
     if best and gains[best] > np.log(CLEAR * len(gains)):
         return best
-    return "along the run" if law.ar1_sd**2 > np.mean(law.variance) else "white"
+    return "along the run" if law.ar1_sd**2 > law.variance else "white"
 
 
 def _weights(problem: GapProblem) -> dict[str, Array]:

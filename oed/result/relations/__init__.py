@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from oed.result.relations import accuracy, causes, plans, readings
-from oed.result.relations.base import Breach, number_breaches
+from oed.result.relations.base import Breach, value_breaches
 from oed.result.study import StudyResult
 
 __all__ = ["Breach", "breaches"]
@@ -17,7 +17,7 @@ __all__ = ["Breach", "breaches"]
 
 def breaches(result: StudyResult) -> Iterator[Breach]:
     """Contradictions within a result, by field; none where all fits."""
-    yield from number_breaches("", result)
+    yield from value_breaches("", result)
     yield from plans.breaches(result)
     yield from readings.breaches(result)
     yield from accuracy.breaches(result)

@@ -59,7 +59,6 @@ def _mixture(section: MixtureSection) -> Iterator[Breach]:
         f"{field}.controller", section.controller, section.parameters, of
     )
     for name, parameter in section.parameters.items():
-        yield from base.unit(f"{of}.{name}.unit", parameter.unit)
         yield from base.within(
             f"{of}.{name}.within", parameter.within, 0.0, base.LARGEST
         )
@@ -104,7 +103,6 @@ def _prediction(field: str, section: PredictionSection) -> Iterator[Breach]:
         yield from _spreads(at, spreads)
     for k, tool in enumerate(section.tools, start=1):
         at = f"{field}.tools[{k}]"
-        yield from base.unit(f"{at}.unit", tool.unit)
         yield from base.same_names(f"{at}.components", tool.components, names, of)
         yield from _spreads(f"{at}.components", tool.components)
     yield from _map(field, section)
@@ -162,7 +160,6 @@ def _budget(
 def _spreads(field: str, spreads: Mapping[str, SpreadRecord]) -> Iterator[Breach]:
     for name, spread in spreads.items():
         at = f"{field}.{name}" if name else field
-        yield from base.unit(f"{at}.unit", spread.unit)
         for part in ("rms", "p95", "max"):
             value = getattr(spread, part)
             yield from base.within(f"{at}.{part}", value, 0.0, base.LARGEST)
@@ -178,15 +175,9 @@ def _acceptance(section: AcceptanceSection) -> Iterator[Breach]:
     if not section.poses:
         yield Breach("acceptance.poses", "there is none")
     yield from base.same_keys("acceptance.poses", section.poses)
-    for name, demand in section.components.items():
-        yield from base.unit(f"acceptance.components.{name}.unit", demand.unit)
 
 
 def _verification(section: VerificationSection) -> Iterator[Breach]:
-    for name, verdict in section.components.items():
-        yield from base.unit(f"verification.components.{name}.unit", verdict.unit)
-    for name, record in section.positioning.items():
-        yield from base.unit(f"verification.positioning.{name}.unit", record.unit)
     of = "verification.components"
     yield from base.known(
         "verification.positioning", section.positioning, section.components, of
@@ -194,8 +185,6 @@ def _verification(section: VerificationSection) -> Iterator[Breach]:
 
 
 def _adjustment(section: AdjustmentSection) -> Iterator[Breach]:
-    for k, line in enumerate(section.lines, start=1):
-        yield from base.unit(f"adjustment.lines[{k}].unit", line.unit)
     count = len(section.lines) + 1
     yield from base.lengths(
         "adjustment.accuracy",
@@ -216,5 +205,3 @@ def _forecast(section: ForecastSection) -> Iterator[Breach]:
     if not section.nodes:
         yield Breach("forecast.nodes", "there is none")
     yield from base.same_keys("forecast.nodes", section.nodes)
-    for name, component in section.components.items():
-        yield from base.unit(f"forecast.components.{name}.unit", component.unit)

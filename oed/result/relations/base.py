@@ -17,6 +17,8 @@ LARGEST: Final = 1e100
 LARGEST_LOGARITHM: Final = 700.0
 #: units beside those of `oed.base.units`
 OTHER_UNITS: Final = ("", "1", "sigma", "readings", "s", "K", "m", "rad")
+#: names of fields that hold a unit, or units by name
+UNITS_OF: Final = ("unit", "units", "spots_unit")
 
 
 class Breach(NamedTuple):
@@ -26,19 +28,30 @@ class Breach(NamedTuple):
     problem: str
 
 
-def number_breaches(field: str, value: Any) -> Iterator[Breach]:
-    """Numbers anywhere within a value that no result has."""
+def value_breaches(field: str, value: Any) -> Iterator[Breach]:
+    """Numbers and units anywhere within a value that no result has."""
     if isinstance(value, msgspec.Struct):
-        for name in value.__struct_fields__:
-            yield from number_breaches(_join(field, name), getattr(value, name))
-    elif isinstance(value, Mapping):
+        value = {name: getattr(value, name) for name in value.__struct_fields__}
+    if isinstance(value, Mapping):
         for key, entry in value.items():
-            yield from number_breaches(_join(field, str(key)), entry)
+            at = _join(field, str(key))
+            if key in UNITS_OF:
+                yield from _unit_breaches(at, entry)
+            yield from value_breaches(at, entry)
     elif isinstance(value, list | tuple):
         for k, entry in enumerate(value, start=1):
-            yield from number_breaches(f"{field}[{k}]", entry)
+            yield from value_breaches(f"{field}[{k}]", entry)
     elif isinstance(value, int | float) and not abs(value) < LARGEST:
         yield Breach(field, f"{value:.3g} is no number of a result")
+
+
+def _unit_breaches(field: str, value: Any) -> Iterator[Breach]:
+    """A unit, or units by name, that nobody knows."""
+    if isinstance(value, str):
+        yield from unit(field, value)
+    elif isinstance(value, Mapping):
+        for name, entry in value.items():
+            yield from _unit_breaches(_join(field, str(name)), entry)
 
 
 def _join(field: str, name: str) -> str:

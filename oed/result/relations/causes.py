@@ -46,13 +46,10 @@ def _gap(section: GapSection) -> Iterator[Breach]:
     for k, trace in enumerate(section.traces, start=1):
         yield from _trace(f"gap.traces[{k}]", trace)
     yield from base.points("gap.spots", [spot.at for spot in section.spots])
-    yield from base.unit("gap.spots_unit", section.spots_unit)
 
 
 def _sizes(section: GapSection) -> Iterator[Breach]:
     """Channels of sizes and residuals; effects of coefficients."""
-    for name, unit in section.units.items():
-        yield from base.unit(f"gap.units.{name}", unit)
     for k, size in enumerate(section.sizes, start=1):
         field = f"gap.sizes[{k}]"
         yield from base.same_names(f"{field}.rms", size.rms, section.units, "gap.units")
@@ -73,15 +70,12 @@ def _sizes(section: GapSection) -> Iterator[Breach]:
 
 def _trace(field: str, trace: Trace) -> Iterator[Breach]:
     yield from base.known(f"{field}.kind", [trace.kind], KINDS, "its values")
-    yield from base.unit(f"{field}.unit", trace.unit)
     for name in SERIES:
         values = getattr(trace, name)
         yield from base.lengths(f"{field}.{name}", values, f"{field}.at", len(trace.at))
 
 
 def _gap_before(section: GapBeforeSection) -> Iterator[Breach]:
-    for name, unit in section.units.items():
-        yield from base.unit(f"gap_before.units.{name}", unit)
     yield from _table("gap_before.table", section.table, section)
     if section.chosen is not None:
         yield from _chosen("gap_before.chosen", section.chosen, section)

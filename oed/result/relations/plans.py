@@ -49,7 +49,6 @@ def _machine(machine: MachineInfo) -> Iterator[Breach]:
         for key, kind in PARAMETER.items():
             if not isinstance(row.get(key), kind):
                 yield Breach(f"{field}.{key}", f"{row.get(key)!r} is no {key}")
-        yield from base.unit(f"{field}.unit", str(row.get("unit")))
 
 
 def _identifiability(field: str, section: IdentifiabilitySection) -> Iterator[Breach]:
@@ -124,8 +123,6 @@ def _how_many(summary: HowManySummary) -> Iterator[Breach]:
 def _plan(section: PlanSection) -> Iterator[Breach]:
     for k, stage in enumerate(section.stages, start=1):
         field = f"plan.stages[{k}]"
-        for name, sd in stage.parameters.items():
-            yield from base.unit(f"{field}.parameters.{name}.unit", sd.unit)
         if section.start_accuracy:
             of = "plan.start_accuracy"
             field = f"{field}.accuracy"

@@ -32,9 +32,6 @@ def breaches(result: StudyResult) -> Iterator[Breach]:
         yield from _held_out(f"held_out[{k}]", section)
     for k, curve in enumerate(result.after_compensation, start=1):
         yield from run_curve(f"after_compensation[{k}]", curve)
-    if result.goodness is not None:
-        for name, record in result.goodness.noise.items():
-            yield from base.unit(f"goodness.noise.{name}.unit", record.unit)
 
 
 def _estimate(section: EstimateSection) -> Iterator[Breach]:
@@ -60,7 +57,6 @@ def _estimate(section: EstimateSection) -> Iterator[Breach]:
     )
     for k, combination in enumerate(section.combinations, start=1):
         field = f"estimate.combinations[{k}]"
-        yield from base.unit(f"{field}.unit", combination.unit)
         of_parameters = "estimate.parameters"
         yield from base.known(
             f"{field}.terms", combination.terms, section.parameters, of_parameters
@@ -72,7 +68,6 @@ def _estimate(section: EstimateSection) -> Iterator[Breach]:
 
 def run_curve(field: str, curve: RunCurve) -> Iterator[Breach]:
     """Contradictions of the readings along a run."""
-    yield from base.unit(f"{field}.unit", curve.unit)
     yield from base.known(f"{field}.kind", [curve.kind], RUN_KINDS, "its values")
     for name in ("measured", "predicted", "half_widths"):
         values = getattr(curve, name)
@@ -93,15 +88,12 @@ def _fitted(
         count = len(section.parameters)
         at, of = f"{field}.covariance", f"{field}.parameters"
         yield from base.table(at, section.covariance, of, count, count)
-    for name, unit in section.units.items():
-        yield from base.unit(f"{field}.units.{name}", unit)
 
 
 def _parameters(
     field: str, parameters: Mapping[str, ParameterEstimate]
 ) -> Iterator[Breach]:
     for name, parameter in parameters.items():
-        yield from base.unit(f"{field}.{name}.unit", parameter.unit)
         yield from base.within(f"{field}.{name}.sd", parameter.sd, 0.0, base.LARGEST)
         yield from base.within(
             f"{field}.{name}.prior_sd", parameter.prior_sd, 0.0, base.LARGEST
@@ -109,8 +101,6 @@ def _parameters(
 
 
 def _posterior(section: PosteriorSection) -> Iterator[Breach]:
-    for name, marginal in section.marginals.items():
-        yield from base.unit(f"posterior.marginals.{name}.unit", marginal.unit)
     width = len(section.directions)
     height = len(section.corner)
     yield from base.table(
@@ -124,13 +114,10 @@ def _corrected(section: CorrectedSection) -> Iterator[Breach]:
     yield from base.known("corrected.rms_after", section.rms_after, section.units, of)
     for name, effect in section.effects.items():
         field = f"corrected.effects.{name}"
-        yield from base.unit(f"{field}.unit", effect.unit)
         of = "corrected.constants"
         yield from base.known(f"{field}.effect", [effect.effect], section.constants, of)
     for k, table in enumerate(section.tables, start=1):
         yield from _effect_table(f"corrected.tables[{k}]", table)
-    for name, marginal in section.posterior.items():
-        yield from base.unit(f"corrected.posterior.{name}.unit", marginal.unit)
 
 
 def _effect_table(field: str, table: EffectTable) -> Iterator[Breach]:
@@ -145,7 +132,6 @@ def _effect_table(field: str, table: EffectTable) -> Iterator[Breach]:
 
 
 def _held_out(field: str, section: HeldOutSection) -> Iterator[Breach]:
-    yield from base.unit(f"{field}.unit", section.unit)
     for name in ("residuals", "half_widths"):
         values = getattr(section, name)
         yield from base.lengths(f"{field}.{name}", values, f"{field}.n", section.n)

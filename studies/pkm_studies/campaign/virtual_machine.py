@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.accuracy.maps import error_maps
+from oed.accuracy.maps import driven_errors, error_maps
 from oed.base import units
 from oed.base.arrays import Array
 from oed.estimation.coordinates import coordinates_of_readings
@@ -21,7 +21,6 @@ from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent
 from pkm_studies.campaign.interval import HALF_WIDTH
 from pkm_studies.resolve.prediction import PredictionRequest
-from pkm_studies.stages.predict.virtual_machines import errors_after
 from pkm_studies.stages.run_state import (
     Fitted,
     Measured,
@@ -134,11 +133,13 @@ def _accuracy_figures(
     count = len(measurement.machine.parameters)
     maps = error_maps(measurement.kinematics, command, table.reference)
     covariance = estimate.covariance[:count, :count]
-    identified, true = estimate.theta[None, :count], truth[None, :count]
-    known = maps.remaining @ (identified[0] - measurement.machine.nominal)
+    identified, true = estimate.theta[:count], truth[:count]
+    known = maps.remaining @ (identified - measurement.machine.nominal)
     unknown = np.einsum("nkp,pq,nkq->nk", maps.raw, covariance, maps.raw, optimize=True)
     expected = np.sqrt(np.mean(known**2 + unknown, axis=0))
-    errors = errors_after(measurement, command, table.reference, identified, true)[0]
+    errors = driven_errors(
+        measurement.kinematics, command, true, table.reference, believed=identified
+    )
     figures = {}
     for k, component in enumerate(measurement.machine.components):
         unit = units.FINE[component.unit]

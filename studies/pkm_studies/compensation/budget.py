@@ -15,12 +15,12 @@ from collections.abc import Callable, Mapping, Sequence
 import msgspec
 import numpy as np
 
+from oed.accuracy.maps import driven_errors
 from oed.base import units
 from oed.base.arrays import Array
 from oed.compensate.export_errors import (
     interpolation_errors,
     joint_errors,
-    known_errors,
 )
 from oed.mechanism.kinematics import AssemblyError
 from oed.result import (
@@ -137,11 +137,12 @@ def _without_axes(
     predicted = [name for name in undriven if name in unknown]
     if not predicted:
         return {}
-    known = known_errors(
+    known = driven_errors(
         content.kinematics,
         content.command,
         content.identified.values,
         prediction.reference,  # type: ignore[arg-type]
+        believed=content.identified.values,
     )
     rms = _rms(content, known, {n: undriven[n] for n in predicted})
     return {n: float(np.hypot(rms[n], unknown[n])) for n in predicted}

@@ -12,7 +12,7 @@ from oed.accuracy import maps
 from oed.accuracy.acceptance import Promise, state_limits
 from oed.accuracy.budget.lines import variance_over_machines
 from oed.accuracy.budget.model import budget_model
-from oed.accuracy.maps import compensated_errors
+from oed.accuracy.maps import driven_errors
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import mount
@@ -53,13 +53,15 @@ def test_exact_errors_of_small_draws_are_those_of_the_maps(
     kinematics = Kinematics(a3_head.machine)
     nominal = a3_head.machine.nominal
     change = 1e-6 * rng.standard_normal((2, len(nominal)))
-    told = compensated_errors(kinematics, COMMAND, nominal, nominal + change)
+    told = driven_errors(
+        kinematics, COMMAND, nominal + change, "home", believed=nominal
+    )
     by_maps = maps.error_maps(kinematics, COMMAND, "home")
     linear = np.einsum("nkp,mp->mnk", by_maps.remaining, change)
     raw = np.einsum("nkp,mp->mnk", by_maps.raw, change)
     assert told == pytest.approx(raw, abs=1e-3 * np.abs(raw).max())
     assert np.abs(linear).max() <= np.abs(raw).max()
-    nothing = compensated_errors(kinematics, COMMAND, nominal, nominal[None])
+    nothing = driven_errors(kinematics, COMMAND, nominal, "home", believed=nominal)
     assert np.abs(nothing).max() < 1e-12
 
 

@@ -11,15 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from oed import Measurement, mount
 from oed.accuracy.maps import (
-    compensated_errors,
     components_against,
-    controller_errors,
+    driven_errors,
     error_maps,
 )
 from oed.mechanism.pose_errors import pose_error
 from pkm_models.instruments.ball_bar import instrument
 from pkm_models.machines.a3_head import machine
-from pkm_studies.stages.predict.virtual_machines import errors_after
 
 COMMAND = np.array(
     [[1.10, 0.0, 0.2], [1.15, 2.1, 0.4], [1.20, 4.2, 0.5], [1.13, 5.0, 0.1]]
@@ -64,11 +62,10 @@ def test_exact_errors_are_relative_rotations(kinematics, drawn) -> None:
     _, q = kinematics.inverse(poses)
     twists = np.array([pose_error(kinematics, poses, q, p) for p in drawn])
     against = components_against(kinematics, COMMAND, twists, "home")
-    sent = [controller_errors(kinematics, COMMAND, p, "home") for p in drawn]
-    alone = compensated_errors(kinematics, COMMAND, nominal, drawn)
+    sent = [driven_errors(kinematics, COMMAND, p, "home") for p in drawn]
+    alone = driven_errors(kinematics, COMMAND, drawn, "home", believed=nominal)
     held = np.tile(nominal, (len(drawn), 1))
-    measurement = Measurement(machine, [], kinematics)
-    virtual = errors_after(measurement, COMMAND, "home", held, drawn)
+    virtual = driven_errors(kinematics, COMMAND, drawn, "home", believed=held)
     for found in (against, sent, alone, virtual):
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-10)
     # vectors subtracted would be another error by half of it

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from oed import Measurement, mount
-from oed.accuracy.maps import compensated_errors
+from oed.accuracy.maps import driven_errors
 from oed.compensate.effects.effect_maps import SessionStates, workspace_state
 from oed.compensate.effects.expected_columns import expected_columns
 from oed.gap.data.problem import GapProblem, assemble
@@ -99,7 +99,8 @@ def test_a_longer_tool_is_zeroed_at_home_with_that_tool() -> None:
     kinematics = session(("one",)).measurement.kinematics
     home = machine.with_tool(machine.home_command[None], tool)
     truth = machine.nominal + 1e-3 * np.random.default_rng(2).standard_normal(42)
-    errors = compensated_errors(kinematics, home, machine.nominal, truth[None], tool)
+    nominal = machine.nominal
+    errors = driven_errors(kinematics, home, truth, "home", believed=nominal, tool=tool)
     assert np.abs(errors).max() < 1e-12
 
 

@@ -87,7 +87,7 @@ def test_copies_share_the_weight_and_keep_the_bound() -> None:
     merged = bound(several, goal, Rules(size=12), nothing)
     # the same weights, without the copies: three of each as one of three times the weight
     apart = bound(rows * np.sqrt(3.0), goal, Rules(size=4), nothing)
-    assert merged.value == pytest.approx(apart.value, abs=1e-8)
+    assert merged.bound == pytest.approx(apart.bound, abs=1e-8)
     assert merged.weights.sum() == pytest.approx(12.0)
     assert merged.weights.max() <= 1.0 + 1e-9
     choice = exchange.choose(several, 12, rng)

@@ -81,7 +81,7 @@ def test_searches_end_at_the_best_plan_and_below_the_bound(
         upper = found
     every = itertools.combinations(range(COUNT), SIZE)
     best = max(plan_value(criterion, blocks, base, plan) for plan in every)
-    assert best <= upper.value + 1e-9
+    assert best <= upper.bound + 1e-9
     assert upper.weights.sum() == pytest.approx(SIZE, rel=1e-3)
     start = np.arange(SIZE)
     rng = np.random.default_rng(0)
@@ -102,7 +102,7 @@ def test_a_budget_of_time_bounds_plans_of_any_size() -> None:
         for plan in itertools.combinations(range(COUNT), size):
             if cost[list(plan)].sum() <= 7.0:
                 value = plan_value(criterion, blocks, base, plan)
-                assert value <= upper.value + 1e-9
+                assert value <= upper.bound + 1e-9
     assert condition_bound(blocks, CRITERIA["kappa"], rules, base) is None
     assert condition_bound(blocks, criterion, Rules(size=3), base) is None
 

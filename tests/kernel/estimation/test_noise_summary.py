@@ -34,7 +34,7 @@ WHITE = -7.0
 def scatter_within_run(laws: Laws, k: int) -> float:
     """Expected standard deviation about the mean of the longest run, of unit scale."""
     lag = np.abs(np.subtract.outer(np.arange(LONGEST), np.arange(LONGEST)))
-    share = laws.carried[k, 0]
+    share = laws.carried[k]
     whole = (1.0 - share) * np.eye(LONGEST) + share * np.exp(-lag / laws.reach[k])
     return float(np.sqrt(np.trace(whole - whole.mean(axis=0)) / (LONGEST - 1)))
 
@@ -61,7 +61,7 @@ def test_means_and_deviations_are_the_draws(rng: np.random.Generator) -> None:
     run = numbers["run"]
     assert run.value == pytest.approx(sigma * WEIGHTS @ (laws.scale[:, 0] * laws.level))
     carried = numbers["carried"]
-    assert carried.value == pytest.approx(WEIGHTS @ laws.carried[:, 0])
+    assert carried.value == pytest.approx(WEIGHTS @ laws.carried)
     reach = np.minimum(laws.reach, LONGEST)
     assert numbers["reach"].value == pytest.approx(WEIGHTS @ reach)
 

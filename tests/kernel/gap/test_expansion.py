@@ -7,6 +7,7 @@ import functools
 import numpy as np
 import pytest
 
+from kernel.dense_noise import law_covariance
 from kernel.gap_lines import BOW, EFFECTS, planted, white_lines
 from oed.gap.cause.compare import compare, compare_expanded
 from oed.gap.cause.explained import explain
@@ -14,7 +15,7 @@ from oed.gap.cause.search import Search
 from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 
 FORM = ActingEffectForm(BOW, {"turns": 3.0}, ("leg 1", "leg 2"), 3.0)
 
@@ -27,17 +28,19 @@ def bowed() -> GapProblem:
 
 def dense(problem: GapProblem, *, slopes: bool = True) -> np.ndarray:
     """Covariance (N, N) of residuals without effects, or of their noise alone."""
-    law, n = stated_law(problem), len(problem)
+    law, n = STATED_LAW, len(problem)
     total = problem.slopes @ problem.slopes.T if slopes else np.zeros((n, n))
     for number, block in enumerate(problem.members):
-        total[np.ix_(block, block)] += law.covariance(problem, problem.members[number])
+        total[np.ix_(block, block)] += law_covariance(
+            law, problem, problem.members[number]
+        )
     return total
 
 
 def test_small_effects_settle_at_the_linear_estimate() -> None:
     """In expected sizes: the mean of coefficients of prior N(0, 1) times the form's."""
     problem = bowed()
-    law, none = stated_law(problem), np.zeros(len(problem))
+    law, none = STATED_LAW, np.zeros(len(problem))
     settled = settle(problem, [FORM], law, none)
     signature = problem.signature(BOW, FORM.constants)
     rows = [signature.names.index(name) for name in FORM.names]
@@ -53,7 +56,7 @@ def test_small_effects_settle_at_the_linear_estimate() -> None:
 
 def search_of(problem: GapProblem) -> list[Search]:
     known, none = library.build(problem, EFFECTS), library.build(problem, ())
-    return [Search(problem, known, none, stated_law(problem), 0.0)]
+    return [Search(problem, known, none, STATED_LAW, 0.0)]
 
 
 @functools.cache

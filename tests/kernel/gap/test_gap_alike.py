@@ -13,7 +13,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.library import DIFFER, Library
 from oed.model.effect import Column, Effect, State
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})
 TWINS = dataclasses.replace(LOOSE, name="twins", common_to_limbs=True)
@@ -110,7 +110,5 @@ def test_evidence_is_for_what_limbs_are(
 
 def _evidence(problem: GapProblem, effect: Effect) -> float:
     none = library.build(problem, ())
-    search = Search(
-        problem, library.build(problem, [effect]), none, stated_law(problem), 0.0
-    )
+    search = Search(problem, library.build(problem, [effect]), none, STATED_LAW, 0.0)
     return next(h for h in search.run() if h.effects).log_evidence

@@ -22,7 +22,7 @@ from oed.gap.forms import library
 from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import Setup, mount
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from pkm_models.effects import bar_length, encoder_scale
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
@@ -138,9 +138,7 @@ def searched(
     noise = np.random.default_rng(seed).standard_normal(len(p))
     acting = p.with_residual(change + noise)
     nothing = library.build(acting, ())
-    search = Search(
-        acting, library.build(acting, EFFECTS), nothing, stated_law(acting), 0.0
-    )
+    search = Search(acting, library.build(acting, EFFECTS), nothing, STATED_LAW, 0.0)
     hypothesis = search.fit((effect,), (search.library.atoms_of(effect)[0],), (1.0,))
     return search, hypothesis
 

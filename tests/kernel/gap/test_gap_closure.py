@@ -14,7 +14,7 @@ from oed.gap.cause.closure import closure
 from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from pkm_models.instruments import calliper
 from pkm_models.machines import linear_delta
 
@@ -220,7 +220,7 @@ def test_right_effect_closes_what_the_oracle_closes_and_a_wrong_one_harms(
 
 def test_interval_covers_the_closure_by_the_true_form(rng: np.random.Generator) -> None:
     problem = case.circles()
-    law = stated_law(problem)
+    law = STATED_LAW
     covariance = case.dense(problem, law)
     root = np.linalg.cholesky(covariance)
     change = case.sized(
@@ -252,10 +252,8 @@ def test_repeats_are_held_out_together() -> None:
             * np.cos(3.0 * problem.rows["phase"].to_numpy()),
         ]
     )
-    whole = closure(r, stated_law(r), 20.0 * G, np.random.default_rng(0), split="whole")
-    within = closure(
-        r, stated_law(r), 20.0 * G, np.random.default_rng(0), split="within"
-    )
+    whole = closure(r, STATED_LAW, 20.0 * G, np.random.default_rng(0), split="whole")
+    within = closure(r, STATED_LAW, 20.0 * G, np.random.default_rng(0), split="within")
     assert abs(whole.value) < 0.05
     assert within.value > 0.9
 
@@ -266,7 +264,7 @@ def test_where_all_runs_repeat_one_path_each_is_held_out(
     problem = case.circles(12, (1.16,), 2)
     way = problem.rows["direction"].to_numpy(dtype=float)
     r = problem.with_residual(10.0 * way + rng.standard_normal(len(way)))
-    scores = closure(r, stated_law(r), 10.0 * way[:, None], rng, split="whole")
+    scores = closure(r, STATED_LAW, 10.0 * way[:, None], rng, split="whole")
     assert (scores.n, scores.value > 0.9) == (len(way), True)
 
 
@@ -278,13 +276,10 @@ def test_one_run_cannot_be_held_out_whole(rng: np.random.Generator) -> None:
         [series.take(np.arange(12))],
         full.rows.iloc[:12][["setup", "run", "order"]],
     )
-    scores = closure(problem, stated_law(problem), np.ones((12, 1)), rng, split="whole")
+    scores = closure(problem, STATED_LAW, np.ones((12, 1)), rng, split="whole")
     assert scores.n == 0
     assert np.isnan(scores.value)
-    assert (
-        closure(problem, stated_law(problem), np.ones((12, 1)), rng, split="within").n
-        == 12
-    )
+    assert closure(problem, STATED_LAW, np.ones((12, 1)), rng, split="within").n == 12
 
 
 def test_short_runs_make_five_folds(rng: np.random.Generator) -> None:
@@ -301,7 +296,7 @@ def test_short_runs_make_five_folds(rng: np.random.Generator) -> None:
     r = problem.with_residual(rng.standard_normal(len(problem)))
     for split in SPLITS:
         scores = closure(
-            r, stated_law(r), rng.standard_normal((len(r), 2)), rng, split=split
+            r, STATED_LAW, rng.standard_normal((len(r), 2)), rng, split=split
         )
         assert scores.n == 20
         assert scores.s0 < 4.0

@@ -10,12 +10,13 @@ import pytest
 from scipy import stats
 
 from kernel import a3_plans, gap_a3
+from kernel.dense_noise import law_covariance
 from oed.gap.before import detect, runs
 from oed.gap.before.confusion import in_words
 from oed.gap.before.forms import ROOM
 from oed.gap.before.power import needed_lambda, power
 from oed.gap.data.signature import signature
-from oed.noise.law import NoiseLaw, stated_law
+from oed.noise.law import STATED_LAW, NoiseLaw
 
 FIVE = (0.0, 0.05, 0.1, 0.15, 0.2)
 ALL = [gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity]
@@ -31,7 +32,7 @@ def dense(p, law):
     """Sigma + H Lambda H^T (N, N), written out."""
     whole = p.slopes @ p.slopes.T
     for k, rows in enumerate(p.members):
-        whole[np.ix_(rows, rows)] += law.covariance(p, p.members[k])
+        whole[np.ix_(rows, rows)] += law_covariance(law, p, p.members[k])
     return whole
 
 
@@ -73,9 +74,7 @@ def test_power_at_six():
 @pytest.mark.parametrize("tools", [(0.0,), (0.0, 0.1)])
 def test_lambdas_are_those_of_the_dense_covariance(tools):
     p = problem(tools, strokes=(0.0, 0.1, 0.2))
-    law = NoiseLaw(
-        0.4, 0.7, 3.0, np.random.default_rng(3).uniform(0.5, 2.0, len(p)), level=1.3
-    )
+    law = NoiseLaw(0.4, 0.7, 3.0, 1.4, level=1.3)
     detection = detect.detect(p, law, [*ALL, gap_a3.warming], np.random.default_rng(0))
     c = dense(p, law)
     for name, effect, constants in (
@@ -106,9 +105,9 @@ def test_lambdas_are_those_of_the_dense_covariance(tools):
 
 def test_least_size_is_found_nine_times_in_ten():
     p, rng = problem(strokes=(0.0, 0.1, 0.2)), np.random.default_rng(5)
-    record = detect.detect(p, stated_law(p), [gap_a3.encoder_scale], rng).effects[0]
+    record = detect.detect(p, STATED_LAW, [gap_a3.encoder_scale], rng).effects[0]
     g, scale = columns(p, gap_a3.encoder_scale)
-    c = dense(p, stated_law(p))
+    c = dense(p, STATED_LAW)
     root = np.linalg.cholesky(c)
     inner = np.linalg.solve(root, g)
     change = (
@@ -137,7 +136,7 @@ def free(p):
 
 def test_common_scale_and_bar_length_are_one_class_with_one_tool():
     p = free(problem(points=36))
-    detection = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
+    detection = detect.detect(p, STATED_LAW, ALL, np.random.default_rng(0))
     assert detection.exact == [["encoder_scale", "bar_length"]]
     scale = row(detection, "encoder_scale")
     bar = next(r for r in scale.rivals if r.name == "bar_length")
@@ -157,7 +156,7 @@ def test_common_scale_and_bar_length_are_one_class_with_one_tool():
 
 def test_two_tool_lengths_tell_scale_from_bar():
     p = free(problem((0.0, 0.1)))
-    detection = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
+    detection = detect.detect(p, STATED_LAW, ALL, np.random.default_rng(0))
     assert not detection.exact
     angle = pair(detection.angles_deg, detection, "encoder_scale", "bar_length")
     assert 3.5 <= angle <= 13.6
@@ -168,7 +167,7 @@ def test_classes_name_who_is_absorbed_by_whom():
     # scale, not the other way
     p = problem()
     p = dataclasses.replace(p, slopes=p.slopes * 0.02)
-    detection = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
+    detection = detect.detect(p, STATED_LAW, ALL, np.random.default_rng(0))
     assert row(detection, "bar_length").visible
     assert row(detection, "encoder_scale").visible
     assert detection.classes == [["encoder_scale", "bar_length"]]
@@ -177,10 +176,10 @@ def test_classes_name_who_is_absorbed_by_whom():
 
 def test_calibration_absorbs_most_of_static_gravity():
     p = problem(strokes=FIVE, points=24)
-    detection = detect.detect(p, stated_law(p), ALL, np.random.default_rng(0))
+    detection = detect.detect(p, STATED_LAW, ALL, np.random.default_rng(0))
     g, _ = columns(p, gap_a3.gravity)
     share = np.sqrt(
-        np.trace(g.T @ np.linalg.solve(dense(p, stated_law(p)), g)) / np.sum(g**2)
+        np.trace(g.T @ np.linalg.solve(dense(p, STATED_LAW), g)) / np.sum(g**2)
     )
     assert 1.0 - row(detection, "gravity").absorbed == pytest.approx(share, rel=1e-6)
     assert share < 0.12
@@ -192,7 +191,7 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
         gap_a3.gravity, name="both_ways", needs=("direction: both",)
     )
     detection = detect.detect(
-        p, stated_law(p), [both, gap_a3.encoder_scale], np.random.default_rng(0)
+        p, STATED_LAW, [both, gap_a3.encoder_scale], np.random.default_rng(0)
     )
     reason = "the readings do not have direction: both"
     assert row(detection, "both_ways").not_testable == reason
@@ -200,7 +199,7 @@ def test_what_is_missing_is_told_and_nothing_is_claimed():
     assert detection.names == ["encoder_scale"]
     assert not row(detection, "both_ways").visible
     unseen = dataclasses.replace(gap_a3.bar_length, columns=lambda s: [])
-    detection = detect.detect(p, stated_law(p), [unseen], np.random.default_rng(0))
+    detection = detect.detect(p, STATED_LAW, [unseen], np.random.default_rng(0))
     assert "changes none" in row(detection, "bar_length").not_testable
     assert detection.classes == []
 
@@ -216,10 +215,10 @@ def test_combinations_in_words():
 def test_same_seed_same_figures_and_bad_input():
     p = problem(strokes=(0.0, 0.2))
     one, two = (
-        detect.detect(p, stated_law(p), ALL, np.random.default_rng(4)) for _ in range(2)
+        detect.detect(p, STATED_LAW, ALL, np.random.default_rng(4)) for _ in range(2)
     )
     assert one.effects == two.effects
     with pytest.raises(ValueError, match="each once"):
         detect.detect(
-            p, stated_law(p), [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0)
+            p, STATED_LAW, [gap_a3.gravity, gap_a3.gravity], np.random.default_rng(0)
         )

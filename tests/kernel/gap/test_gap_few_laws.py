@@ -15,11 +15,11 @@ from oed.gap.cause.search import Search
 from oed.gap.data import laws
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 
 
 def _under(problem: GapProblem, run_sd: float, log_prior: float = 0.0) -> Search:
-    law = dataclasses.replace(stated_law(problem), run_sd=run_sd)
+    law = dataclasses.replace(STATED_LAW, run_sd=run_sd)
     forms, none = library.build(problem, [BOW]), library.build(problem, ())
     return Search(problem, forms, none, law, log_prior)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import linalg, special
 
+from kernel.dense_noise import law_covariance
 from kernel.gap_lines import white_lines
 from oed.gap.data import evidence, laws
 from oed.gap.data.problem import GapProblem
@@ -17,7 +18,9 @@ def _readings(problem: GapProblem, law: NoiseLaw, seed: int) -> GapProblem:
     rng = np.random.default_rng(seed)
     y = problem.slopes @ rng.standard_normal(problem.slopes.shape[1])
     for k, members in enumerate(problem.members):
-        root = linalg.cholesky(law.covariance(problem, problem.members[k]), lower=True)
+        root = linalg.cholesky(
+            law_covariance(law, problem, problem.members[k]), lower=True
+        )
         y[members] += root @ rng.standard_normal(len(members))
     return problem.with_residual(y)
 
@@ -26,7 +29,7 @@ def _readings(problem: GapProblem, law: NoiseLaw, seed: int) -> GapProblem:
 def test_evidence_over_laws_is_the_mean_over_the_prior(repeat: float) -> None:
     """By many laws drawn from the prior; the mixture serves both models at once."""
     lines = white_lines(3, runs=6, length=12)
-    true = NoiseLaw(repeat, 0.0, 1.0, np.ones(len(lines)))
+    true = NoiseLaw(repeat, 0.0, 1.0)
     problem, rng = _readings(lines, true, 5), np.random.default_rng(6)
     models = [np.zeros((len(problem), 0)), 0.8 * rng.standard_normal((len(problem), 2))]
     posteriors = [laws.posterior(problem, columns) for columns in models]
@@ -49,12 +52,12 @@ def test_the_most_probable_law_is_near_the_true_one(
     repeat: float, wander: float
 ) -> None:
     problem = white_lines(7, runs=12, length=40)
-    true = NoiseLaw(repeat, wander, 6.0, np.ones(len(problem)))
+    true = NoiseLaw(repeat, wander, 6.0)
     readings = _readings(problem, true, 8)
     mode = laws.posterior(readings, np.zeros((len(problem), 0))).mode
     level = mode.channel_ratio[0] if mode.channel_ratio is not None else 1.0
     assert level == pytest.approx(1.0, abs=0.1)
-    single = np.sqrt(mode.variance[0])
+    single = np.sqrt(mode.variance)
     # the reference reading of RM 5 is shared already: repeat comes on top
     assert mode.run_sd / single == pytest.approx(repeat, abs=0.5 + 0.4 * repeat)
     assert mode.ar1_sd / single == pytest.approx(wander, abs=0.5 + 0.3 * wander)

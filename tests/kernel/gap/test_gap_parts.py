@@ -68,7 +68,7 @@ def test_evidence_of_many_laws_is_that_of_each(rng: np.random.Generator) -> None
     problem = problem.with_residual(2.0 * rng.standard_normal(len(problem)))
     columns = np.hstack([problem.slopes, rng.standard_normal((len(problem), 2))])
     laws = [
-        NoiseLaw(run, carried, length, np.full(len(problem), 1.0 - carried**2))
+        NoiseLaw(run, carried, length, 1.0 - carried**2)
         for run, carried, length in ((0.0, 0.0, 4.0), (1.5, 0.0, 4.0), (0.5, 0.6, 7.0))
     ]
     told = LawEvidence(problem, columns)(laws)

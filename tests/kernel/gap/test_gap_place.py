@@ -16,7 +16,7 @@ from kernel.cases import CASES, reading_series
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.places.draws import LikelyForms, draw_energies
 from oed.gap.places.place import STANDS_OUT, locate
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from oed.result.gap import PlaceRecord
 
 KINDS = ("leg", "run", "time", "phase", "direction")
@@ -281,7 +281,7 @@ def test_readings_without_covariates_and_with_several_channels(
     noise = problem.residual + rng.standard_normal(len(problem))
     read = problem.with_residual(noise + 30.0 * hit[:, 1])
     model = LikelyForms(1.0, 30.0 * hit, [""] * hit.shape[1])
-    blocks = locate(read, stated_law(problem), [model], rng)
+    blocks = locate(read, STATED_LAW, [model], rng)
     names = [b.block for b in blocks]
     assert not any(n.startswith(("time", "direction", "leg")) for n in names)
     first = next(n for n in names if n.startswith("run"))

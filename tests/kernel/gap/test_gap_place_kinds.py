@@ -17,7 +17,7 @@ from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.gap.places.place import STANDS_OUT
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from oed.result.gap import PlaceRecord
 from pkm_models.effects import encoder_scale, leg_thermal, mount_drift, step
 from pkm_models.instruments.pose_tracker import position
@@ -56,13 +56,13 @@ def test_a_bent_ruler_is_in_its_set_up_and_in_no_time(interleaved: bool) -> None
 def _under_stated_noise(problem, effects) -> Diagnosis:
     """The noise that the readings are drawn with is known: no search over noise laws."""
     rng = np.random.default_rng(1)
-    return diagnosing.diagnose(problem, effects, rng, law=stated_law(problem))
+    return diagnosing.diagnose(problem, effects, rng, law=STATED_LAW)
 
 
 def _search(problem, effects) -> Search:
     forms = library.build(problem, effects)
     processes = discrepancy.build(problem)
-    return Search(problem, forms, processes, stated_law(problem), 0.0)
+    return Search(problem, forms, processes, STATED_LAW, 0.0)
 
 
 def test_an_effect_alike_both_ways_is_in_no_direction() -> None:
@@ -148,7 +148,7 @@ def test_a_leg_that_moved_in_one_stretch_alone_is_that_stretch() -> None:
     change = column[:, None] * 50.0
     model = LikelyForms(1.0, change, ["leg 1"], np.array([True]))
     readings = problem.with_residual(change[:, 0])
-    law = stated_law(readings)
+    law = STATED_LAW
     places = place.locate(readings, law, [model], np.random.default_rng(1))
     same = {p.block: p.same_as for p in places}
     assert same["run b"] == "leg 1"

@@ -23,7 +23,7 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.model.effect import Column, Effect, State
-from oed.noise.law import NoiseLaw, stated_law
+from oed.noise.law import STATED_LAW, NoiseLaw
 from pkm_models.effects import step
 
 
@@ -35,7 +35,7 @@ def _search(
     effect_library = library.build(problem, effects)
     none = library.build(problem, ())
     return Search(
-        problem, effect_library, none, stated_law(problem) if law is None else law, 0.0
+        problem, effect_library, none, STATED_LAW if law is None else law, 0.0
     )
 
 
@@ -122,7 +122,7 @@ def test_an_unknown_takes_nothing_from_a_selected_effect() -> None:
         problem,
         library.build(problem, [BOW]),
         library.build(problem, [same]),
-        stated_law(problem),
+        STATED_LAW,
         0.0,
     )
     known = next(h for h in search.run() if h.key == (frozenset({"bow"}), False))
@@ -144,7 +144,7 @@ def test_an_unknown_is_added_to_the_most_probable_sets(
     problem = planted(readings(4), BOW, {"leg 1": 2.0, "leg 2": -1.0}, turns=2.0)
     process = dataclasses.replace(BOW, name="process")
     effects, remainders = (library.build(problem, e) for e in (EFFECTS, [process]))
-    search = Search(problem, effects, remainders, stated_law(problem), 0.0)
+    search = Search(problem, effects, remainders, STATED_LAW, 0.0)
     hypotheses = search.run()
     known = [h for h in hypotheses if not h.key[1]]
     best = sorted(known, key=lambda h: h.score)[-2:]
@@ -212,7 +212,7 @@ def test_many_constants_keep_the_few_that_explain() -> None:
         BOW, constants={"turns": tuple(np.linspace(1.0, 8.0, 57))}
     )
     problem = planted(readings(7), BOW, {"leg 1": 2.0}, turns=5.0)
-    law = stated_law(problem)
+    law = STATED_LAW
     forms = library.build(problem, [dense], Metric(problem, law))
     turns = {a.constants["turns"] for a in forms.atoms}
     assert len(turns) == library.BEST
@@ -250,13 +250,13 @@ def test_a_large_grid_is_looked_through_whole() -> None:
     problem = planted(
         readings(10), CURL, {"leg 1": 2.0, "leg 2": -1.0}, turns=TURNS[31], bend=-0.1
     )
-    metric = Metric(problem, stated_law(problem))
+    metric = Metric(problem, STATED_LAW)
     forms = library.build(problem, [CURL], metric)
     constants = {(a.constants["turns"], a.constants["bend"]) for a in forms.atoms}
     assert (TURNS[31], -0.1) in constants
     assert len(constants) == library.BEST
     best = compare(
-        [Search(problem, forms, library.build(problem, ()), stated_law(problem), 0.0)]
+        [Search(problem, forms, library.build(problem, ()), STATED_LAW, 0.0)]
     )[0]
     assert forms.atoms[best.atoms[0]].constants == {"turns": TURNS[31], "bend": -0.1}
     blind = library.build(problem, [CURL])
@@ -279,7 +279,7 @@ def test_forms_have_the_prior_of_one_effect_before_any_is_dropped(
 
     monkeypatch.setattr(library, "_best", best)
     effect = dataclasses.replace(CURL, constants={"turns": TURNS, "bend": bends})
-    metric = Metric(problem, stated_law(problem))
+    metric = Metric(problem, STATED_LAW)
     kept = library._forms(problem, effect, metric)
     forms, large = chosen[-1], len(effect.constant_grid()) > library.LARGE
     weights = np.exp([w for _, w in forms])
@@ -319,7 +319,7 @@ def test_a_form_of_a_large_grid_adapts_once_it_is_chosen() -> None:
     forms = library.build(
         problem,
         [dataclasses.replace(CURL, columns=bent)],
-        Metric(problem, stated_law(problem)),
+        Metric(problem, STATED_LAW),
     )
     names_by_constants = {
         (a.constants["turns"], a.constants["bend"]): [] for a in forms.atoms
@@ -377,9 +377,7 @@ def test_diagnosis_from_end_to_end() -> None:
 
 def test_a_noise_that_is_known_is_not_told_from_the_readings() -> None:
     problem = planted(readings(8), SLIP, {"leg 1": 2.0})
-    law = dataclasses.replace(
-        stated_law(problem), run_sd=0.7, ar1_sd=0.3, ar1_length=5.0
-    )
+    law = dataclasses.replace(STATED_LAW, run_sd=0.7, ar1_sd=0.3, ar1_length=5.0)
     diagnosis = diagnosing.diagnose(problem, EFFECTS, np.random.default_rng(0), law=law)
     assert diagnosis.answers[0].effects == ("slip",)
     assert dataclasses.replace(diagnosis.law, level=1.0) == law

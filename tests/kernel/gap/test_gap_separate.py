@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans, gap_a3
+from kernel.dense_noise import law_covariance
 from oed.design import exchange
 from oed.design.plan_limits import SetupLimit, TimeBudget
 from oed.design.rules import Rules
@@ -18,7 +19,7 @@ from oed.gap.before.forms import ROOM
 from oed.gap.before.runs import pool_runs
 from oed.gap.before.separation import Separation
 from oed.gap.data.signature import signature
-from oed.noise.law import NoiseLaw, stated_law
+from oed.noise.law import STATED_LAW, NoiseLaw
 
 WANTED = [gap_a3.gravity, gap_a3.encoder_scale]
 
@@ -43,7 +44,7 @@ def pool(
     points=12,
 ):
     _, p, rows = laid_out(tools, strokes, payloads, points)
-    return pool_runs(p, stated_law(p), rows, WANTED)
+    return pool_runs(p, STATED_LAW, rows, WANTED)
 
 
 def least_lambda(separation: Separation, plan):
@@ -62,13 +63,13 @@ def dense(p, law, rows, target, rival):
     """
     c = p.slopes @ p.slopes.T + ROOM**2 * rival @ rival.T
     for k, block in enumerate(p.members):
-        c[np.ix_(block, block)] += law.covariance(p, p.members[k])
+        c[np.ix_(block, block)] += law_covariance(law, p, p.members[k])
     return target[rows] @ np.linalg.solve(c[np.ix_(rows, rows)], target[rows])
 
 
 def test_lambdas_of_a_plan_are_those_of_its_readings_covariance():
     _, p, rows = laid_out()
-    law = NoiseLaw(0.4, 0.7, 3.0, np.random.default_rng(2).uniform(0.5, 2.0, len(p)))
+    law = NoiseLaw(0.4, 0.7, 3.0, 1.3)
     candidates = pool_runs(p, law, rows, WANTED)
     plan = np.array([1, 6, 12, 17])
     at = np.concatenate([rows[k] for k in plan])
@@ -184,7 +185,7 @@ def test_payload_and_second_tool_tell_gravity_from_scale():
         strokes=(0.0, 0.08, 0.14, 0.2), payloads=(0.0, 100.0), points=15
     )
     separation = pool_runs(
-        p, stated_law(p), rows, [gap_a3.gravity], [gap_a3.encoder_scale]
+        p, STATED_LAW, rows, [gap_a3.gravity], [gap_a3.encoder_scale]
     )
     names = [(r.setup, r.name) for r in candidates]
     paper = np.array(
@@ -250,9 +251,7 @@ def test_the_told_plan_agrees_with_the_table_before_measuring():
     candidates, p, _ = laid_out()
     choice = choose.choose(pool(), Rules(size=4), np.random.default_rng(0))
     problem, _ = runs.prepare(p.measurement, [candidates[k] for k in choice.runs])
-    detection = detect.detect(
-        problem, stated_law(problem), WANTED, np.random.default_rng(0)
-    )
+    detection = detect.detect(problem, STATED_LAW, WANTED, np.random.default_rng(0))
     legs = next(t for t in choice.pairs if t.effect == "gravity")
     assert detection.effects[0].name == "gravity"
     assert detection.effects[0].detectability == pytest.approx(
@@ -297,7 +296,7 @@ def test_bad_input_is_refused_with_a_remedy():
             p.measurement, [runs.Run(name="a", setup="cup", command=command)] * 2
         )
     with pytest.raises(ValueError, match="nothing to tell apart"):
-        pool_runs(p, stated_law(p), rows, [gap_a3.gravity])
+        pool_runs(p, STATED_LAW, rows, [gap_a3.gravity])
     with pytest.raises(ValueError, match="cannot choose 40 different runs out of 20"):
         choose.choose(pool(), Rules(size=40), np.random.default_rng(0))
     with pytest.raises(ValueError, match="share of D"):

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
+from kernel.dense_noise import law_covariance
 from kernel.gap_lines import EFFECTS, SLIP, planted, readings, white_lines
 from oed.gap import procedure as diagnosing
 from oed.gap.cause.searches import detect_outliers
 from oed.gap.data.problem import GapProblem
 from oed.noise import outliers
-from oed.noise.law import describe, stated_law
+from oed.noise.law import STATED_LAW, describe
 
 
 def alone(problem: GapProblem) -> GapProblem:
@@ -95,7 +96,7 @@ def test_normal_readings_have_no_strays() -> None:
     twenty.
     """
     detected = [
-        detect_outliers(p, stated_law(p), np.zeros((len(p), 0)))
+        detect_outliers(p, STATED_LAW, np.zeros((len(p), 0)))
         for p in (white_lines(k, 5, 31) for k in range(12))
     ]
     assert sum(f is not None for f in detected) <= 1
@@ -108,7 +109,7 @@ def test_strays_are_told_and_no_others() -> None:
     y = problem.residual.copy()
     y[far] += 12.0 * rng.choice([-1.0, 1.0], 12)
     detected = detect_outliers(
-        problem.with_residual(y), stated_law(problem), np.zeros((len(problem), 0))
+        problem.with_residual(y), STATED_LAW, np.zeros((len(problem), 0))
     )
     assert detected is not None
     ordinary = np.delete(np.arange(len(problem)), far)
@@ -130,7 +131,7 @@ def test_what_is_left_tells_as_much_as_heavy_tails_allow(
     for _ in range(150):
         y = rng.standard_t(degrees, len(problem))
         detected = detect_outliers(
-            problem.with_residual(y), stated_law(problem), np.zeros((len(problem), 0))
+            problem.with_residual(y), STATED_LAW, np.zeros((len(problem), 0))
         )
         means.append(np.mean(y if detected is None else detected.pseudo_residual))
         plain_means.append(np.mean(y))
@@ -147,12 +148,10 @@ def test_strays_are_told_beside_a_model_of_many_columns() -> None:
     y = columns @ rng.standard_normal(columns.shape[1]) + rng.standard_normal(
         len(problem)
     )
-    assert (
-        detect_outliers(problem.with_residual(y), stated_law(problem), columns) is None
-    )
+    assert detect_outliers(problem.with_residual(y), STATED_LAW, columns) is None
     far = rng.choice(len(problem), 9, replace=False)
     y[far] += 15.0 * rng.choice([-1.0, 1.0], len(far))
-    detected = detect_outliers(problem.with_residual(y), stated_law(problem), columns)
+    detected = detect_outliers(problem.with_residual(y), STATED_LAW, columns)
     assert detected is not None
     moved = np.abs(detected.pseudo_residual - y)
     assert moved[far].min() > 5.0
@@ -164,12 +163,12 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     be they far off.
     """
     problem = readings(3)
-    law = dataclasses.replace(stated_law(problem), ar1_sd=2.0, ar1_length=8.0)
+    law = dataclasses.replace(STATED_LAW, ar1_sd=2.0, ar1_length=8.0)
     rng = np.random.default_rng(4)
     y = np.zeros(len(problem))
     for k, members in enumerate(problem.members):
         y[members] = np.linalg.cholesky(
-            law.covariance(problem, problem.members[k])
+            law_covariance(law, problem, problem.members[k])
         ) @ rng.standard_normal(len(members))
     far = np.arange(20, len(problem), 60)
     spoilt = y.copy()
@@ -206,8 +205,7 @@ def test_an_effect_is_found_in_heavy_tails_and_none_without_it() -> None:
 
 
 def test_a_law_in_words_tells_how_many_are_far_off() -> None:
-    problem = white_lines()
-    law = stated_law(problem)
+    law = STATED_LAW
     assert not any("far off" in words for words in describe(law))
     few = describe(dataclasses.replace(law, outlier_share=0.02))
     assert few[-1] == "about 2 % of the readings are far off"

@@ -13,7 +13,7 @@ from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data import laws
 from oed.gap.forms import discrepancy, library
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 
 #: root of the energy that is planted
 SIZE = 40.0
@@ -32,7 +32,7 @@ def test_an_effect_in_a_form_of_its_own_is_named_beside_the_unknown(seed: int) -
         problem, [book, departure], [0.75 * SIZE**2, 0.25 * SIZE**2]
     )
     acting = problem.with_residual(problem.residual + change)
-    best = compare([Search(acting, known, processes, stated_law(problem), 0.0)])[0]
+    best = compare([Search(acting, known, processes, STATED_LAW, 0.0)])[0]
     assert best.key == (frozenset({"bow"}), True)
 
 
@@ -43,7 +43,7 @@ def test_a_process_that_is_like_no_effect_is_unknown_alone(seed: int) -> None:
     part = some(processes, "an error of the readings over the workspace", rng)
     change = orthogonal_sum(problem, [part], [SIZE**2])
     acting = problem.with_residual(problem.residual + change)
-    best, *_ = compare([Search(acting, known, processes, stated_law(problem), 0.0)])
+    best, *_ = compare([Search(acting, known, processes, STATED_LAW, 0.0)])
     assert best.key == (frozenset(), True)
 
 
@@ -85,11 +85,11 @@ def test_what_settles_is_found_by_the_order_of_the_readings_where_no_time_is_tol
         library.build(problem, ()),
     )
     processes = discrepancy.build(problem)
-    best = compare([Search(acting, none, processes, stated_law(problem), 0.0)])[0]
+    best = compare([Search(acting, none, processes, STATED_LAW, 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     assert "time" in processes.atoms[best.process].effect
-    still = compare([Search(problem, none, processes, stated_law(problem), 0.0)])[0]
+    still = compare([Search(problem, none, processes, STATED_LAW, 0.0)])[0]
     assert still.key == (frozenset(), False)
 
 

@@ -17,7 +17,7 @@ from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy, library
 from oed.model.effect import State
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 
 
 def _with(problem: GapProblem, **changes: object) -> GapProblem:
@@ -42,7 +42,7 @@ def _best(
                     acting,
                     library.build(problem, ()),
                     processes,
-                    stated_law(problem),
+                    STATED_LAW,
                     0.0,
                 )
             ]

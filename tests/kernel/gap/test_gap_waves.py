@@ -15,7 +15,7 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, library, waves
 from oed.gap.forms.library import Library
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 
 
 def test_a_steady_wave_is_found_at_its_period() -> None:
@@ -25,14 +25,14 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     hum = np.where(dy, 2.0 * np.sin(2.0 * np.pi * time / 173.0 + 1.0), 0.0)
     none = library.build(problem, ())
     processes = waves.add(
-        none, problem.with_residual(problem.residual + hum), stated_law(problem)
+        none, problem.with_residual(problem.residual + hum), STATED_LAW
     )
     assert processes.atoms[0].constants["period_s"] == pytest.approx(173.0, rel=0.01)
     search = Search(
         problem.with_residual(problem.residual + hum),
         none,
         processes,
-        stated_law(problem),
+        STATED_LAW,
         0.0,
     )
     best = compare([search])[0]
@@ -40,8 +40,8 @@ def test_a_steady_wave_is_found_at_its_period() -> None:
     quiet = Search(
         problem,
         none,
-        waves.add(none, problem, stated_law(problem)),
-        stated_law(problem),
+        waves.add(none, problem, STATED_LAW),
+        STATED_LAW,
         0.0,
     )
     assert compare([quiet])[0].key == (frozenset(), False)
@@ -97,10 +97,8 @@ def _waved(problem: GapProblem, wave: np.ndarray) -> tuple[Library, Hypothesis]:
         problem.residual + np.where(problem.rows["channel"] == "dy", wave, 0.0)
     )
     none = library.build(problem, ())
-    processes = waves.add(none, acting, stated_law(problem))
-    return processes, compare(
-        [Search(acting, none, processes, stated_law(problem), 0.0)]
-    )[0]
+    processes = waves.add(none, acting, STATED_LAW)
+    return processes, compare([Search(acting, none, processes, STATED_LAW, 0.0)])[0]
 
 
 def _periods(processes: Library, unit: str) -> list[float]:
@@ -144,9 +142,9 @@ def test_a_wave_of_a_joint_along_its_travel_is_found_at_its_period() -> None:
         library.build(problem, ()),
         problem.with_residual(problem.residual + change),
     )
-    processes = waves.add(none, acting, stated_law(problem))
+    processes = waves.add(none, acting, STATED_LAW)
     assert _periods(processes, "travel_m")[0] == pytest.approx(0.037, rel=0.002)
-    best = compare([Search(acting, none, processes, stated_law(problem), 0.0)])[0]
+    best = compare([Search(acting, none, processes, STATED_LAW, 0.0)])[0]
     assert best.key == (frozenset(), True)
     assert best.process is not None
     assert processes.atoms[best.process].constants["period_travel_m"] == pytest.approx(

@@ -13,7 +13,7 @@ from oed.gap.cause.scatter import Energies, replicates, shape
 from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import UNKNOWN_SIZES
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from pkm_models.effects.encoder_scale import effect
 from pkm_models.instruments.pose_tracker import position
 from pkm_models.machines.planar_2dof import machine
@@ -54,7 +54,7 @@ def test_what_differs_between_readings_taken_again_is_the_variance_within_poses(
     of = problem(3.0, on_the_spot=False)
     again = replicates(of)
     assert not again.on_the_spot
-    energy, freedom = again.energy(of, stated_law(of))
+    energy, freedom = again.energy(of, STATED_LAW)
     by_pose = of.residual.reshape(TIMES, 2 * POSES, 3)
     expected = ((by_pose - by_pose.mean(axis=0)) ** 2).sum()
     assert energy == pytest.approx(expected, rel=1e-9)
@@ -67,7 +67,7 @@ def test_long_sessions_count_some_of_their_poses(
     of = problem(3.0, on_the_spot=False)
     monkeypatch.setattr("oed.gap.cause.scatter.MOST", 20)
     again = replicates(of)
-    _, freedom = again.energy(of, stated_law(of))
+    _, freedom = again.energy(of, STATED_LAW)
     assert len(again.rows) == TIMES * 20
     assert freedom == (TIMES - 1) * 20
 
@@ -119,5 +119,5 @@ def test_the_same_scatter_without_a_recurring_part_is_noise() -> None:
 
 def test_a_run_that_scatters_more_is_named() -> None:
     of = problem(0.0, on_the_spot=False, loud_run=2.5)
-    assert shape(of, stated_law(of)) == "run 4"
-    assert shape(problem(0.0, on_the_spot=False), stated_law(of)) == "white"
+    assert shape(of, STATED_LAW) == "run 4"
+    assert shape(problem(0.0, on_the_spot=False), STATED_LAW) == "white"

@@ -21,7 +21,7 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import assemble
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
-from oed.noise.law import stated_law
+from oed.noise.law import STATED_LAW
 from pkm_models.effects import encoder_scale, gravity
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines import planar_2dof
@@ -120,7 +120,7 @@ def unloaded(size: float = 10.0) -> Diagnosis:
     change = problem.in_noise_units(form.columns[:, 0])
     noise = np.random.default_rng(8).standard_normal(len(problem))
     problem = with_readings(problem, size * change + noise)
-    return procedure.explain_residuals(problem, EFFECTS, law=stated_law(problem))
+    return procedure.explain_residuals(problem, EFFECTS, law=STATED_LAW)
 
 
 def test_what_was_not_read_under_load_is_to_be_read_under_load() -> None:

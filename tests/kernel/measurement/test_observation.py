@@ -77,7 +77,7 @@ def test_noise_carried_along_falls_with_the_distance(
     _, series = circle
     setup = sharing(stating(carried=0.4, reach=2.0), 0, 0.6)
     m = Measurement(a3_head.machine, [setup])
-    noise = stated_noise(m.of(series), series)
+    noise = stated_noise([(m.of(series), series)])
     apart = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
     along = 0.4 * np.exp(-apart / 2.0) + 0.6 * np.eye(8)
     covariance = 0.25e-12 * along + 0.09e-12

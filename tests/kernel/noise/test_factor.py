@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import linalg
 
-from oed.base.arrays import Array, Index
-from oed.noise.factor import DenseFactor, Errors, LinearFactor
-from oed.noise.hold_out import Chains, DenseInnovations, LinearInnovations
+from oed.base.arrays import Array
+from oed.noise.factor import Errors, LinearFactor
+from oed.noise.hold_out import Chains, Innovations
 
 N, STARTS = 14, (0, 6)
 CARRIED = np.repeat([0.6, 0.3, 0.9], (6, 4, 4))  # of each chain
@@ -71,42 +70,15 @@ def test_a_linear_factor_is_that_of_its_covariance(
     assert_allclose(again, inverse @ values, atol=1e-10)
 
 
-def segments(errors: Errors) -> tuple[list[Index], list[Array]]:
-    parts = [errors.order[:6], errors.order[6:]]
-    dense = in_place(errors)
-    return parts, [dense[np.ix_(part, part)] for part in parts]
-
-
-def test_a_dense_factor_is_that_of_its_segments(
-    errors: Errors, rng: np.random.Generator
-) -> None:
-    parts, blocks = segments(errors)
-    factor, dense = DenseFactor(parts, blocks), in_place(errors)
-    values, inverse = rng.standard_normal((N, 3)), np.linalg.inv(dense)
-    assert factor.log_det == pytest.approx(np.linalg.slogdet(dense)[1])
-    root = np.linalg.cholesky(linalg.block_diag(*blocks))
-    triangular = np.linalg.solve(root, values[errors.order])
-    assert_allclose(factor.whiten(values), triangular, atol=1e-10)
-    assert_allclose(factor.precision(values), inverse @ values, atol=1e-10)
-    assert_allclose(factor.precision_diagonal(), np.diag(inverse), rtol=1e-9)
-
-
-@pytest.mark.parametrize("kind", ["linear", "dense"])
 def test_innovations_are_those_of_conditioning(
-    kind: str, errors: Errors, rng: np.random.Generator
+    errors: Errors, rng: np.random.Generator
 ) -> None:
     """In squares: their sum is the distance from what the other readings predict."""
     held, values = rng.permutation(N)[:5], rng.standard_normal((N, 2))
     dense = in_place(errors)
-    if kind == "linear":
-        factor = LinearFactor(errors)
-        assert Chains.suit(errors)
-        innovations = LinearInnovations(factor, Chains(errors), held)
-        scored = factor.scored(factor.standardise(values))
-    else:
-        whole = DenseFactor(*segments(errors))
-        innovations = DenseInnovations(whole, held)
-        scored = whole.scored(whole.standardise(values))
+    factor = LinearFactor(errors)
+    innovations = Innovations(factor, Chains(errors), held)
+    scored = factor.scored(factor.standardise(values))
     white = innovations.innovations(scored)
     others = np.setdiff1d(np.arange(N), held)
     gain = np.linalg.solve(dense[np.ix_(others, others)], dense[np.ix_(others, held)])

@@ -50,11 +50,9 @@ def covariance(structure: ReadingStructure, laws: Laws, k: int) -> np.ndarray:
             value = 0.0
             if a == b:
                 lag = abs(structure.position[i] - structure.position[j])
-                value += laws.carried[k, structure.group[i]] * np.exp(
-                    -lag / laws.reach[k]
-                )
+                value += laws.carried[k] * np.exp(-lag / laws.reach[k])
             if i == j:
-                value += 1.0 - laws.carried[k, structure.group[i]]
+                value += 1.0 - laws.carried[k]
             if structure.run[a] == structure.run[b]:
                 for c, kind in enumerate(structure.kinds):
                     product = structure.columns[i, c] * structure.columns[j, c]

@@ -12,20 +12,19 @@ import pandas as pd
 import pytest
 from oracles import a3_geometry as a3
 from reference import tian_2016 as paper
-from scipy import stats
+from scipy import linalg, stats
 
 from kernel import a3_plans
-from kernel.dense_noise import dense_covariance
+from kernel.dense_noise import dense_covariance, law_covariance
 from oed.accuracy.budget import budget_model
 from oed.design import candidates
 from oed.estimation.identification import identify
 from oed.gap.data import laws as gap_laws
 from oed.gap.data.problem import assemble
-from oed.measurement import reading_noise, simulation
+from oed.measurement import simulation
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_structure import reading_structure
 from oed.noise import prior
-from oed.noise.covariance import SeveralNoises
 from oed.noise.outliers import Precision, StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -106,8 +105,7 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
     series = circles(m)
     exact = expected(series, run)
     noise = m.noise([series])
-    assert noise.root is not None
-    covariance = (noise.root @ noise.root.T).toarray()
+    covariance = np.linalg.inv(noise.precision(np.eye(24)))
     assert covariance == pytest.approx(exact, rel=1e-9, abs=1e-9 * SIGMA**2)
     assert noise.sigma == pytest.approx(np.sqrt(np.diag(exact)))
     structure = reading_structure(m, [series], m.nominal)
@@ -123,28 +121,45 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
 
 
 @pytest.mark.parametrize("run", [0.0, RUN])
-def test_the_stated_noise_of_long_runs_is_that_of_short_ones(
-    run: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The factor in linear time against the covariances of runs, written out."""
+def test_the_stated_noise_is_that_of_its_covariance(run: float) -> None:
+    """Of two series, one times a factor: every product against the dense covariance."""
     levels = frozenset({"length"}) if run else frozenset()
     m = stating(dataclasses.replace(STATED, levels=levels), run)
     series, rng = circles(m), np.random.default_rng(4)
-    short = m.noise([series, series])
-    monkeypatch.setattr(reading_noise, "DENSE_MOST", 4)
-    long = m.noise([series, series])
-    assert isinstance(long, SeveralNoises)
-    factor = np.repeat(rng.uniform(0.5, 2.0, 6), 8)
-    for one, other in ((short, long), (short.scaled(factor), long.scaled(factor))):
-        values = rng.standard_normal((48, 2))
-        assert other.sigma == pytest.approx(one.sigma)
-        assert other.precision(values) == pytest.approx(one.precision(values))
-        assert other.precision_diagonal() == pytest.approx(one.precision_diagonal())
+    one = expected(series, run)
+    exact = linalg.block_diag(one, one)
+    wider = exact * 1.7**2
+    noise, values = m.noise([series, series]), rng.standard_normal((48, 2))
+    for other, covariance in ((noise, exact), (noise.scaled(1.7), wider)):
+        inverse, root = np.linalg.inv(covariance), np.linalg.cholesky(covariance)
+        assert other.sigma == pytest.approx(np.sqrt(np.diag(covariance)))
+        assert other.precision(values) == pytest.approx(inverse @ values)
+        assert other.precision_diagonal() == pytest.approx(np.diag(inverse))
         white = other.whiten(values)
-        assert white.T @ white == pytest.approx(values.T @ one.precision(values))
+        assert white.T @ white == pytest.approx(values.T @ inverse @ values)
         assert other.whiten_last(values.T) == pytest.approx(white.T)
-        draws = [n.draw(np.random.default_rng(1), (3, 48)) for n in (one, other)]
-        assert draws[1] == pytest.approx(draws[0], rel=1e-9, abs=1e-9 * SIGMA)
+        errors = other.draw(np.random.default_rng(1), (3, 48))
+        normal = np.random.default_rng(1).standard_normal((3, 48))
+        assert errors == pytest.approx(normal @ root.T, rel=1e-9, abs=1e-9 * SIGMA)
+
+
+def test_series_with_and_without_related_readings_stand_together() -> None:
+    m = stating(dataclasses.replace(STATED, levels=frozenset({"length"})), RUN)
+    related, alone = circles(m).setup, "alone"
+    setup = dataclasses.replace(a3_plans.measurement().setups[related], name=alone)
+    both = m.with_setups([m.setups[related], setup])
+    series = [circles(both), dataclasses.replace(circles(both), setup=alone)]
+    parts = [both.noise([one]) for one in series]
+    whole, values = (
+        both.noise(series),
+        np.random.default_rng(2).standard_normal((48, 2)),
+    )
+    assert parts[1].is_independent
+    expected_parts = [
+        n.precision(v) for n, v in zip(parts, np.split(values, 2), strict=True)
+    ]
+    assert whole.precision(values) == pytest.approx(np.concatenate(expected_parts))
+    assert whole.sigma == pytest.approx(np.concatenate([n.sigma for n in parts]))
 
 
 def test_designs_take_the_seating_as_unknowns_of_each_run() -> None:
@@ -275,7 +290,7 @@ def test_the_diagnosis_takes_what_is_stated_as_known() -> None:
     law = gap_laws.posterior(problem, problem.slopes[:, :0])
     assert law.draws.shape[1] == 0
     for k, members in enumerate(problem.members):
-        block = law.mode.covariance(problem, problem.members[k]) * np.outer(
+        block = law_covariance(law.mode, problem, problem.members[k]) * np.outer(
             *2 * [problem.sigma[members]]
         )
         exact = expected(series, RUN)[np.ix_(members, members)]

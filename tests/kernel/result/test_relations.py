@@ -204,7 +204,7 @@ def fields(*breaches: Iterator[Breach]) -> list[str]:
 
 def test_numbers_that_no_result_has_are_found_anywhere() -> None:
     tree = {"a": [1.0, {"b": float("inf")}], "c": (2.0, -1e101), "d": "text"}
-    assert fields(base.number_breaches("", tree)) == ["a[2].b", "c[2]"]
+    assert fields(base.value_breaches("", tree)) == ["a[2].b", "c[2]"]
 
 
 @pytest.mark.parametrize("place", ["seconds", "estimate/chi2", "estimate/residuals/3"])
@@ -241,7 +241,7 @@ def test_ranges_and_orders_include_their_ends() -> None:
 @pytest.mark.parametrize(
     ("part", "change", "field"),
     [
-        (plans, put("machine/parameters/0/unit", "furlong"), "machine.parameters"),
+        (plans, put("machine/parameters/0/name", 3), "machine.parameters"),
         (readings, put("estimate/covariance", [[1.0]]), "estimate.covariance"),
         (accuracy, put("acceptance/poses", []), "acceptance.poses"),
         (causes, put("gap/verdict", "maybe"), "gap.verdict"),

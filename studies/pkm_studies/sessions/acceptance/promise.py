@@ -9,10 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from oed.accuracy.acceptance import Promise
-from oed.accuracy.maps import ErrorMaps, Reference, error_maps
+from oed.accuracy.maps import ErrorMaps, Reference, driven_errors, error_maps
 from oed.base import units
 from oed.base.arrays import Array
-from oed.compensate.export_errors import known_errors
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Component, Machine
 from oed.result import (
@@ -211,7 +210,10 @@ def _further(
     if not chosen or parameters is None:
         return None
     try:
-        known = known_errors(kinematics, maps.command, parameters.values, reference)
+        values = parameters.values
+        known = driven_errors(
+            kinematics, maps.command, values, reference, believed=values
+        )
     except AssemblyError:
         return None
     components = tuple(machine.components[k] for k in chosen)

@@ -213,10 +213,10 @@ def _certified(problem: DesignProblem, criterion: Criterion, chosen: Index) -> C
     bound = bounds.bound(c.blocks, criterion, problem.rules, c.prior_information)
     return dataclasses.replace(
         choice,
-        bound=criterion.conventional_value(bound.value, len(chosen)),
+        bound=criterion.conventional_value(bound.bound, len(chosen)),
         duality_gap=bound.duality_gap,
-        efficiency=float(np.exp(min(log_phi - bound.value, 0.0))),
-        proven=bound.value - log_phi <= exchange.PROVEN,
+        efficiency=float(np.exp(min(log_phi - bound.bound, 0.0))),
+        proven=bound.bound - log_phi <= exchange.PROVEN,
     )
 
 

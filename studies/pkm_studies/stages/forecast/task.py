@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from oed.accuracy.maps import controller_errors
+from oed.accuracy.maps import driven_errors
 from oed.base.arrays import Array
 from oed.compensate import GridAxis, box_axes
 from oed.compensate.error_field import Kernel, expected_kernel, joint_size
@@ -86,7 +86,7 @@ class ForecastTask:
         if self.knowledge is None or has_estimate:
             return np.zeros((len(command), len(self.expected)))
         machine = self.kinematics.machine
-        errors = controller_errors(
+        errors = driven_errors(
             self.kinematics, command, self.knowledge.values, self.model.reference
         )
         return errors[:, [c.compensatable for c in machine.components]]

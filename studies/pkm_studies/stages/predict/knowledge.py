@@ -14,8 +14,7 @@ from oed.accuracy.budget.lines import mean_products, mean_variance
 from oed.accuracy.maps import (
     ErrorMaps,
     Reference,
-    compensated_errors,
-    controller_errors,
+    driven_errors,
     error_maps,
     maps_by_reference,
 )
@@ -77,7 +76,7 @@ class ParameterKnowledge:
         if kinematics.controller is None:
             return None
         expected = kinematics.machine.nominal + self.centre
-        return controller_errors(kinematics, command, expected, reference, tool)
+        return driven_errors(kinematics, command, expected, reference, tool=tool)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -330,7 +329,8 @@ def _remaining(
     identified = kinematics.machine.nominal + known.mean
     sent = identified if known.sent is None else known.sent
     try:
-        errors = compensated_errors(kinematics, command, sent, identified[None], tool)
+        return driven_errors(
+            kinematics, command, identified, reference, believed=sent, tool=tool
+        )
     except AssemblyError:
         return None
-    return np.asarray(errors[0])

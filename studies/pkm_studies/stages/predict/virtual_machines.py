@@ -6,16 +6,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from oed import compensate
 from oed.accuracy import prediction
-from oed.accuracy.maps import components_against
+from oed.accuracy.maps import driven_errors
 from oed.accuracy.prediction import Reference, Spread
 from oed.base.arrays import Array
 from oed.estimation.machine_fits import fit_machines
 from oed.measurement import simulation
 from oed.measurement.measurement import Measurement, Series
-from oed.mechanism.kinematics import Kinematics
-from oed.mechanism.pose_errors import NO_TOOL
 
 #: machines that go through the check together
 TOGETHER = 50
@@ -49,7 +46,11 @@ def realised_accuracy(
         truth, y = _draw_machines(measurement, series, machines, rng)
         theta = fit_machines(measurement, series, y, stages=stages)
         identified, true = theta[:, :keep], truth[:, :keep]
-        errors.append(errors_after(measurement, command, reference, identified, true))
+        errors.append(
+            driven_errors(
+                measurement.kinematics, command, true, reference, believed=identified
+            )
+        )
         if progress is not None:
             progress((start + machines) / count)
     table = np.concatenate(errors)
@@ -57,26 +58,6 @@ def realised_accuracy(
         c.name: prediction.error_spread(table[:, :, k])
         for k, c in enumerate(measurement.machine.components)
     }
-
-
-def errors_after(
-    measurement: Measurement,
-    command: Array,
-    reference: Reference,
-    identified: Array,
-    true: Array,
-) -> Array:
-    """Exact pose errors (m, n, k), SI, of m machines driven with identified parameters.
-
-    command           (n, n_dof), SI
-    identified, true  (m, np) parameters, SI
-
-    Raises AssemblyError.
-    """
-    kinematics = measurement.kinematics
-    poses = np.vstack([command, measurement.machine.home_command])
-    twists = _remaining_twists(kinematics, poses, identified, true)
-    return components_against(kinematics, command, twists, reference)
 
 
 def _draw_machines(
@@ -97,24 +78,3 @@ def _draw_machines(
         errors.append(noise.draw(rng, (len(noise.sigma),)))
     exact = measurement.readings(series, np.array(truth))
     return np.array(truth), exact + np.array(errors)
-
-
-def _remaining_twists(
-    kinematics: Kinematics, command: Array, identified: Array, true: Array
-) -> Array:
-    """Pose errors (m, n, 6) at commands (n, n_dof), driven with identified parameters.
-
-    Parameters (m, np) identified and true, SI. Raises AssemblyError.
-    """
-    m, n = len(true), len(command)
-    x, _ = kinematics.inverse(command)
-    wanted_rotation, wanted_point, _ = kinematics.frames(x, NO_TOOL)
-    of_all = np.tile(command, (m, 1))
-    q = compensate.compensated_joints(kinematics, of_all, np.repeat(identified, n, 0))
-    start = np.tile(x, (m, 1))
-    reached = kinematics.forward_per_pose(q, np.repeat(true, n, 0), start)
-    rotation, point, _ = kinematics.frames(reached, NO_TOOL)
-    shape = (m, n, 3)
-    return compensate.twist_between(
-        wanted_rotation, wanted_point, rotation.reshape(*shape, 3), point.reshape(shape)
-    )

@@ -1,0 +1,64 @@
+"""The true covariance of readings in place of an estimated noise law."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from oed.base.arrays import Array
+from oed.gap.data.problem import GapProblem
+from oed.noise.factor import Errors
+from oed.noise.law import NoiseLaw
+from oed.noise.runs import RunLayout, Runs
+
+
+@dataclasses.dataclass(frozen=True)
+class TrueLaw(NoiseLaw):
+    """The true covariance of the readings in place of a law's.
+
+    true    (N, N) in units of the stated noise
+    """
+
+    true: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+
+    def errors(self, runs: Runs, layout: RunLayout) -> Errors:
+        """As in `NoiseLaw`: half the least variance of each segment, and what it shares."""
+        order, ends = layout.order, np.append(layout.starts[1:], len(layout.order))
+        shared = np.zeros((len(order), int(np.diff(ends, prepend=0).max())))
+        single = np.empty(len(order))
+        for start, end, members in zip(
+            layout.starts, ends, np.split(order, layout.starts[1:]), strict=True
+        ):
+            values, axes = np.linalg.eigh(self.true[np.ix_(members, members)])
+            single[start:end] = 0.5 * values[0]
+            roots = np.sqrt(values - 0.5 * values[0])
+            shared[start:end, : end - start] = axes * roots
+        nothing = np.zeros(len(order))
+        return Errors(
+            order=order,
+            starts=layout.starts,
+            before=np.arange(len(order)),
+            decay=nothing,
+            single=single,
+            carried=nothing,
+            shared=shared,
+            scale=np.ones(len(order)),
+        )
+
+
+def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
+    """The law of a covariance (N, N), SI.
+
+    Raises ValueError where it relates readings of different runs.
+    """
+    covariance = sigma / np.outer(problem.sigma, problem.sigma)
+    across = covariance.copy()
+    for members in problem.members:
+        across[np.ix_(members, members)] = 0.0
+    if float(np.abs(across).max(initial=0.0)) > 1e-9:
+        raise ValueError(
+            "the true noise relates readings of different runs; the law of a diagnosis"
+            " cannot"
+        )
+    return TrueLaw(0.0, 0.0, 1.0, true=covariance)
