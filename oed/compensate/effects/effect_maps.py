@@ -83,6 +83,8 @@ def workspace_state(
     """The machine's state at commands, then at home, in drawn states of the session.
 
     The commands are those of a tool point (3,), which no set-up's tool replaces. The
+    joints are those of a controller that knows the parameters `theta`: where an effect is
+    periodic in them, a correction of some tenths of a millimetre shifts its phase. The
     machine moves from one command to the next, or stands at each of them (`still`).
 
     At home the states are those of the session's first reading. Covariates that the
@@ -91,7 +93,8 @@ def workspace_state(
     """
     measurement, first = session.measurement, session.states[0]
     poses = measurement.machine.and_home(command, tool)
-    x, q = measurement.kinematics.inverse(poses, None, tool)
+    sent = theta[: len(measurement.machine.parameters)]
+    x, q = measurement.kinematics.inverse(poses, sent, tool)
     index = np.arange(len(poses))[:, None]
     run = index[:, 0].astype(str) if still else np.array(["1"] * len(poses))
     series = Series(first.setup, q, x, poses, index, run)

@@ -124,3 +124,18 @@ def test_joints_go_no_faster_than_recorded_unless_a_feed_in_use_says_so() -> Non
     faster = in_use(problem, {"feed": np.array([FEED])})
     ratio = np.abs(faster.rate[:-1]).max(axis=1) / np.abs(state.rate[:-1]).max(axis=1)
     assert ratio.min() >= FEED / 1e-3 * (1.0 - 1e-9)
+
+
+def test_the_joints_are_those_that_hold_the_command_on_the_identified_machine() -> None:
+    """A leg 5 mm longer: its joint differs by some 5 mm, and the tool stays in place."""
+    problem = session(("one",))
+    theta = problem.theta.copy()
+    (leg,) = [k for k, p in enumerate(machine.parameters) if p.name == "dl1"]
+    theta[leg] += 5e-3
+    of = SessionStates.of(problem)
+    moved = workspace_state(of, theta, COMMAND, np.random.default_rng(1))
+    nominal = in_use(problem)
+    np.testing.assert_allclose(moved.tool, nominal.tool, atol=1e-9)
+    change = np.abs(moved.joints - nominal.joints)
+    assert change[:, 0].min() > 4e-3
+    assert change[:, 1:].max() < 1e-9
