@@ -27,6 +27,15 @@ Run = Callable[..., tuple[int, str, str]]
 FOLDER = Path(__file__).resolve().parent
 
 
+#: the small study with half of its readings, where their number does not matter
+FEW = sample.changed(gap_fixture.STUDY, ("count = 24", "count = 12"))
+#: accuracy at two poses in place of a whole workspace
+PREDICTION = """
+[prediction]
+z_mm = 1176.0
+psi_deg = [0.0, 120.0]
+theta_deg = 20.0
+"""
 pytestmark = pytest.mark.usefixtures("own_folder")
 
 
@@ -70,7 +79,7 @@ class Diagnosed:
 def virtual(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
     """The diagnosis of readings of the virtual machine; of another seed than the study's."""
     folder = tmp_path_factory.mktemp("virtual")
-    study = gap_fixture.written(folder, gap_fixture.STUDY + CLAIMS)
+    study = gap_fixture.written(folder, FEW + PREDICTION + CLAIMS)
     err, out = io.StringIO(), folder / "out"
     command = ["diagnose", str(study), "--out", str(out), "--quiet", "--seed", "8"]
     with contextlib.redirect_stderr(err):
@@ -172,7 +181,7 @@ def test_the_schema_has_the_tables() -> None:
 
 
 def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
-    study = gap_fixture.written(tmp_path)
+    study = gap_fixture.written(tmp_path, gap_fixture.STUDY + PREDICTION)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     code, out, err = oed("diagnose", study, "--readings", "r.csv", "--out", "out")
     assert (code, err) == (0, "")
@@ -201,7 +210,7 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
 def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
     oed: Run, tmp_path: Path
 ) -> None:
-    stated = gap_fixture.STUDY.replace("[noise]", "[noise]\nestimate = false")
+    stated = FEW.replace("[noise]", "[noise]\nestimate = false")
     study = gap_fixture.written(tmp_path, stated)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     assert oed("diagnose", study, "--out", "simulated", "--quiet") == (0, "", "")
@@ -257,9 +266,7 @@ def test_nothing_to_diagnose(oed: Run, tmp_path: Path) -> None:
 def test_a_study_without_a_table_is_diagnosed_with_all_effects(
     oed: Run, tmp_path: Path
 ) -> None:
-    study = gap_fixture.written(
-        tmp_path, gap_fixture.STUDY[: gap_fixture.STUDY.index("[gap]")]
-    )
+    study = gap_fixture.written(tmp_path, FEW[: FEW.index("[gap]")])
     assert oed("diagnose", study, "--out", "x", "--quiet")[0] == 0
     decoded = json.loads((tmp_path / "x/result.json").read_text())
     assert "gravity" in decoded["gap"]["tried"]
@@ -293,7 +300,7 @@ def test_two_sessions_together_are_as_one_file_of_both(
     oed: Run, tmp_path: Path
 ) -> None:
     """And a third session finds both in the second's folder."""
-    study = gap_fixture.written(tmp_path)
+    study = gap_fixture.written(tmp_path, FEW + PREDICTION)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     _two_sessions(tmp_path)
     options = ("diagnose", study, "--quiet", "--out")
