@@ -27,8 +27,8 @@ STUDY = (
         ("html = false", "html = true"),
         ("readings = 21", "readings = 24"),
     )
-    + "\n[readings]\nsimulate = true\n[posterior]\nsteps = 80\ness = 40\n"
-    "[prediction]\nvirtual_machines = 4\n"
+    + "\n[readings]\nsimulate = true\n[posterior]\nsteps = 300\ness = 200\n"
+    "[prediction]\nvirtual_machines = 20\n"
     'z_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = [10.0, 20.0]\nreference = "home"\n'
 )
 #: kernels of very different instructions
