@@ -205,6 +205,11 @@ MACHINES = {
 
 def readings(machine: str, seed: int, law: str = "white") -> pd.DataFrame:
     """The table of a drawn machine; that of another one is in its `attrs`."""
+    return _drawn(machine, seed, law).copy()
+
+
+@functools.cache
+def _drawn(machine: str, seed: int, law: str) -> pd.DataFrame:
     rng = np.random.default_rng([2031, seed, list(MACHINES).index(machine)])
     rows = MACHINES[machine].readings(rng, law)
     rows.attrs["other"] = MACHINES[machine].readings(rng, law)
@@ -218,15 +223,20 @@ def session(machine: str, rows: pd.DataFrame) -> checks.SessionReadings:
         path = Path(folder) / "some.readings.csv"
         rows.to_csv(path, index=False, float_format="%.10g")
         data = dataset.load(path, measurement)
-    used = list(dict.fromkeys(s.setup for s in data.series))
-    mounted = [measurement.setups[name] for name in used]
+    used = tuple(dict.fromkeys(s.setup for s in data.series))
     return checks.session(
-        measurement.with_setups(mounted),
+        _with_setups(machine, used),
         data.series,
         data.y,
         data.covariates,
         data.columns,
     )
+
+
+@functools.cache
+def _with_setups(machine: str, names: tuple[str, ...]) -> Measurement:
+    measurement = MACHINES[machine].measurement()
+    return measurement.with_setups([measurement.setups[name] for name in names])
 
 
 def check(machine: str, rows: pd.DataFrame) -> checks.CheckedSession:

@@ -79,6 +79,24 @@ calliper,d2,2,400,420,380,,64.8
 """
 
 
+FIGURES = "def figures(setting, seed):\n    return {'sum': seed + setting['one']}\n"
+CAMPAIGN = """\
+schema = 1
+name = "own"
+case = "own_case.py:figures"
+seeds = 2
+[vary]
+one = {one}
+"""
+
+
+def write_campaign(folder: Path, one: list[int]) -> None:
+    """own.campaign.toml with two seeds of each value, and the file of its case."""
+    text = CAMPAIGN.format(one=one)
+    (folder / "own_case.py").write_text(FIGURES, encoding="utf-8")
+    (folder / "own.campaign.toml").write_text(text, encoding="utf-8")
+
+
 def changed(text: str, *changes: tuple[str, str]) -> str:
     """The text with each change made; fails where there is nothing to change."""
     for old, new in changes:

@@ -8,6 +8,7 @@ from pathlib import Path
 import bar_readings
 import numpy as np
 import pytest
+import sample
 
 from pkm_studies.commands import cli
 
@@ -48,7 +49,13 @@ pdf = false
 """
 
 
-def write(folder: Path, readings: bar_readings.Readings) -> tuple[Path, Path]:
+#: the same study where its report is not the matter
+WITHOUT_REPORT = sample.changed(STUDY, ("pdf = false", "html = false\npdf = false"))
+
+
+def write(
+    folder: Path, readings: bar_readings.Readings, text: str = STUDY
+) -> tuple[Path, Path]:
     """The study, and the readings as their file."""
     rows = ["setup,run,order,z_mm,psi_deg,theta_deg,length_mm"]
     y = iter(1e3 * readings.y)
@@ -60,13 +67,13 @@ def write(folder: Path, readings: bar_readings.Readings) -> tuple[Path, Path]:
                 f"{setup},{run},{k % bar_readings.POINTS + 1},{pose},{next(y):.9g}"
             )
     study, table = folder / "loud.study.toml", folder / "r.csv"
-    study.write_text(STUDY, encoding="utf-8")
+    study.write_text(text, encoding="utf-8")
     table.write_text("\n".join([*rows, ""]), encoding="utf-8")
     return study, table
 
 
-def identify(folder: Path, readings: bar_readings.Readings) -> int:
-    study, table = write(folder, readings)
+def identify(folder: Path, readings: bar_readings.Readings, text: str = STUDY) -> int:
+    study, table = write(folder, readings, text)
     out = str(folder / "fit")
     return cli.main(["identify", str(study), "--readings", str(table), "--out", out])
 
@@ -97,7 +104,7 @@ def test_an_outlier_is_named_and_set_aside(
     readings = bar_readings.a3_readings(0)
     y = readings.y.copy()
     y[17] += 50 * bar_readings.SIGMA
-    assert identify(tmp_path, readings.with_y(y)) == 0
+    assert identify(tmp_path, readings.with_y(y), WITHOUT_REPORT) == 0
     assert "Row 19, column length_mm" in capsys.readouterr().out
     result = json.loads((tmp_path / "fit/result.json").read_text())
     assert [o["row"] for o in result["goodness"]["outliers"]] == [19]

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import page_server
 import pytest
+import sample
 
 import oed
 import pkm_models
@@ -31,15 +32,6 @@ import sys
 from pkm_studies.commands.cli import main
 if __name__ == "__main__":
     sys.exit(main())
-"""
-FIGURES = "def figures(setting, seed):\n    return {'sum': seed + setting['one']}\n"
-CAMPAIGN = """\
-schema = 1
-name = "own"
-case = "own_case.py:figures"
-seeds = 2
-[vary]
-one = [1, 2]
 """
 #: arguments by command, in an order in which each finds what it needs
 CALLS = {
@@ -76,8 +68,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder.parent / "oed_script.py").write_text(SCRIPT, encoding="utf-8")
     text = page_server.STUDY + "\n[posterior]\nenabled = false\n"
     (folder / "s.study.toml").write_text(text, encoding="utf-8")
-    (folder / "own_case.py").write_text(FIGURES, encoding="utf-8")
-    (folder / "own.campaign.toml").write_text(CAMPAIGN, encoding="utf-8")
+    sample.write_campaign(folder, [1, 2])
     trap = f"with open({str(folder / 'ran')!r}, 'a') as f: f.write(__name__ + ' ')\n"
     for name in names():
         (folder / f"{name}.py").write_text(trap, encoding="utf-8")

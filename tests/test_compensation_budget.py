@@ -152,13 +152,14 @@ def test_a_budget_without_effects_is_not_that_over_all_answers(
 ) -> None:
     """Each figure says of which machine it is, where a diagnosis corrects nothing."""
     folder = tmp_path / "out"
-    exported(folder, np.array([10.0, 5.0, 5.0]), "json")
+    few = ("--commands", "120")
+    exported(folder, np.array([10.0, 5.0, 5.0]), "json", options=few)
     gap = report_fixture.result_of(whole()).gap
     assert gap is not None
     gap = msgspec.structs.replace(gap, verdict="none")
     sample.save(folder, msgspec.structs.replace(load_result(folder), gap=gap))
     capsys.readouterr()
-    assert cli.main(["compensate", str(folder), "--to", "json"]) == 0
+    assert cli.main(["compensate", str(folder), "--to", "json", *few]) == 0
     printed = capsys.readouterr().out
     assert "Predicted rms over all answers: " in printed
     assert "With this file the predicted rms of a machine without effects is" in printed

@@ -23,15 +23,6 @@ STUDY = (
     + "[readings]\nfiles = ['r.csv']\n[posterior]\nsteps = 100\n"
     + "[report]\nhtml = false\npdf = false\n"
 )
-FIGURES = "def figures(setting, seed):\n    return {'sum': seed + setting['one']}\n"
-CAMPAIGN = """\
-schema = 1
-name = "own"
-case = "own_case.py:figures"
-seeds = 2
-[vary]
-one = [1]
-"""
 
 
 class Disk:
@@ -61,8 +52,7 @@ def folder(tmp_path: Path) -> Path:
     (folder / "s.study.toml").write_text(STUDY, encoding="utf-8")
     (folder / "r.csv").write_text(sample.DELTA_READINGS, encoding="utf-8")
     (folder / "p.study.toml").write_text(sample.STUDY, encoding="utf-8")
-    (folder / "own_case.py").write_text(FIGURES, encoding="utf-8")
-    (folder / "own.campaign.toml").write_text(CAMPAIGN, encoding="utf-8")
+    sample.write_campaign(folder, [1])
     return folder
 
 

@@ -39,11 +39,17 @@ LONG_COMMANDS = {
     "tutorial_tripod": "oed compensate tricept",
     "howto/test": "pytest -q test_circles.py",
     "howto/forecast": "oed forecast a3_forecast",
-    "howto/rounds": "oed identify round2.study.toml",
+    "howto/rounds": "oed identify round1.study.toml",
+    "howto/self_calibration": "oed run plates.study.toml",
 }
+#: pages that run at night only: other tests run their commands on the same study
+AT_NIGHT = {"howto/adjust"}
 PAGES = [
-    *((page, LONG_COMMANDS.get(page, "")) for page in EXECUTED),
-    *(pytest.param(page, "", marks=pytest.mark.slow) for page in LONG_COMMANDS),
+    *((page, LONG_COMMANDS.get(page, "")) for page in EXECUTED if page not in AT_NIGHT),
+    *(
+        pytest.param(page, "", marks=pytest.mark.slow)
+        for page in [*LONG_COMMANDS, *AT_NIGHT]
+    ),
 ]
 GALLERY = sorted(
     p for p in (DOCS / "gallery").glob("*.py") if not p.name.startswith("_")

@@ -39,6 +39,8 @@ pdf = false
 expected = { y_um = 40.0, z_um = 40.0 }
 nodes = 28
 """
+#: the same where its report is not the matter
+QUIET = PLAN.replace("pdf = false", "html = false\npdf = false")
 
 
 def study(folder: Path, text: str = PLAN) -> Path:
@@ -153,7 +155,9 @@ def test_a_wrong_reading_is_named_and_stated_noise_counts(
     lines[5] = f"{y},{z},{float(error) + 60.0},{other}"
     nodes.write_text("\n".join(lines))
     out = planned / "out"
-    assert run("forecast", study(planned), "--out", out, "--readings", nodes) == 0
+    assert (
+        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
+    )
     said = capsys.readouterr().out
     assert f"y_mm = {float(y):g}, z_mm = {float(z):g}" in said
     assert "measure it again" in said
@@ -162,7 +166,9 @@ def test_a_wrong_reading_is_named_and_stated_noise_counts(
         + [line + (",200" if k == 4 else ",") for k, line in enumerate(lines[1:])]
     )
     nodes.write_text(noisy)
-    assert run("forecast", study(planned), "--out", out, "--readings", nodes) == 0
+    assert (
+        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
+    )
     assert "measure it again" not in capsys.readouterr().out
 
 
@@ -176,7 +182,9 @@ def test_errors_in_another_unit_are_doubted(
     small = [[y, z, *(f"{1e-3 * float(e):.6f}" for e in rest)] for y, z, *rest in cells]
     nodes.write_text("\n".join([header, *(",".join(row) for row in small)]))
     out = planned / "out_small"
-    assert run("forecast", study(planned), "--out", out, "--readings", nodes) == 0
+    assert (
+        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
+    )
     assert "check the unit of the file" in capsys.readouterr().out
 
 
@@ -239,7 +247,9 @@ def test_a_component_that_was_not_read_is_named(
     cut = [line.rsplit(",", 1)[0] + "," for line in lines]
     nodes.write_text("\n".join([header, *cut]) + "\n")
     out = planned / "y_only"
-    assert run("forecast", study(planned), "--out", out, "--readings", nodes) == 0
+    assert (
+        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
+    )
     assert "z: not measured" in capsys.readouterr().out
 
 
@@ -248,7 +258,7 @@ def test_only_errors_against_home_leave_home_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], reference: str, count: int
 ) -> None:
     stated = f'[prediction]\nreference = "{reference}"'
-    path = study(tmp_path, PLAN.replace("[prediction]", stated))
+    path = study(tmp_path, QUIET.replace("[prediction]", stated))
     assert run("forecast", path, "--out", tmp_path / "out") == 0
     assert capsys.readouterr().out.count("adds nothing at home") == count
 

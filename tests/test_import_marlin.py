@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import printers
 import pytest
 from oracles.firmware import fit, marlin, marlin_g33, rrf
 from oracles.firmware.geometry import Delta, Probe, contact, delta, spiral
@@ -192,6 +193,7 @@ def test_home_is_where_the_version_has_it(
     log += firmware.g30(REAL, Probe(z=2.5), spiral(24, 90.0), digits=5)
     log += "" if version.has_height else "home_height_mm = 300\n"
     study, _ = take("marlin", {"log": log}, tmp_path)
+    printers.with_known_noise(study, 1.0)
     value, angle3 = fitted(study), firmware.angles[2]
     start = delta(125.0, 250.0, firmware.angles, [300.0] * 3)
     places = spiral(24, 90.0)

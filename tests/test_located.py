@@ -14,7 +14,7 @@ from typing import Any
 import bar_readings
 import numpy as np
 import pytest
-from test_bad_fit import write
+from test_bad_fit import STUDY, WITHOUT_REPORT, write
 
 from oed import checks
 from oed.checks import sentences
@@ -122,7 +122,7 @@ def identified(
 ) -> Any:
     """result.json of the readings; with `drop`, the file lacks this row."""
     folder.mkdir()
-    study, table = write(folder, readings)
+    study, table = write(folder, readings, STUDY if drop is None else WITHOUT_REPORT)
     if drop is not None:
         lines = table.read_text("utf-8").splitlines()
         del lines[drop + 1]

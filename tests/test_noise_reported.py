@@ -15,10 +15,10 @@ from scipy import stats
 from oed.noise.law import reach_words
 from pkm_studies.commands import cli
 
-ESTIMATED = sample.changed(
-    test_bad_fit.STUDY + '\n[identify]\neffects = "none"\n',
-    ("length_um = 0.5", "length_um = 0.5\nestimate = true"),
-)
+ESTIMATE = ("length_um = 0.5", "length_um = 0.5\nestimate = true")
+RIGID = '\n[identify]\neffects = "none"\n'
+ESTIMATED = sample.changed(test_bad_fit.STUDY + RIGID, ESTIMATE)
+WITHOUT_REPORT = sample.changed(test_bad_fit.WITHOUT_REPORT + RIGID, ESTIMATE)
 
 
 def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
@@ -57,7 +57,7 @@ def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
     """Circles shifted by 4 um: an error of the run, not of single readings."""
     readings = bar_readings.a3_readings(2)
     shift = np.repeat([4e-6, -4e-6, 3e-6, -3e-6], bar_readings.POINTS)
-    noise = fit(tmp_path, readings.with_y(readings.y + shift), ESTIMATED)["noise"]
+    noise = fit(tmp_path, readings.with_y(readings.y + shift), WITHOUT_REPORT)["noise"]
     shared = noise["run cup.length"]
     assert shared["value"] > noise["reading cup.length"]["value"]
     assert 0.0 < noise["reach"]["value"] <= bar_readings.POINTS
@@ -90,7 +90,7 @@ def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
 
 @pytest.mark.usefixtures("no_search_for_mistakes")
 def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
-    goodness = fit(tmp_path, bar_readings.a3_readings(0), ESTIMATED)
+    goodness = fit(tmp_path, bar_readings.a3_readings(0), WITHOUT_REPORT)
     assert not goodness["noise_words"]
     assert not any(record["departs"] for record in goodness["noise"].values())
     assert 1e-3 < goodness["p_low"] < 1.0 - 1e-3

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import gap_fixture
 import pytest
+import sample
 
 from oed.base import units
 from oed.result import StudyResult
@@ -15,9 +16,13 @@ from pkm_studies import study as studies
 
 ACTING = "[[gap.acting]]"
 A3 = (
-    gap_fixture.STUDY.split(ACTING)[0].replace(
-        '["effects.py:backlash", "effects.py:cold"]',
-        '["backlash", "friction", "encoder_scale"]',
+    sample.changed(
+        gap_fixture.STUDY.split(ACTING)[0],
+        (
+            '["effects.py:backlash", "effects.py:cold"]',
+            '["backlash", "friction", "encoder_scale"]',
+        ),
+        ("count = 24", "count = 12"),
     )
     + '[[gap.acting]]\neffect = "backlash"\ncoefficients = { "leg 2" = 3.0 }\n'
 )

@@ -19,10 +19,17 @@ def shell(line: str, folder: Path) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.parametrize("command", ["list machines", "schema study", "--help"])
+CLOSED, NO_ROOM = (">&-", "it is closed"), (">/dev/full", "no space left on device")
+
+
 @pytest.mark.parametrize(
-    ("output", "words"),
-    [(">&-", "it is closed"), (">/dev/full", "no space left on device")],
+    ("command", "output", "words"),
+    [
+        ("list machines", *CLOSED),
+        ("schema study", *NO_ROOM),
+        ("--help", *CLOSED),
+        ("--help", *NO_ROOM),
+    ],
 )
 def test_an_output_that_cannot_be_written(
     command: str, output: str, words: str, tmp_path: Path

@@ -83,9 +83,11 @@ def test_held_out_readings_are_predicted_as_by_the_posterior(tmp_path: Path) -> 
     for name in ("false", "true"):
         folder = tmp_path / name
         folder.mkdir()
-        path, table = test_bad_fit.write(folder, bar_readings.a3_readings(0))
-        text = path.read_text(encoding="utf-8")
-        text = text.replace("enabled = false", f"enabled = {name}\ness = 1500")
+        readings = bar_readings.a3_readings(0)
+        path, table = test_bad_fit.write(folder, readings)
+        text = test_bad_fit.WITHOUT_REPORT.replace(
+            "enabled = false", f"enabled = {name}\ness = 1500"
+        )
         options = f'[readings]\nfiles = ["{table.name}"]\npredict = ["long_tool"]\n'
         path.write_text(f"{text}\n{options}", encoding="utf-8")
         out = folder / "out"

@@ -22,13 +22,25 @@ from oracles.firmware.geometry import (
     spiral,
 )
 from oracles.firmware.klipper import Klipper, example
-from printers import calibrate, compensate, take
+from printers import compensate, take, with_known_noise
 
 REACH, NOISE = 90.0, 0.01
 ANGLES, STOPS = [210.3, 329.8, 90.0], [260.2, 259.7, 260.3]
 #: arms that firmwares with one length, and with a length for each tower, have
 ALIKE, BY_TOWER = [250.0] * 3, [250.2, 249.85, 250.1]
 PLACES = spiral(16, REACH)
+
+
+def imported(kind: str, files: dict[str, str], folder: Path) -> Path:
+    """The study of an import, its noise known to be that of the probe."""
+    study, _ = take(kind, files, folder)
+    with_known_noise(study, 1e3 * NOISE)
+    return study
+
+
+def calibrate(kind: str, files: dict[str, str], folder: Path) -> str:
+    """What `oed compensate` writes for the files of a printer."""
+    return compensate(imported(kind, files, folder), kind)
 
 
 def printer(arms=ALIKE, tilt=(0.0, 0.0)) -> Delta:
@@ -257,5 +269,5 @@ def calibrate_as(kind: str, log: str, folder: Path, *options: str) -> str:
     """The export for another firmware than that of a Marlin log."""
     study = folder / "study" / "p.study.toml"
     if not study.exists():
-        study, _ = take("marlin", {"printer.log": log}, folder)
+        study = imported("marlin", {"printer.log": log}, folder)
     return compensate(study, kind, *options)

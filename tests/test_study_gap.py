@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import gap_fixture
@@ -14,7 +17,9 @@ import pytest
 import sample
 
 from oed import result
+from oed.compensate.effects import answer_fits
 from pkm_studies.base.errors import InputError
+from pkm_studies.commands import cli
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.study import load, parse, schemas
 
@@ -22,15 +27,64 @@ Run = Callable[..., tuple[int, str, str]]
 FOLDER = Path(__file__).resolve().parent
 
 
-@pytest.fixture(autouse=True)
-def diagnosis_by_hand(
-    own_folder: None, no_search_for_mistakes: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The search for effects has tests of its own."""
-    monkeypatch.setattr(
-        "oed.gap.procedure.diagnose",
-        lambda problem, effects, rng: gap_fixture.diagnosis(problem),
-    )
+#: the small study with half of its readings, where their number does not matter
+FEW = sample.changed(gap_fixture.STUDY, ("count = 24", "count = 12"))
+#: accuracy at two poses in place of a whole workspace
+PREDICTION = """
+[prediction]
+z_mm = 1176.0
+psi_deg = [0.0, 120.0]
+theta_deg = 20.0
+"""
+pytestmark = pytest.mark.usefixtures("own_folder")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def diagnosis_by_hand() -> Iterator[None]:
+    """The searches for effects and for mistakes have tests of their own.
+
+    So has the accuracy over all answers: few draws are as good here.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("oed.checks.check.explain", lambda *args, **options: [])
+        patch.setattr(
+            "oed.gap.procedure.diagnose",
+            lambda problem, effects, rng: gap_fixture.diagnosis(problem),
+        )
+        patch.setattr(answer_fits, "DRAWS", 200)
+        patch.setattr(answer_fits, "LEAST_DRAWS", 60)
+        yield
+
+
+CLAIMS = """
+[expect]
+verdict = { of = "gap.verdict", equals = "effect" }
+closed = { of = "gap.closure[0].low", min = 0.9 }
+cause = { of = "gap.answers[0].effects", contains = "gravity" }
+accuracy = { of = "prediction.components.z.after.rms", max = 1.0 }
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Diagnosed:
+    """A study with claims, the folder of its diagnosis, and how the command ended."""
+
+    study: Path
+    folder: Path
+    code: int
+    err: str
+
+
+@pytest.fixture(scope="module")
+def virtual(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
+    """The diagnosis of readings of the virtual machine; of another seed than the study's."""
+    folder = tmp_path_factory.mktemp("virtual")
+    study = gap_fixture.written(folder, FEW + PREDICTION + CLAIMS)
+    err, out = io.StringIO(), folder / "out"
+    command = ["diagnose", str(study), "--out", str(out), "--quiet", "--seed", "8"]
+    with contextlib.redirect_stderr(err):
+        code = cli.main(command)
+    return Diagnosed(study, out, code, err.getvalue())
 
 
 # -- the table ----------------------------------------------------------------------
@@ -127,7 +181,7 @@ def test_the_schema_has_the_tables() -> None:
 
 
 def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
-    study = gap_fixture.written(tmp_path)
+    study = gap_fixture.written(tmp_path, gap_fixture.STUDY + PREDICTION)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     code, out, err = oed("diagnose", study, "--readings", "r.csv", "--out", "out")
     assert (code, err) == (0, "")
@@ -156,7 +210,12 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
 def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
     oed: Run, tmp_path: Path
 ) -> None:
-    stated = gap_fixture.STUDY.replace("[noise]", "[noise]\nestimate = false")
+    # `oed run` predicts the accuracy of effects that it can test alone
+    stated = sample.changed(
+        FEW + PREDICTION,
+        ("[noise]", "[noise]\nestimate = false"),
+        (', "effects.py:cold"', ""),
+    )
     study = gap_fixture.written(tmp_path, stated)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     assert oed("diagnose", study, "--out", "simulated", "--quiet") == (0, "", "")
@@ -176,29 +235,24 @@ def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
     assert json.loads((tmp_path / "whole/result.json").read_text())["gap"] == simulated
 
 
-def test_the_same_seed_gives_the_same_bytes(oed: Run, tmp_path: Path) -> None:
-    study = gap_fixture.written(tmp_path)
-    results = []
-    for name in "ab":
-        assert oed("diagnose", study, "--out", name, "--quiet", "--seed", "8")[0] == 0
-        decoded = json.loads((tmp_path / name / "result.json").read_text())
-        results.append({**decoded, "seconds": 0})
+def test_the_same_seed_gives_the_same_bytes(
+    oed: Run, virtual: Diagnosed, tmp_path: Path
+) -> None:
+    again = tmp_path / "again"
+    oed("diagnose", virtual.study, "--out", again, "--quiet", "--seed", "8")
+    results = [
+        json.loads((folder / "result.json").read_text()) | {"seconds": 0}
+        for folder in (virtual.folder, again)
+    ]
     assert results[0] == results[1]
     assert results[0]["seed"] == 8
 
 
-def test_claims_can_point_into_the_diagnosis(oed: Run, tmp_path: Path) -> None:
-    claims = (
-        '[expect]\nverdict = { of = "gap.verdict", equals = "effect" }\n'
-        'closed = { of = "gap.closure[0].low", min = 0.9 }\n'
-        'cause = { of = "gap.answers[0].effects", contains = "gravity" }\n'
-        'accuracy = { of = "prediction.components.z.after.rms", max = 1.0 }\n'
-    )
-    study = gap_fixture.written(tmp_path, gap_fixture.STUDY + claims)
-    code, _, err = oed("diagnose", study, "--out", "x", "--quiet")
-    assert code == 1
+def test_claims_can_point_into_the_diagnosis(virtual: Diagnosed) -> None:
+    assert virtual.code == 1
     assert (
-        err == "oed: claim cause: not met: gap.answers[0].effects contains 'gravity',"
+        virtual.err
+        == "oed: claim cause: not met: gap.answers[0].effects contains 'gravity',"
         ' measured ["backlash"]\n'
     )
 
@@ -217,9 +271,7 @@ def test_nothing_to_diagnose(oed: Run, tmp_path: Path) -> None:
 def test_a_study_without_a_table_is_diagnosed_with_all_effects(
     oed: Run, tmp_path: Path
 ) -> None:
-    study = gap_fixture.written(
-        tmp_path, gap_fixture.STUDY[: gap_fixture.STUDY.index("[gap]")]
-    )
+    study = gap_fixture.written(tmp_path, FEW[: FEW.index("[gap]")])
     assert oed("diagnose", study, "--out", "x", "--quiet")[0] == 0
     decoded = json.loads((tmp_path / "x/result.json").read_text())
     assert "gravity" in decoded["gap"]["tried"]
@@ -253,7 +305,7 @@ def test_two_sessions_together_are_as_one_file_of_both(
     oed: Run, tmp_path: Path
 ) -> None:
     """And a third session finds both in the second's folder."""
-    study = gap_fixture.written(tmp_path)
+    study = gap_fixture.written(tmp_path, FEW + PREDICTION)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     _two_sessions(tmp_path)
     options = ("diagnose", study, "--quiet", "--out")
@@ -280,13 +332,12 @@ def test_two_sessions_together_are_as_one_file_of_both(
 
 
 def test_a_second_session_needs_readings_and_a_first_one(
-    oed: Run, tmp_path: Path
+    oed: Run, virtual: Diagnosed
 ) -> None:
-    study = gap_fixture.written(tmp_path)
-    assert oed("diagnose", study, "--out", "virtual", "--quiet")[0] == 0
+    study, earlier = virtual.study, virtual.folder
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
-    code, _, err = oed("diagnose", study, "--out", "x", "--after", "virtual")
+    code, _, err = oed("diagnose", study, "--out", "x", "--after", earlier)
     assert (code, "give --readings" in err) == (2, True)
-    after = ("--readings", "r.csv", "--after", "virtual")
+    after = ("--readings", "r.csv", "--after", earlier)
     code, _, err = oed("diagnose", study, "--out", "x", *after)
     assert (code, "keeps no readings files" in err) == (2, True)

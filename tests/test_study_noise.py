@@ -82,7 +82,8 @@ def test_a_stated_law_is_narrower_and_reported(tmp_path: Path) -> None:
     )
     for name, lines in (("wide", ()), ("stated", stated)):
         study = sample.changed(
-            test_bad_fit.STUDY, (NOISE, "\n".join([NOISE, "estimate = true", *lines]))
+            test_bad_fit.WITHOUT_REPORT,
+            (NOISE, "\n".join([NOISE, "estimate = true", *lines])),
         )
         folder = tmp_path / name
         folder.mkdir()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -48,12 +49,14 @@ def test_noise_is_the_setting_s(varied_study):
 """
 
 
-def _suite(folder: Path, text: str, *options: str) -> str:
-    """What pytest prints on a suite in the folder."""
+def _suite(folder: Path, texts: Sequence[str], *options: str) -> str:
+    """What pytest prints on a suite of files with these texts in the folder."""
     (folder / "plan.study.toml").write_text(PLAN, encoding="utf-8")
-    (folder / "test_mine.py").write_text(text, encoding="utf-8")
+    names = [f"test_mine_{k}.py" for k in range(len(texts))]
+    for name, text in zip(names, texts, strict=True):
+        (folder / name).write_text(text, encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options]
-    command += ["--basetemp", str(folder / "temporary"), "test_mine.py"]
+    command += ["--basetemp", str(folder / "temporary"), *names]
     done = subprocess.run(
         command, capture_output=True, text=True, check=False, cwd=folder
     )
@@ -62,7 +65,7 @@ def _suite(folder: Path, text: str, *options: str) -> str:
 
 def test_each_combination_is_a_test_on_two_processes(tmp_path: Path) -> None:
     """A circle of 12 readings sees 12 directions: the claim of 18 fails, in words."""
-    printed = _suite(tmp_path, SUITE, "-n", "2")
+    printed = _suite(tmp_path, [SUITE], "-n", "2")
     assert "2 workers" in printed or "gw1" in printed or "bringing up" in printed
     assert "2 failed, 10 passed" in printed, printed
     line = "rank: measured 12, claimed identifiability.rank = 18 (plan.study.toml with"
@@ -74,22 +77,17 @@ def test_each_combination_is_a_test_on_two_processes(tmp_path: Path) -> None:
     assert all((folder / "result.json").is_file() for folder in results)
 
 
-@pytest.mark.parametrize(
-    ("mark", "words"),
-    [
-        ("", "varied_study needs the mark study_sweep"),
-        (
-            '@pytest.mark.study_sweep("plan.study.toml", vary={"setup.x.y": [1]})',
-            "no entry 'x'",
+def test_a_sweep_that_makes_no_sense_is_an_error_in_words(tmp_path: Path) -> None:
+    marks = {
+        "": "varied_study needs the mark study_sweep",
+        '@pytest.mark.study_sweep("plan.study.toml", vary={"setup.x.y": [1]})': (
+            "no entry 'x'"
         ),
-    ],
-)
-def test_a_sweep_that_makes_no_sense_is_an_error_in_words(
-    tmp_path: Path, mark: str, words: str
-) -> None:
-    text = f"import pytest\n\n{mark}\ndef test_it(varied_study):\n    varied_study.result\n"
-    printed = _suite(tmp_path, text, "-p", "no:xdist")
-    assert words in printed
+    }
+    text = "import pytest\n\n{}\ndef test_it(varied_study):\n    varied_study.result\n"
+    printed = _suite(tmp_path, [text.format(m) for m in marks], "-p", "no:xdist")
+    for words in marks.values():
+        assert words in printed
     assert "Traceback" not in printed
 
 

@@ -10,6 +10,8 @@ from benchmarks.second import cases as second
 from benchmarks.third import __main__ as command
 from benchmarks.third import cases, faults, physics, table
 from benchmarks.third.machines import MACHINES, change, session
+from oed.gap.data.problem import GapProblem
+from oed.model.effect import Effect
 
 COULOMB, BRISTLE = 30.0, 1e6  # N, N/m
 
@@ -106,7 +108,22 @@ def test_size_of_a_fault_is_as_drawn() -> None:
     assert np.array_equal(values, same)
 
 
-def test_a_case_is_diagnosed_and_tabulated(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "tried",
+    [{"gravity", "backlash", "friction"}, pytest.param(None, marks=pytest.mark.slow)],
+    ids=["few", "all"],
+)
+def test_a_case_is_diagnosed_and_tabulated(
+    tried: set[str] | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With few effects of the catalogue, and with all."""
+    prepare = second.prepare
+
+    def prepared(case: second.Case) -> tuple[GapProblem, list[Effect]]:
+        problem, effects = prepare(case)
+        return problem, [e for e in effects if tried is None or e.name in tried]
+
+    monkeypatch.setattr(second, "prepare", prepared)
     out, page = tmp_path / "third.jsonl", tmp_path / "third.md"
     assert command.main(["--seeds", "4", "5", "--out", str(out)]) == 0
     [record] = table.records(out)

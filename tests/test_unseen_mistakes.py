@@ -114,8 +114,9 @@ def test_clean_files_with_run_offsets_pass(tmp_path: Path, seed: int) -> None:
     assert cli.main(["check", str(study), str(path)]) == 0
 
 
-@pytest.mark.parametrize("size", [pytest.param(0.02, marks=pytest.mark.slow), 0.05])
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0.02, 0.05])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_a_drift_is_no_other_bar(size: float, seed: int) -> None:
     """In um: 20 and 50 times the noise, carried through the session."""
     rows = machines.readings("a3", seed)
