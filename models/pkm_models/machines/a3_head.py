@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 
 import casadi as ca
+import numpy as np
 
 from oed.base.orientation import direction, rotation
 from oed.model.adjustment import Adjustment
@@ -30,6 +31,7 @@ from oed.model.machine import (
     Values,
 )
 from pkm_models.parts import coordinates, passive
+from pkm_models.parts.families import numbers, places
 from pkm_models.parts.rotation import tilt_torsion
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
@@ -121,9 +123,7 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 
 def _parameters() -> tuple[Parameter, ...]:
-    table = [
-        Parameter(f"dq{i}", 0.0, HOME, "m", f"home error of limb {i}") for i in LIMBS
-    ]
+    table = numbers("dq", [0.0] * len(LIMBS), HOME, "m", "home error of limb")
     table += [
         Parameter(
             f"db{i}{k}",
@@ -136,11 +136,7 @@ def _parameters() -> tuple[Parameter, ...]:
         for i in LIMBS
         for k in XYZ
     ]
-    table += [
-        Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}")
-        for i in LIMBS
-        for k in XYZ
-    ]
+    table += places("da", np.zeros((len(LIMBS), 3)), JOINT, "platform joint")
     table += [
         Parameter(
             f"beta{i}",

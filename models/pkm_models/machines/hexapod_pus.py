@@ -84,8 +84,6 @@ def build(geometry: Geometry) -> Machine:
         ),
         home=legs.pose_at({}, home.tolist()),
         lever=size,
-        base_frame=legs.GEOMETRY_FRAME,
-        tool_axis=legs.GEOMETRY_TOOL_AXIS,
         family=family,
         **_builder(along, as_rows(table["side"], 6)),
     )

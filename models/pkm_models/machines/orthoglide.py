@@ -59,8 +59,8 @@ def build(geometry: Geometry) -> Machine:
     low, high = -span - reach - longest, span + reach + longest
     sd = families.tolerance(table, longest)
     return translation.machine(
-        home,
-        reach,
+        home.tolist(),
+        translation.command(home, reach),
         name=NAME,
         source="Wenger and Chablat 2000, Advances in Robot Kinematics, 305-314",
         about="three-axis glide of any size (3-PUU with parallelograms): x, y, z driven",
