@@ -25,14 +25,13 @@ from oed.model.machine import (
     Component,
     Coordinate,
     Expr,
-    Machine,
     Parameter,
     PointGroup,
     Values,
 )
-from pkm_models.parts import coordinates, passive
+from pkm_models.parts import coordinates, passive, six_dof
 from pkm_models.parts.families import numbers, places
-from pkm_models.parts.rotation import tilt_torsion
+from pkm_models.parts.six_dof import platform
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
 LIMBS = (1, 2, 3)
@@ -75,11 +74,6 @@ def _joints(x: Values, p: Values) -> list[tuple[Expr, Expr]]:
 def _hinge_axis(i: int) -> tuple[float, float, float]:
     """Axis s1 of limb i's revolute joint."""
     return (-math.sin(PHI[i]), math.cos(PHI[i]), 0.0)
-
-
-def platform(x: Values) -> tuple[Expr, Expr]:
-    """Orientation and tool point."""
-    return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
 
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
@@ -151,11 +145,11 @@ def _parameters() -> tuple[Parameter, ...]:
     return tuple(table)
 
 
-machine = Machine(
+machine = six_dof.driven(
+    ("z", "psi", "theta"),
     name="a3_head",
     source="Tian et al. 2016, Mech. Mach. Theory 102, 167-178",
     about="A3 spindle head (3-RPS): z, psi, theta driven; x, y, phi parasitic",
-    pose=coordinates.points() + coordinates.angles(),
     joints=tuple(
         coordinates.joint(
             f"q{i}", "m", 0.2, 1.2, "length of limb {} less its home error"
@@ -172,7 +166,6 @@ machine = Machine(
         " platform; joint 1 at -y, joints 2 and 3 at +x and -x"
     ),
     tool_axis="from the platform to the tool point, up at home",
-    orientation=coordinates.POSE_ORIENTATION,
     command_orientation=AXIS,
     parameters=_parameters(),
     components=(
@@ -186,7 +179,6 @@ machine = Machine(
     home={"z": C + D, "psi": 0.0, "theta": 0.0},
     lever=D,
     closure=closure,
-    platform=platform,
     commanded=lambda x, tip: [tip[2], x["rx"], x["ry"]],
     target=target,
     guess=guess,
