@@ -11,6 +11,14 @@ from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import AllowCode, StudyPath
 from pkm_studies.stages.outcome import DONE, FAILED
 
+Wanted = Annotated[
+    str,
+    typer.Option(
+        metavar="z_um=30,...",
+        help="Rms errors at which to stop [the study's]; plan: those of its plan.",
+    ),
+]
+
 
 def next_reading(
     study: StudyPath,
@@ -26,13 +34,7 @@ def next_reading(
             show_default=False,
         ),
     ] = None,
-    wanted: Annotated[
-        str,
-        typer.Option(
-            metavar="z_um=30,...",
-            help="Rms errors at which to stop [the study's]; plan: those of its plan.",
-        ),
-    ] = "",
+    wanted: Wanted = "",
     follow: Annotated[
         bool, typer.Option("--follow", help="Stay open, and follow the file.")
     ] = False,
@@ -75,13 +77,7 @@ def serve(
         Path | None,
         typer.Option(metavar="CSV", help="Readings file [poses.csv of the results]."),
     ] = None,
-    wanted: Annotated[
-        str,
-        typer.Option(
-            metavar="z_um=30,...",
-            help="Rms errors at which to stop [the study's]; plan: those of its plan.",
-        ),
-    ] = "",
+    wanted: Wanted = "",
     host: Annotated[
         str, typer.Option(help="Address to serve on; others than this need a token.")
     ] = "127.0.0.1",

@@ -116,13 +116,8 @@ def _places(gap: GapSection) -> list[Block]:
         " that the place holds no more than it would if the gap were spread evenly over"
         " all legs, or all readings. One gap lies in several places at once."
     )
-    marks = ["chosen" if is_significant(place) else "" for place in places]
+    marks = ["chosen" if place.p_value < SIGNIFICANT else "" for place in places]
     return [Table(columns, rows, caption, marks)]
-
-
-def is_significant(place: PlaceRecord) -> bool:
-    """Whether a place stands out."""
-    return place.p_value < SIGNIFICANT
 
 
 def _place(place: PlaceRecord) -> str:
