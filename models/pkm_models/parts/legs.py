@@ -123,6 +123,28 @@ def skeleton(
     return [base, *limbs, top, [centre, platform(x)[1]]]
 
 
+class FixedStruts:
+    """Struts of fixed length on carriages or cranks, limbs 1 to n."""
+
+    @property
+    def limbs(self) -> range:
+        """Numbers of the limbs, from 1."""
+        raise NotImplementedError
+
+    def ends(self, x: Values, q: Values, p: Values, i: int) -> Strut:
+        """Ends (3,) of a strut, at what moves it and at the platform."""
+        raise NotImplementedError
+
+    def struts(self, x: Values, q: Values, p: Values) -> list[Strut]:
+        """Ends of all struts."""
+        return [self.ends(x, q, p, i) for i in self.limbs]
+
+    def closure(self, x: Values, q: Values, p: Values) -> list[Expr]:
+        """Strut lengths, m."""
+        ends = zip(self.limbs, self.struts(x, q, p), strict=True)
+        return [ca.norm_2(joint - foot) - p[f"l{i}"] for i, (foot, joint) in ends]
+
+
 # -- carriages on straight guides ------------------------------------------------------
 
 
