@@ -26,11 +26,10 @@ from oed.model.machine import (
     Coordinate,
     Expr,
     Parameter,
-    PointGroup,
     Values,
 )
 from pkm_models.parts import coordinates, passive, six_dof
-from pkm_models.parts.families import numbers, places
+from pkm_models.parts.families import numbers, places, point_group
 from pkm_models.parts.six_dof import platform
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
@@ -190,15 +189,7 @@ machine = six_dof.driven(
     ),
     frame=("db1x", "db2y", "db3y", "db1z", "db2z", "db3z"),  # Eq. (16)
     groups=(
-        PointGroup(
-            "platform joints",
-            "the TCP",
-            tuple((tuple(f"da{i}{k}" for k in XYZ), _platform(i)) for i in LIMBS),  # type: ignore[misc]
-        ),
-        PointGroup(
-            "base joints",
-            "the base centre",
-            tuple((tuple(f"db{i}{k}" for k in XYZ), _base(i)) for i in LIMBS),  # type: ignore[misc]
-        ),
+        point_group("platform joints", "the TCP", "da", [*map(_platform, LIMBS)]),
+        point_group("base joints", "the base centre", "db", [*map(_base, LIMBS)]),
     ),
 )

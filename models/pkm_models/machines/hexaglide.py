@@ -122,11 +122,7 @@ machine = six_dof.machine(
     skeleton=skeleton,
     struts=lambda x, q, p: _joints(x, q, p),
     groups=(
-        PointGroup(
-            "platform joints",
-            "the tool point",
-            tuple(((f"da{i}x", f"da{i}y", f"da{i}z"), A[i]) for i in LEGS),
-        ),
+        families.point_group("platform joints", "the tool point", "da", [*A.values()]),
         PointGroup(
             "carriages",
             "the base's origin",

@@ -21,7 +21,7 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.model.machine import Expr, PointGroup, Values
+from oed.model.machine import Expr, Values
 from pkm_models.parts import families, passive, six_dof
 from pkm_models.parts.coordinates import joint
 from pkm_models.parts.six_dof import XYZ, command, platform, target
@@ -86,16 +86,6 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     ]
 
 
-def _group(name: str, origin: str, letter: str, at: dict[int, Point]) -> PointGroup:
-    return PointGroup(
-        name,
-        origin,
-        tuple(
-            ((f"{letter}{i}x", f"{letter}{i}y", f"{letter}{i}z"), at[i]) for i in LEGS
-        ),
-    )
-
-
 machine = six_dof.machine(
     name="hexapod",
     source=(
@@ -128,7 +118,7 @@ machine = six_dof.machine(
         _joints(x, p), passive.tangents(np.array(list(B.values()))), passive.UP
     ),
     groups=(
-        _group("platform joints", "the tool point", "da", A),
-        _group("base joints", "the base centre", "db", B),
+        families.point_group("platform joints", "the tool point", "da", [*A.values()]),
+        families.point_group("base joints", "the base centre", "db", [*B.values()]),
     ),
 )

@@ -39,6 +39,7 @@ from oed.model.machine import (
     Values,
 )
 from pkm_models.parts import coordinates, passive, six_dof
+from pkm_models.parts.families import point_group
 from pkm_models.parts.six_dof import platform
 
 R, RADIUS, H, L = (
@@ -167,9 +168,7 @@ def _parameters(i: int) -> list[Parameter]:
     return [*table, Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}")]
 
 
-_BALLS = tuple(
-    (tuple(f"db{i}{k}" for k in "xyz"), _circle(RADIUS, H, i)) for i in LIMBS
-)
+_BALLS = [_circle(RADIUS, H, i) for i in LIMBS]
 _SLIDERS = tuple(
     ((f"dR{i}x", f"dR{i}y", ""), _circle(R, 0.0, i)) for i in LIMBS
 )  # heights are no parameters
@@ -217,7 +216,7 @@ machine = six_dof.driven(
         passive.DOWN,
     ),
     groups=(
-        PointGroup("platform joints", "the tool tip", _BALLS),  # type: ignore[arg-type]
+        point_group("platform joints", "the tool tip", "db", _BALLS),
         PointGroup("slider joints", "the machine's axis", _SLIDERS),
     ),
 )
