@@ -24,7 +24,7 @@ from pkm_reports.figures.gap import trace as gap_trace
 from pkm_reports.page import document, missing, style, text
 from pkm_reports.page import html as html_writer
 from pkm_reports.page import pdf as pdf_writer
-from pkm_reports.sections.gap import closure, coefficients, explanations
+from pkm_reports.sections.gap import chapter, explanations
 from pkm_studies.base.progress import Silent
 from pkm_studies.stages.gap.section import gap_section
 from pkm_studies.stages.run_state import start
@@ -178,7 +178,7 @@ def test_the_same_result_gives_the_same_bytes(gap: GapSection) -> None:
 
 
 def test_the_largest_coefficient_stands_first(gap: GapSection) -> None:
-    (table,) = coefficients.blocks(gap)
+    (table,) = chapter._coefficients(gap)
     names = ["leg 2", "leg 3", "leg 1"]
     assert [row[1] for row in table.rows] == [f"{name} [µm]" for name in names]
     assert float(table.rows[0][-1].split()[0]) == pytest.approx(3.0, abs=0.1)
@@ -186,7 +186,7 @@ def test_the_largest_coefficient_stands_first(gap: GapSection) -> None:
 
 def test_a_coefficient_without_an_expected_size_has_none(gap: GapSection) -> None:
     unknown = [replace(c, prior_sd=None) for c in gap.coefficients]
-    (table,) = coefficients.blocks(replace(gap, coefficients=unknown))
+    (table,) = chapter._coefficients(replace(gap, coefficients=unknown))
     assert {row[-1] for row in table.rows} == {text.MISSING}
 
 
@@ -310,11 +310,11 @@ def test_what_is_too_small_to_be_seen_is_said_to_be() -> None:
 def test_no_gap_closes_by_more_than_all_of_it(gap: GapSection) -> None:
     """Held-out readings that lie closer than the noise expects leave no less than none."""
     closer = replace(gap.closure[0], value=1.24, low=0.7, high=1.31)
-    (table,) = closure.blocks(replace(gap, closure=[closer]))
+    (table,) = chapter._closure(replace(gap, closure=[closer]))
     cells = [cell.replace("\N{NO-BREAK SPACE}", " ") for cell in table.rows[0]]
     assert cells[2:4] == ["all of it", "70 % to over 100 %"]
 
 
 def test_no_closure_is_reported_where_no_effect_is(gap: GapSection) -> None:
-    assert closure.blocks(gap)
-    assert not closure.blocks(replace(gap, verdict="none"))
+    assert chapter._closure(gap)
+    assert not chapter._closure(replace(gap, verdict="none"))

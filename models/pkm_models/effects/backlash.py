@@ -35,13 +35,7 @@ def columns(state: State, distance: float) -> Iterable[Column]:
             ("middle", at[:, i] ** 2),
             ("fresh", fresh[:, i]),
         ):
-            yield Column(
-                f"{leg} {name}",
-                terms.SHAPE_SHARE * PLAY,
-                leg,
-                {i: half * form},
-                shape=True,
-            )
+            yield terms.adapting(f"{leg} {name}", PLAY, leg, {i: half * form})
 
 
 effect = Effect(

@@ -23,12 +23,10 @@ def columns(state: State) -> Iterable[Column]:
     """
     tension = np.nan_to_num(state.tension)
     change = state.joint_per_length * state.strut_length * tension
-    all_cables = {i: change[:, i] for i in state.limbs}
-    yield Column("cables", COMPLIANCE, "", all_cables)
+    yield Column("cables", COMPLIANCE, "", terms.all_joints(change))
     for i in state.limbs:
         leg = f"leg {i + 1}"
-        small = terms.SHAPE_SHARE * COMPLIANCE
-        yield Column(leg, small, leg, {i: change[:, i]}, shape=True)
+        yield terms.adapting(leg, COMPLIANCE, leg, {i: change[:, i]})
 
 
 def unfit(machine: Machine) -> str | None:

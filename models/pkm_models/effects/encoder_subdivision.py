@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
@@ -20,13 +18,7 @@ PERIODS = (10e-6, 20e-6, 30e-6, 40e-6, 100e-6, 200e-6, 1e-3, 2e-3, 5e-3)
 
 def columns(state: State, period: float) -> Iterable[Column]:
     """Sine and cosine of the place within a period a leg; shape: two in a period."""
-    for i in state.limbs:
-        leg = f"leg {i + 1}"
-        for k in (1, 2):
-            angle = 2.0 * np.pi * k * state.joints[:, i] / period
-            for name, value in (("sin", np.sin(angle)), ("cos", np.cos(angle))):
-                scale = SHARE * period * (1.0 if k == 1 else terms.SHAPE_SHARE)
-                yield Column(f"{leg} {name} {k}", scale, leg, {i: value}, shape=k > 1)
+    return terms.harmonics(state, period, SHARE * period)
 
 
 effect = Effect(

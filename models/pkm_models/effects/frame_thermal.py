@@ -31,29 +31,15 @@ def columns(state: State, tau: float) -> Iterable[Column]:
     yield Column(unit, scale, "", _joints(even, warm))
     courses = {"second": second} | ({} if measured else terms.free_courses(state))
     for name, course in courses.items():
-        yield Column(
-            f"{unit} {name}",
-            terms.SHAPE_SHARE * scale,
-            "",
-            _joints(even, course),
-            shape=True,
-        )
-    yield Column(
-        f"{unit} height", terms.SHAPE_SHARE * scale, "", _joints(up, warm), shape=True
-    )
+        yield terms.adapting(f"{unit} {name}", scale, "", _joints(even, course))
+    yield terms.adapting(f"{unit} height", scale, "", _joints(up, warm))
     for k, axis in enumerate("xy"):
         side = strain * terms.joint_change(state, flat * flat[..., k : k + 1] / size)
-        yield Column(
-            f"{unit} side {axis}",
-            terms.SHAPE_SHARE * scale,
-            "",
-            _joints(side, warm),
-            shape=True,
-        )
+        yield terms.adapting(f"{unit} side {axis}", scale, "", _joints(side, warm))
 
 
 def _joints(change: Array, factor: Array) -> dict[int, Array]:
-    return {i: change[:, i] * factor for i in range(change.shape[1])}
+    return terms.all_joints(change * factor[:, None])
 
 
 effect = Effect(

@@ -51,13 +51,8 @@ def columns(state: State, distance: float) -> Iterable[Column]:
         leg = f"leg {i + 1}"
         yield Column(leg, WIND_UP, leg, {i: behind[:, i]})
         for name, form in (("load", load), ("slow", slow), ("slope", at)):
-            yield Column(
-                f"{leg} {name}",
-                terms.SHAPE_SHARE * WIND_UP,
-                leg,
-                {i: behind[:, i] * form[:, i]},
-                shape=True,
-            )
+            change = {i: behind[:, i] * form[:, i]}
+            yield terms.adapting(f"{leg} {name}", WIND_UP, leg, change)
 
 
 effect = Effect(

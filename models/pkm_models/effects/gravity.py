@@ -8,7 +8,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from oed.base.arrays import Array
 from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
@@ -32,30 +31,20 @@ def columns(state: State, ratio: float) -> Iterable[Column]:
         / terms.travel(state.machine).strut
     )
     size = np.abs(drive) + 1e-9
-    small = terms.SHAPE_SHARE * GIVES
-    yield Column("drives", GIVES, "", _all(drive))
-    yield Column("struts", GIVES, "", _all(strut))
-    yield Column("travel", small, "", _all(drive * at), shape=True)
-    yield Column("bending", small, "", _all(drive * at**2), shape=True)
-    yield Column(
-        "hardening", small, "", _all(-drive * np.log(size / size.mean())), shape=True
-    )
-    yield Column("payload", small, "", _all(extra * square), shape=True)
-    yield Column(
-        "place",
-        small,
-        "",
-        _all((state.tool_force - state.platform_force) * square),
-        shape=True,
-    )
+    forms = {
+        "travel": drive * at,
+        "bending": drive * at**2,
+        "hardening": -drive * np.log(size / size.mean()),
+        "payload": extra * square,
+        "place": (state.tool_force - state.platform_force) * square,
+    }
+    yield Column("drives", GIVES, "", terms.all_joints(drive))
+    yield Column("struts", GIVES, "", terms.all_joints(strut))
+    for name, form in forms.items():
+        yield terms.adapting(name, GIVES, "", terms.all_joints(form))
     for i in state.limbs:
-        yield Column(
-            f"leg {i + 1}", small, f"leg {i + 1}", {i: drive[:, i]}, shape=True
-        )
-
-
-def _all(change: Array) -> dict[int, Array]:
-    return {i: change[:, i] for i in range(change.shape[1])}
+        leg = f"leg {i + 1}"
+        yield terms.adapting(leg, GIVES, leg, {i: drive[:, i]})
 
 
 effect = Effect(

@@ -37,13 +37,8 @@ def columns(state: State, ratio: float, soft: float) -> Iterable[Column]:
             ("harder", np.tanh(pull[:, i] / (0.3 * soft))),
             ("slope", at[:, i] * (side - side.mean())),
         ):
-            yield Column(
-                f"{leg} {name}",
-                terms.SHAPE_SHARE * PLAY,
-                leg,
-                {i: half[:, i] * form},
-                shape=True,
-            )
+            change = {i: half[:, i] * form}
+            yield terms.adapting(f"{leg} {name}", PLAY, leg, change)
 
 
 effect = Effect(

@@ -45,13 +45,8 @@ def columns(state: State, tau: float) -> Iterable[Column]:
         if not measured:
             shapes |= {name: long * course for name, course in courses.items()}
         for name, form in shapes.items():
-            yield Column(
-                f"{leg} {unit} {name}",
-                terms.SHAPE_SHARE * scale,
-                leg,
-                {i: strain * form},
-                shape=True,
-            )
+            label = f"{leg} {unit} {name}"
+            yield terms.adapting(label, scale, leg, {i: strain * form})
 
 
 effect = Effect(

@@ -13,44 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-import numpy as np
-
 from oed.model.effect import Column, Effect, State
 from oed.model.machine import Machine
 from pkm_models.effects import natures, terms
 
 TURN = 3e-6  # m, amplitude
-LEADS = tuple(
-    1e-3 * p
-    for p in (
-        3.0,
-        4.0,
-        5.0,
-        6.0,
-        8.0,
-        10.0,
-        12.0,
-        15.0,
-        16.0,
-        20.0,
-        25.0,
-        30.0,
-        32.0,
-        40.0,
-        50.0,
-    )
-)
+LEADS_MM = (3, 4, 5, 6, 8, 10, 12, 15, 16, 20, 25, 30, 32, 40, 50)
+LEADS = tuple(1e-3 * lead for lead in LEADS_MM)
 
 
 def columns(state: State, pitch: float) -> Iterable[Column]:
     """Sine and cosine of the screw's angle a leg; shape: twice a turn."""
-    for i in state.limbs:
-        leg = f"leg {i + 1}"
-        for k in (1, 2):
-            angle = 2.0 * np.pi * k * state.joints[:, i] / pitch
-            for name, value in (("sin", np.sin(angle)), ("cos", np.cos(angle))):
-                scale = TURN if k == 1 else terms.SHAPE_SHARE * TURN
-                yield Column(f"{leg} {name} {k}", scale, leg, {i: value}, shape=k > 1)
+    return terms.harmonics(state, pitch, TURN)
 
 
 def unfit(machine: Machine) -> str | None:

@@ -23,16 +23,9 @@ def columns(state: State) -> Iterable[Column]:
     for i in state.limbs:
         leg = f"leg {i + 1}"
         yield Column(leg, DELAY, leg, {i: -rate[:, i]})
-        yield Column(
-            f"{leg} acceleration",
-            terms.SHAPE_SHARE * SECOND,
-            leg,
-            {i: -faster[:, i]},
-            shape=True,
-        )
-        yield Column(
-            f"{leg} feed", terms.SHAPE_SHARE * DELAY, leg, {i: -bent[:, i]}, shape=True
-        )
+        change = {i: -faster[:, i]}
+        yield terms.adapting(f"{leg} acceleration", SECOND, leg, change)
+        yield terms.adapting(f"{leg} feed", DELAY, leg, {i: -bent[:, i]})
 
 
 effect = Effect(

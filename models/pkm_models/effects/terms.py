@@ -7,13 +7,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from oed.base import smooth_basis
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.effect import State
+from oed.model.effect import Column, State
 from oed.model.machine import Machine
 
 STEEL = 11.5e-6  # 1/K, thermal expansion (ISO 230-3)
@@ -309,3 +310,26 @@ def _lag(value: Array, time: Array, tau: float) -> Array:
             )
         behind[now] = last
     return behind
+
+
+# -- columns ---------------------------------------------------------------------------
+
+
+def adapting(name: str, size: float, label: str, joints: Mapping[int, Array]) -> Column:
+    """A column that only lets the form adapt; `size` is the textbook's."""
+    return Column(name, SHAPE_SHARE * size, label, joints, shape=True)
+
+
+def all_joints(change: Array) -> dict[int, Array]:
+    """Changes (m, nq) of all joints, as a column has them."""
+    return {i: change[:, i] for i in range(change.shape[1])}
+
+
+def harmonics(state: State, period: float, size: float) -> Iterator[Column]:
+    """Sine and cosine of each joint's place in a period a leg; shape: two in a period."""
+    for i in state.limbs:
+        leg = f"leg {i + 1}"
+        for k, column in ((1, Column), (2, adapting)):
+            angle = 2.0 * np.pi * k * state.joints[:, i] / period
+            for name, value in (("sin", np.sin(angle)), ("cos", np.cos(angle))):
+                yield column(f"{leg} {name} {k}", size, leg, {i: value})

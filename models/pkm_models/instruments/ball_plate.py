@@ -37,11 +37,7 @@ BETWEEN = (
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     nominal = ca.vertcat(k["at_x"], k["at_y"], k["at_z"])
-    return list(
-        ca.vertsplit(
-            registration.point_in_frame(s, frames[0].point - nominal, ca.DM.zeros(3))
-        )
-    )
+    return registration.coordinates_in_frame(s, frames[0].point - nominal)
 
 
 def _distance(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:

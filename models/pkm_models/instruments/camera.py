@@ -14,6 +14,7 @@ whole (its base joints together), which only the tolerances hold.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import casadi as ca
@@ -26,20 +27,14 @@ SOURCE = (
     "three-coordinate position readings; 1 mm is what markers on a mover a few metres"
     " away are seen to"
 )
-CHANNELS = tuple(
-    Channel(f"read_{n}", "m", 1.0e-3, about=registration.coordinate(n)) for n in "xyz"
-)
 KNOWN = tuple(
     Channel(f"read_{n}", "m", 1.0e-3, about=f"{n} of the tool point in the base frame")
     for n in "xyz"
 )
-COST = Cost(setup=900.0, reading=20.0)
 
 
 def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    return list(
-        ca.vertsplit(registration.point_in_frame(s, frames[0].point, ca.DM.zeros(3)))
-    )
+    return registration.coordinates_in_frame(s, frames[0].point)
 
 
 def _in_base_frame(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -53,20 +48,18 @@ instrument = Instrument(
         "camera: three coordinates of the tool point, frame registered with the"
         " machine's"
     ),
-    channels=CHANNELS,
+    channels=registration.point_channels(1.0e-3),
     settings=(),
     nuisances=registration.frame_parameters(5e-3, 10e-3),
-    cost=COST,
+    cost=Cost(setup=900.0, reading=20.0),
     observe=_observe,
 )
 
-known_frame = Instrument(
+known_frame = dataclasses.replace(
+    instrument,
     name="camera_known_frame",
-    source=SOURCE,
     about="camera: three coordinates of the tool point, in the machine's base frame",
     channels=KNOWN,
-    settings=(),
     nuisances=(),
-    cost=COST,
     observe=_in_base_frame,
 )

@@ -14,6 +14,7 @@ which the probe triggers, over a bed of known slopes,
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 from oed.model.instrument import Channel, Cost, Frame, Instrument, Setting
@@ -27,13 +28,11 @@ def _observe(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
     return [point[2] + s["offset"] + along_x * point[0] + along_y * point[1]]
 
 
-SOURCE = "touch probe of delta printers; height over the bed at the trigger"
 OFFSET = Parameter("offset", 0.0, 0.05e-3, "m", "trigger offset")
 TILTS = (
     Parameter("tilt_x", 0.0, 5e-3, "rad", "tilt of the bed about x"),
     Parameter("tilt_y", 0.0, 5e-3, "rad", "tilt of the bed about y"),
 )
-COST = Cost(setup=120.0, reading=10.0)
 HEIGHT = Channel(
     "height",
     "m",
@@ -41,10 +40,8 @@ HEIGHT = Channel(
     about="height of the tool point over the bed, along z of the base frame, up",
 )
 
-CONTACT = Channel(
-    "height",
-    "m",
-    0.02e-3,
+CONTACT = dataclasses.replace(
+    HEIGHT,
     about=(
         "height of the tool point over the stated slopes of the bed at contact, along z"
         " of the base frame, up"
@@ -53,39 +50,32 @@ CONTACT = Channel(
 
 instrument = Instrument(
     name="height_probe",
-    source=SOURCE,
+    source="touch probe of delta printers; height over the bed at the trigger",
     about="touch probe: height of the tool over the bed",
     channels=(HEIGHT,),
     settings=(),
     nuisances=(OFFSET,),
-    cost=COST,
+    cost=Cost(setup=120.0, reading=10.0),
     observe=_observe,
     held=TILTS,
 )
 
-tilted_bed = Instrument(
+tilted_bed = dataclasses.replace(
+    instrument,
     name="height_probe_tilted_bed",
-    source=SOURCE,
     about="touch probe: height of the tool over a bed whose tilts are unknown",
-    channels=(HEIGHT,),
-    settings=(),
     nuisances=(OFFSET, *TILTS),
-    cost=COST,
-    observe=_observe,
+    held=(),
 )
 
-contact = Instrument(
+contact = dataclasses.replace(
+    instrument,
     name="contact_probe",
-    source=SOURCE,
     about="touch probe that stops the machine: the pose at contact is the measurement",
     channels=(CONTACT,),
     settings=(
         Setting("bed_slope_x", "1", 0.0, "rise of the bed along x"),
         Setting("bed_slope_y", "1", 0.0, "rise of the bed along y"),
     ),
-    nuisances=(OFFSET,),
-    cost=COST,
-    observe=_observe,
-    held=TILTS,
     implied=0.0,
 )

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.instrument import Channel, Cost, Frame, Instrument
+from oed.model.instrument import Cost, Frame, Instrument
 from oed.model.machine import Expr, Machine, Parameter, Values
 from pkm_models.parts import registration
 
@@ -40,10 +40,7 @@ instrument = Instrument(
     name="planar_position",
     source="two-coordinate position readings in the x-y plane, as of a grid encoder",
     about="camera or grid plate: x and y of the tool point",
-    channels=tuple(
-        Channel(f"read_{n}", "m", 0.05e-3, about=registration.coordinate(n))
-        for n in "xy"
-    ),
+    channels=registration.point_channels(0.05e-3, "xy"),
     settings=(),
     nuisances=(
         Parameter("shift_x", 0.0, 5e-3, "m", "x of the instrument's frame"),

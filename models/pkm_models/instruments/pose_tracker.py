@@ -17,6 +17,7 @@ a fit to a few reference points of the base.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -30,9 +31,7 @@ from pkm_models.parts import registration
 SOURCE = "laser tracker with six-component target; ISO 10360-10 for the instrument"
 ORIENTATION = rotation(("x", "read_alpha"), ("y", "read_beta"), ("z", "read_gamma"))
 FRAMES = f"{ORIENTATION.formula}, from the platform's frame to the instrument's"
-POINT = tuple(
-    Channel(f"read_{n}", "m", 10e-6, about=registration.coordinate(n)) for n in "xyz"
-)
+POINT = registration.point_channels(10e-6)
 ANGLES = tuple(
     Channel(f"read_{n}", "rad", 5.0 * math.pi / 648000.0, about=f"{about}; {FRAMES}")
     for n, about in (
@@ -44,8 +43,7 @@ ANGLES = tuple(
 
 
 def _position(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
-    point = registration.point_in_frame(s, frames[0].point, ca.DM.zeros(3))
-    return [point[0], point[1], point[2]]
+    return registration.coordinates_in_frame(s, frames[0].point)
 
 
 def _pose(frames: Sequence[Frame], s: Values, k: Values) -> list[Expr]:
@@ -66,13 +64,12 @@ instrument = Instrument(
     orientation=ORIENTATION,
 )
 
-position = Instrument(
+position = dataclasses.replace(
+    instrument,
     name="pose_tracker_position",
-    source=SOURCE,
     about="tracker: position of the tool alone",
     channels=POINT,
-    settings=(),
-    nuisances=registration.frame_parameters(0.05e-3, 0.05e-3),
     cost=Cost(setup=2700.0, reading=10.0),
     observe=_position,
+    orientation=None,
 )

@@ -21,6 +21,7 @@ the diagonal of their squares, the covariance of g is N^T D N / m.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -35,7 +36,6 @@ SOURCE = (
     "self-calibration by redundant legs: Patel and Ehmann 2000, Int. J. Mach. Tools"
     " Manuf. 40, 489-512"
 )
-COST = Cost(setup=60.0, reading=10.0)
 GAP = Channel(
     "gap",
     "m",
@@ -74,17 +74,12 @@ def _channels(machine: Machine) -> tuple[Channel, ...]:
 
 def _for_machine(machine: Machine) -> Instrument:
     count = _spare(machine)
-    return Instrument(
-        name="redundancy",
-        source=SOURCE,
-        about=ABOUT,
+    return dataclasses.replace(
+        instrument,
         channels=_channels(machine),
-        settings=(),
-        nuisances=(),
-        cost=COST,
-        implied=0.0,
         observe=_one if count <= 1 else _several,
         unfit=lambda other: _unfit(other) or _unlike(other, count),
+        adapt=None,
     )
 
 
@@ -106,49 +101,37 @@ def _per_leg(machine: Machine) -> Instrument:
         assert null is not None  # as above
         return null.T @ ca.diag(noise) / math.sqrt(m)
 
-    return Instrument(
-        name="redundancy_per_leg",
-        source=SOURCE,
-        about="closure of a redundant machine, with a noise for each leg",
+    return dataclasses.replace(
+        per_leg,
         channels=_channels(machine),
         settings=tuple(
             Setting(f"noise_{leg.name}", "m", default, f"noise of leg {leg.name}")
             for leg in legs
         ),
-        nuisances=(),
-        cost=COST,
-        implied=0.0,
-        observe=_several,
         sources=sources,
         unfit=_unfit,
+        adapt=None,
     )
 
-
-ABOUT = "closure of a redundant machine: by how much its legs' lengths disagree"
 
 instrument = Instrument(
     name="redundancy",
     source=SOURCE,
-    about=ABOUT,
+    about="closure of a redundant machine: by how much its legs' lengths disagree",
     channels=(GAP,),
     settings=(),
     nuisances=(),
-    cost=COST,
+    cost=Cost(setup=60.0, reading=10.0),
     implied=0.0,
     observe=_one,
     unfit=lambda machine: _unfit(machine) or _unlike(machine, 1),
     adapt=_for_machine,
 )
 
-per_leg = Instrument(
+per_leg = dataclasses.replace(
+    instrument,
     name="redundancy_per_leg",
-    source=SOURCE,
     about="closure of a redundant machine, with a noise for each leg",
-    channels=(GAP,),
-    settings=(),
-    nuisances=(),
-    cost=COST,
-    implied=0.0,
     observe=_several,
     unfit=lambda machine: _unfit(machine) or "use for_machine(machine)",
     adapt=_per_leg,

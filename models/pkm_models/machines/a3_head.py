@@ -17,6 +17,7 @@ import math
 from collections.abc import Sequence
 
 import casadi as ca
+import numpy as np
 
 from oed.base.orientation import direction, rotation
 from oed.model.adjustment import Adjustment
@@ -24,13 +25,12 @@ from oed.model.machine import (
     Component,
     Coordinate,
     Expr,
-    Machine,
     Parameter,
-    PointGroup,
     Values,
 )
-from pkm_models.parts import coordinates, passive
-from pkm_models.parts.rotation import tilt_torsion
+from pkm_models.parts import coordinates, passive, six_dof
+from pkm_models.parts.families import numbers, places, point_group
+from pkm_models.parts.six_dof import platform
 
 A, B, C, D = 0.250, 0.250, 0.526, 0.540  # m, Table 1
 LIMBS = (1, 2, 3)
@@ -75,11 +75,6 @@ def _hinge_axis(i: int) -> tuple[float, float, float]:
     return (-math.sin(PHI[i]), math.cos(PHI[i]), 0.0)
 
 
-def platform(x: Values) -> tuple[Expr, Expr]:
-    """Orientation and tool point."""
-    return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
-
-
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Strut length and strut plane of each limb; lengths in m."""
     rows = []
@@ -121,9 +116,7 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
 
 
 def _parameters() -> tuple[Parameter, ...]:
-    table = [
-        Parameter(f"dq{i}", 0.0, HOME, "m", f"home error of limb {i}") for i in LIMBS
-    ]
+    table = numbers("dq", [0.0] * len(LIMBS), HOME, "m", "home error of limb")
     table += [
         Parameter(
             f"db{i}{k}",
@@ -136,11 +129,7 @@ def _parameters() -> tuple[Parameter, ...]:
         for i in LIMBS
         for k in XYZ
     ]
-    table += [
-        Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}")
-        for i in LIMBS
-        for k in XYZ
-    ]
+    table += places("da", np.zeros((len(LIMBS), 3)), JOINT, "platform joint")
     table += [
         Parameter(
             f"beta{i}",
@@ -155,11 +144,11 @@ def _parameters() -> tuple[Parameter, ...]:
     return tuple(table)
 
 
-machine = Machine(
+machine = six_dof.driven(
+    ("z", "psi", "theta"),
     name="a3_head",
     source="Tian et al. 2016, Mech. Mach. Theory 102, 167-178",
     about="A3 spindle head (3-RPS): z, psi, theta driven; x, y, phi parasitic",
-    pose=coordinates.points() + coordinates.angles(),
     joints=tuple(
         coordinates.joint(
             f"q{i}", "m", 0.2, 1.2, "length of limb {} less its home error"
@@ -176,7 +165,6 @@ machine = Machine(
         " platform; joint 1 at -y, joints 2 and 3 at +x and -x"
     ),
     tool_axis="from the platform to the tool point, up at home",
-    orientation=coordinates.POSE_ORIENTATION,
     command_orientation=AXIS,
     parameters=_parameters(),
     components=(
@@ -190,7 +178,6 @@ machine = Machine(
     home={"z": C + D, "psi": 0.0, "theta": 0.0},
     lever=D,
     closure=closure,
-    platform=platform,
     commanded=lambda x, tip: [tip[2], x["rx"], x["ry"]],
     target=target,
     guess=guess,
@@ -202,15 +189,7 @@ machine = Machine(
     ),
     frame=("db1x", "db2y", "db3y", "db1z", "db2z", "db3z"),  # Eq. (16)
     groups=(
-        PointGroup(
-            "platform joints",
-            "the TCP",
-            tuple((tuple(f"da{i}{k}" for k in XYZ), _platform(i)) for i in LIMBS),  # type: ignore[misc]
-        ),
-        PointGroup(
-            "base joints",
-            "the base centre",
-            tuple((tuple(f"db{i}{k}" for k in XYZ), _base(i)) for i in LIMBS),  # type: ignore[misc]
-        ),
+        point_group("platform joints", "the TCP", "da", [*map(_platform, LIMBS)]),
+        point_group("base joints", "the base centre", "db", [*map(_base, LIMBS)]),
     ),
 )

@@ -26,10 +26,12 @@ import functools
 import math
 
 import casadi as ca
+import numpy as np
 
-from oed.model.machine import Dimension, Expr, Family, Machine, Parameter, Values
-from pkm_models.parts import families
-from pkm_models.parts.coordinates import joint, point, point_errors, points
+from oed.model.machine import Dimension, Expr, Family, Machine, Parameter, Strut, Values
+from pkm_models.parts import families, translation
+from pkm_models.parts.coordinates import joint, point
+from pkm_models.parts.translation import tool_point
 
 LINES = (1, 2, 3, 4)  # A, B, C, D
 GEAR, BUILDUP = 255.0 / 20.0, 0.06875e-3  # 1, m
@@ -56,12 +58,9 @@ ANCHOR = {
 } | {4: (0.0, 0.0, 2.350)}
 
 
-def _mover(x: Values) -> Expr:
-    return ca.vertcat(x["x"], x["y"], x["z"])
-
-
-def _anchor(p: Values, i: int) -> Expr:
-    return ca.vertcat(*[p[f"anchor{i}{k}"] for k in "xyz"])
+def _line(x: Values, p: Values, i: int) -> Strut:
+    """Anchor and mover (3,)."""
+    return families.point(p, "anchor", i), tool_point(x)
 
 
 def _closure(buildup: float, x: Values, q: Values, p: Values) -> list[Expr]:
@@ -70,13 +69,14 @@ def _closure(buildup: float, x: Values, q: Values, p: Values) -> list[Expr]:
     for i in LINES:
         turned = q[f"q{i}"] / GEAR
         paid_out = (p[f"radius{i}"] * turned - buildup * turned**2 / 4.0) / FOLD[i]
-        rows.append(ca.norm_2(_anchor(p, i) - _mover(x)) - p[f"line{i}"] - paid_out)
+        anchor, mover = _line(x, p, i)
+        rows.append(ca.norm_2(anchor - mover) - p[f"line{i}"] - paid_out)
     return rows
 
 
 def _motor(c: Values, i: int) -> Expr:
     """Motor angle at a command, without build-up."""
-    wanted = ca.norm_2(ca.vertcat(*ANCHOR[i]) - _mover(c)) - LINE[i]
+    wanted = ca.norm_2(ca.vertcat(*ANCHOR[i]) - tool_point(c)) - LINE[i]
     return FOLD[i] * wanted / SPOOL * GEAR
 
 
@@ -86,37 +86,27 @@ def build(geometry: families.Geometry) -> Machine:
     buildup = families.number(table, "buildup")
     if buildup < 0.0:
         raise ValueError("buildup is below 0: a line on its spool adds to the radius")
-    return Machine(
+    return translation.machine(
+        (0.0, 0.0, 0.0),
+        (point("x", -0.400, 0.400), point("y", -0.400, 0.400), point("z", 0.0, 1.400)),
         name=NAME,
         source="Hangprinter HP4: github.com/tobbelobb/auto-calibration-simulation-for-hangprinter (MIT), at 790dca2",
         about="cable robot, four lines for three degrees of freedom: x, y, z driven, one line redundant",
-        pose=points(),
         joints=tuple(joint(f"q{i}", "rad", -1200.0, 600.0, MOTOR) for i in LINES),
-        command=(
-            point("x", -0.400, 0.400),
-            point("y", -0.400, 0.400),
-            point("z", 0.0, 1.400),
-        ),
         base_frame="origin where the mover was when the lines' lengths were read; z up; axes of the anchors'"
         " coordinates",
         parameters=(
-            *(Parameter(f"anchor{i}{k}", ANCHOR[i]["xyz".index(k)], 0.050, "m", f"{k} of anchor {i}")
-              for i in LINES for k in "xyz"),
+            *families.places("anchor", np.array([*ANCHOR.values()]), 0.050, "anchor"),
             *(Parameter(f"radius{i}", SPOOL, 1.0e-3, "m", f"spool radius of line {i} at the origin") for i in LINES),
             *(Parameter(f"line{i}", LINE[i], 1.0e-3, "m", f"length of line {i} at the origin") for i in LINES),
         ),
-        components=point_errors(),
-        home={"x": 0.0, "y": 0.0, "z": 0.0},
         lever=1.6,
         cable_stiffness=(math.inf,) * len(LINES),
         family=family,
         closure=functools.partial(_closure, buildup),
-        platform=lambda x: (ca.SX.eye(3), _mover(x)),
-        commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
-        target=lambda c: [c["x"], c["y"], c["z"]],
         guess=lambda c: ([c["x"], c["y"], c["z"]], [_motor(c, i) for i in LINES]),
-        skeleton=lambda x, q, p: [[_anchor(p, i), _mover(x)] for i in LINES],
-        struts=lambda x, q, p: [(_anchor(p, i), _mover(x)) for i in LINES],
+        skeleton=lambda x, q, p: [list(_line(x, p, i)) for i in LINES],
+        struts=lambda x, q, p: [_line(x, p, i) for i in LINES],
     )  # fmt: skip
 
 

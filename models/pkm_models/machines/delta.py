@@ -38,9 +38,10 @@ from oed.model.machine import (
 from oed.model.passive_joint import PassiveJoint
 from pkm_models.machines import linear_delta
 from pkm_models.machines.linear_delta import DOWN
-from pkm_models.parts import families, passive
-from pkm_models.parts.coordinates import joint, point, point_errors, points
+from pkm_models.parts import families, translation
+from pkm_models.parts.coordinates import joint, point
 from pkm_models.parts.families import Geometry, as_rows
+from pkm_models.parts.translation import tool_point
 
 TOWERS = (1, 2, 3)
 NAME = "delta"
@@ -67,10 +68,6 @@ DIMENSIONS = (
 )
 
 
-def _tool(x: Values) -> Expr:
-    return ca.vertcat(x["x"], x["y"], x["z"])
-
-
 def _tower(p: Values, i: int) -> tuple[Expr, Expr]:
     """Foot (3,) at z = 0 and direction (3,) of a tower."""
     angle = p[f"angle{i}"]
@@ -93,7 +90,9 @@ def _carriage(i: int, q: Values, p: Values) -> Expr:
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Arm lengths; m."""
-    return [ca.norm_2(_tool(x) - _carriage(i, q, p)) - p[f"arm{i}"] for i in TOWERS]
+    return [
+        ca.norm_2(tool_point(x) - _carriage(i, q, p)) - p[f"arm{i}"] for i in TOWERS
+    ]
 
 
 def guess(c: Values, p: Values) -> Start:
@@ -101,7 +100,7 @@ def guess(c: Values, p: Values) -> Start:
     joints = []
     for i in TOWERS:
         foot, axis = _tower(p, i)
-        offset = _tool(c) - foot
+        offset = tool_point(c) - foot
         along = ca.dot(offset, axis)
         across = ca.dot(offset, offset) - along**2
         above = ca.sqrt(p[f"arm{i}"] ** 2 - across)
@@ -115,16 +114,14 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     for i in TOWERS:
         foot, axis = _tower(p, i)
         carriage = _carriage(i, q, p)
-        lines += [[foot, foot + _top(p, i) * axis], [carriage, _tool(x)]]
+        lines += [[foot, foot + _top(p, i) * axis], [carriage, tool_point(x)]]
     return lines
 
 
 def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
     """Joints of the arms at the carriages: first axes across the towers' radii."""
-    struts = [(_carriage(i, q, p), _tool(x)) for i in TOWERS]
-    angles = [p[f"angle{i}"] for i in TOWERS]
-    axes = [ca.vertcat(-ca.sin(a), ca.cos(a), 0.0) for a in angles]
-    return passive.universals(struts, axes, passive.DOWN)
+    struts = [(_carriage(i, q, p), tool_point(x)) for i in TOWERS]
+    return translation.tangential_joints(struts, [p[f"angle{i}"] for i in TOWERS])
 
 
 def build(geometry: Geometry) -> Machine:
@@ -141,25 +138,20 @@ def build(geometry: Geometry) -> Machine:
     command = [point(n, -width, width) for n in "xy"]
     command.append(point("z", 0.0, height))
     travel = float(endstop.max()) + size
-    return Machine(
+    return translation.machine(
+        (0.0, 0.0, 0.05 * height),
+        command,
         name=NAME,
         source=SOURCE,
         about="delta of any size: radius, angle, tilts and carriage height by tower",
-        pose=points(),
         joints=tuple(joint(f"q{i}", "m", -size, travel, DOWN) for i in TOWERS),
         base_frame=linear_delta.machine.base_frame,
-        command=tuple(command),
         parameters=_parameters(table, radius, arm, endstop),
-        components=point_errors(),
-        home={"x": 0.0, "y": 0.0, "z": 0.05 * height},
         lever=float(radius.mean()),
         closure=closure,
-        platform=lambda x: (ca.SX.eye(3), _tool(x)),
-        commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
-        target=lambda c: [c["x"], c["y"], c["z"]],
         guess=guess,
         skeleton=skeleton,
-        struts=lambda x, q, p: [(_carriage(i, q, p), _tool(x)) for i in TOWERS],
+        struts=lambda x, q, p: [(_carriage(i, q, p), tool_point(x)) for i in TOWERS],
         passive=passive_joints,
         # Turning or tilting all towers together only turns the base frame.
         frame=("angle3",),

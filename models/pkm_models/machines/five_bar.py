@@ -42,8 +42,8 @@ def build(geometry: Geometry) -> Machine:
     crank, strut = as_rows(table["crank"], 2), as_rows(table["strut"], 2)
     sd = families.tolerance(table, float(strut.max()))
     return translation.machine(
-        home,
-        families.number(table, "reach"),
+        home.tolist(),
+        translation.command(home, families.number(table, "reach")),
         name=NAME,
         source="Merlet 2006, Parallel Robots, 2nd ed., Springer: planar robots",
         about="five-bar linkage of any size (SCARA-like): x, y driven",

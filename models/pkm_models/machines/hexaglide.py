@@ -24,19 +24,12 @@ from __future__ import annotations
 import math
 
 import casadi as ca
+import numpy as np
 
-from oed.model.machine import Expr, Machine, Parameter, PointGroup, Values
+from oed.model.machine import Expr, PointGroup, Values
+from pkm_models.parts import families, six_dof
 from pkm_models.parts.coordinates import joint
-from pkm_models.parts.six_dof import (
-    COMPONENTS,
-    ORIENTATION,
-    POSE,
-    XYZ,
-    command,
-    commanded,
-    platform,
-    target,
-)
+from pkm_models.parts.six_dof import XYZ, command, platform, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
 STRUT, START, HEIGHT, PLATFORM = (
@@ -102,14 +95,13 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     return [*rails, *struts, around, [sum(joints[1:], joints[0]) / 6.0, platform(x)[1]]]
 
 
-machine = Machine(
+machine = six_dof.machine(
     name="hexaglide",
     source=(
         "Honegger, Codourey and Burdet 1997, IEEE ICRA, 543-548, for the type; a"
         " generic geometry"
     ),
     about="hexaglide (6-PUS on parallel guides): x, y, z, tilt and spin driven",
-    pose=POSE,
     joints=tuple(
         joint(f"q{i}", "m", *((0.2, 0.9) if SIDE[i] < 0.0 else (1.5, 2.2)), TRAVEL)
         for i in LEGS
@@ -117,39 +109,20 @@ machine = Machine(
     command=command((0.0, 0.0, HEIGHT), 0.100, math.radians(12.0)),
     base_frame="x along the guides, z up, origin below the middle of their travel",
     tool_axis="from the tool point to the platform, up at home",
-    orientation=ORIENTATION,
-    command_orientation=ORIENTATION,
     parameters=(
-        *(Parameter(f"dq{i}", 0.0, ZERO, "m", f"zero of carriage {i}") for i in LEGS),
-        *(
-            Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of the guide at carriage {i}")
-            for i in LEGS
-            for k in "yz"
-        ),
-        *(
-            Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}")
-            for i in LEGS
-            for k in XYZ
-        ),
-        *(Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}") for i in LEGS),
+        *families.numbers("dq", [0.0] * 6, ZERO, "m", "zero of carriage"),
+        *families.places("db", np.zeros((6, 2)), JOINT, "the guide at carriage", "yz"),
+        *families.places("da", np.zeros((6, 3)), JOINT, "platform joint"),
+        *families.numbers("dl", [0.0] * 6, LENGTH, "m", "length of strut"),
     ),
-    components=COMPONENTS,
     home={"x": 0.0, "y": 0.0, "z": HEIGHT, "rx": 0.0, "ry": 0.0, "spin": 0.0},
     lever=PLATFORM,
     closure=closure,
-    platform=platform,
-    commanded=commanded,
-    target=target,
     guess=lambda c: (target(c), [_travel(i, *(c[n] for n in XYZ)) for i in LEGS]),
-    read_error=lambda c, twist: twist,
     skeleton=skeleton,
     struts=lambda x, q, p: _joints(x, q, p),
     groups=(
-        PointGroup(
-            "platform joints",
-            "the tool point",
-            tuple(((f"da{i}x", f"da{i}y", f"da{i}z"), A[i]) for i in LEGS),
-        ),
+        families.point_group("platform joints", "the tool point", "da", [*A.values()]),
         PointGroup(
             "carriages",
             "the base's origin",

@@ -21,19 +21,10 @@ import math
 import casadi as ca
 import numpy as np
 
-from oed.model.machine import Expr, Machine, Parameter, PointGroup, Values
-from pkm_models.parts import passive
+from oed.model.machine import Expr, Values
+from pkm_models.parts import families, passive, six_dof
 from pkm_models.parts.coordinates import joint
-from pkm_models.parts.six_dof import (
-    COMPONENTS,
-    ORIENTATION,
-    POSE,
-    XYZ,
-    command,
-    commanded,
-    platform,
-    target,
-)
+from pkm_models.parts.six_dof import XYZ, command, platform, target
 
 LEGS = (1, 2, 3, 4, 5, 6)
 BASE, PLATFORM, ABOVE, HEIGHT = (
@@ -95,24 +86,13 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     ]
 
 
-def _group(name: str, origin: str, letter: str, at: dict[int, Point]) -> PointGroup:
-    return PointGroup(
-        name,
-        origin,
-        tuple(
-            ((f"{letter}{i}x", f"{letter}{i}y", f"{letter}{i}z"), at[i]) for i in LEGS
-        ),
-    )
-
-
-machine = Machine(
+machine = six_dof.machine(
     name="hexapod",
     source=(
         "Wang and Masory 1993, IEEE ICRA, 114-120, for the 42 parameters; a generic 6-6"
         " geometry"
     ),
     about="hexapod (6-UPS): x, y, z, tilt and spin driven",
-    pose=POSE,
     joints=tuple(
         joint(f"q{i}", "m", 0.350, 0.900, "length of leg {} less its zero")
         for i in LEGS
@@ -123,37 +103,22 @@ machine = Machine(
         " platform; x between the joints of legs 1 and 2"
     ),
     tool_axis="from the tool point to the platform, up at home",
-    orientation=ORIENTATION,
-    command_orientation=ORIENTATION,
     parameters=(
-        *(
-            Parameter(f"db{i}{k}", 0.0, JOINT, "m", f"{k} of base joint {i}")
-            for i in LEGS
-            for k in XYZ
-        ),
-        *(
-            Parameter(f"da{i}{k}", 0.0, JOINT, "m", f"{k} of platform joint {i}")
-            for i in LEGS
-            for k in XYZ
-        ),
-        *(Parameter(f"dl{i}", 0.0, ZERO, "m", f"zero of leg {i}") for i in LEGS),
+        *families.places("db", np.zeros((6, 3)), JOINT, "base joint"),
+        *families.places("da", np.zeros((6, 3)), JOINT, "platform joint"),
+        *families.numbers("dl", [0.0] * 6, ZERO, "m", "zero of leg"),
     ),
-    components=COMPONENTS,
     home={"x": 0.0, "y": 0.0, "z": HEIGHT, "rx": 0.0, "ry": 0.0, "spin": 0.0},
     lever=PLATFORM,
     closure=closure,
-    platform=platform,
-    commanded=commanded,
-    target=target,
     guess=lambda c: (target(c), [c["z"] + ABOVE] * 6),
-    read_error=lambda c, twist: twist,
     skeleton=skeleton,
     struts=lambda x, q, p: _joints(x, p),
     passive=lambda x, q, p: passive.universals(
         _joints(x, p), passive.tangents(np.array(list(B.values()))), passive.UP
     ),
     groups=(
-        _group("platform joints", "the tool point", "da", A),
-        _group("base joints", "the base centre", "db", B),
+        families.point_group("platform joints", "the tool point", "da", [*A.values()]),
+        families.point_group("base joints", "the base centre", "db", [*B.values()]),
     ),
 )

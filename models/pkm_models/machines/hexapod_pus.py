@@ -14,11 +14,9 @@ from __future__ import annotations
 
 import math
 
-import casadi as ca
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
+from oed.model.machine import Dimension, Family, Machine
 from pkm_models.parts import families, legs, six_dof
 from pkm_models.parts.carriages import GuidedStruts
 from pkm_models.parts.families import Geometry, as_rows
@@ -33,28 +31,6 @@ DIMENSIONS = (
 )
 
 
-def _builder(along: Array, side: Array) -> dict[str, object]:
-    """Closure, start, drawing and struts for guides of these directions and sides."""
-    limbs = GuidedStruts(along, side)
-
-    def closure(x: Values, q: Values, p: Values) -> list[Expr]:
-        rows = []
-        for i in limbs.limbs:
-            carriage, joint = limbs.ends(x, q, p, i)
-            rows.append(ca.norm_2(joint - carriage) - p[f"l{i}"])
-        return rows
-
-    def guess(c: Values, p: Values) -> Start:
-        return six_dof.target(c), limbs.travels(c, p)
-
-    return {
-        "closure": closure,
-        "guess": guess,
-        "skeleton": limbs.skeleton,
-        "struts": limbs.struts,
-    }
-
-
 def build(geometry: Geometry) -> Machine:
     """A machine of this geometry. Raises ValueError where it makes none."""
     table = families.completed(DIMENSIONS, geometry)
@@ -64,6 +40,7 @@ def build(geometry: Geometry) -> Machine:
     home = families.array(table, "home")
     reach = families.number(table, "reach")
     along = families.unit_vectors(table["direction"], 6)
+    limbs = GuidedStruts(along, as_rows(table["side"], 6))
     strut = as_rows(table["strut"], 6)
     size = families.largest(platform)
     span = families.largest(home + platform - guides)
@@ -84,10 +61,11 @@ def build(geometry: Geometry) -> Machine:
         ),
         home=legs.pose_at({}, home.tolist()),
         lever=size,
-        base_frame=legs.GEOMETRY_FRAME,
-        tool_axis=legs.GEOMETRY_TOOL_AXIS,
         family=family,
-        **_builder(along, as_rows(table["side"], 6)),
+        closure=limbs.closure,
+        guess=lambda c, p: (six_dof.target(c), limbs.travels(c, p)),
+        skeleton=limbs.skeleton,
+        struts=limbs.struts,
     )
 
 

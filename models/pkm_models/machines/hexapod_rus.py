@@ -61,8 +61,6 @@ def build(geometry: Geometry) -> Machine:
         ),
         home=legs.pose_at({}, home.tolist()),
         lever=families.largest(platform),
-        base_frame=legs.GEOMETRY_FRAME,
-        tool_axis=legs.GEOMETRY_TOOL_AXIS,
         closure=limbs.closure,
         guess=limbs.start([c.name for c in command]),
         skeleton=limbs.skeleton,

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models.parts import families, legs, passive, six_dof
 from pkm_models.parts.families import Geometry
@@ -40,48 +38,29 @@ def guess(c: Values, p: Values) -> Start:
     return six_dof.target(c), [legs.leg_length(c, p, i) for i in LEGS]
 
 
-def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
-    """Base, legs, platform, tool."""
-    return legs.legs_skeleton(x, p, 6)
-
-
 def build(geometry: Geometry) -> Machine:
     """A hexapod of this geometry. Raises ValueError where it makes none."""
     table = families.completed(DIMENSIONS, geometry)
     families.positive(table, "reach", "tilt")
-    base = families.array(table, "base")
-    platform = families.array(table, "platform")
-    home = families.array(table, "home")
-    reach = families.number(table, "reach")
-    drawn = home + platform - base
-    lengths = np.linalg.norm(drawn, axis=1)
-    size = families.largest(platform)
-    tilt = families.number(table, "tilt")
-    change = math.sqrt(3.0) * (reach + 2.0 * size * tilt)
-    legs_range = families.around(lengths, change, 6, legs.LEG)
-    sd = families.tolerance(table, float(lengths.mean()))
+    limbs, reach = legs.ExtensibleLegs(table), families.number(table, "reach")
+    home, tilt = limbs.home.tolist(), families.number(table, "tilt")
+    change = math.sqrt(3.0) * (reach + 2.0 * limbs.size * tilt)
     return six_dof.machine(
         name=NAME,
         source="Wang and Masory 1993, IEEE ICRA, 114-120, for the 42 parameters",
         about="hexapod of any geometry (6-UPS): x, y, z, tilt and spin driven",
-        joints=legs_range,
-        command=six_dof.command(home.tolist(), reach, families.number(table, "tilt")),
-        parameters=(
-            *families.places("b", base, sd, "base joint"),
-            *families.places("a", platform, sd, "platform joint"),
-            *families.numbers("l", [0.0] * 6, sd, "m", "zero of leg"),
-        ),
-        home=legs.pose_at({}, home.tolist()),
-        lever=size,
+        joints=families.around(limbs.lengths, change, 6, legs.LEG),
+        command=six_dof.command(home, reach, tilt),
+        parameters=tuple(limbs.parameters()),
+        home=legs.pose_at({}, home),
+        lever=limbs.size,
         closure=closure,
         guess=guess,
-        skeleton=skeleton,
-        struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        skeleton=limbs.skeleton,
+        struts=limbs.struts,
         passive=lambda x, q, p: passive.universals(
-            [legs.leg(x, p, i) for i in LEGS], legs.across(drawn)[:, 0], drawn
+            limbs.struts(x, q, p), legs.across(limbs.drawn)[:, 0], limbs.drawn
         ),
-        base_frame=legs.GEOMETRY_FRAME,
-        tool_axis=legs.GEOMETRY_TOOL_AXIS,
         family=family,
     )
 

@@ -18,10 +18,11 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.model.machine import Expr, Parameter, Values
 from oed.model.passive_joint import PassiveJoint
-from pkm_models.parts import passive
-from pkm_models.parts.coordinates import joint, point, point_errors, points
+from pkm_models.parts import families, translation
+from pkm_models.parts.coordinates import joint, point
+from pkm_models.parts.translation import tool_point
 
 TOWERS = (1, 2, 3)
 DOWN = "travel of carriage {} down from its endstop"
@@ -36,18 +37,11 @@ def _carriage(i: int, q: Values, p: Values) -> Expr:
     return ca.vertcat(radius * ca.cos(angle), radius * ca.sin(angle), height)
 
 
-def _tool(x: Values) -> Expr:
-    return ca.vertcat(x["x"], x["y"], x["z"])
-
-
-def platform(x: Values) -> tuple[Expr, Expr]:
-    """The platform never turns."""
-    return ca.SX.eye(3), _tool(x)
-
-
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Arm lengths; m."""
-    return [ca.norm_2(_tool(x) - _carriage(i, q, p)) - p[f"arm{i}"] for i in TOWERS]
+    return [
+        ca.norm_2(tool_point(x) - _carriage(i, q, p)) - p[f"arm{i}"] for i in TOWERS
+    ]
 
 
 def guess(c: Values, p: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
@@ -67,63 +61,45 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
         top = _carriage(i, q, p)
         foot = ca.vertcat(top[0], top[1], 0.0)
         head = ca.vertcat(top[0], top[1], ENDSTOP + math.sqrt(ARM**2 - RADIUS**2))
-        lines += [[foot, head], [top, _tool(x)]]
+        lines += [[foot, head], [top, tool_point(x)]]
     return lines
 
 
 def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
     """Joints of the arms at the carriages: first axes across the towers' radii."""
-    struts = [(_carriage(i, q, p), _tool(x)) for i in TOWERS]
-    angles = [p[f"angle{i}"] for i in TOWERS]
-    axes = [ca.vertcat(-ca.sin(a), ca.cos(a), 0.0) for a in angles]
-    return passive.universals(struts, axes, passive.DOWN)
+    struts = [(_carriage(i, q, p), tool_point(x)) for i in TOWERS]
+    return translation.tangential_joints(struts, [p[f"angle{i}"] for i in TOWERS])
 
 
-machine = Machine(
+machine = translation.machine(
+    (0.0, 0.0, 0.020),
+    (point("x", -0.140, 0.140), point("y", -0.140, 0.140), point("z", 0.0, 0.400)),
     name="linear_delta",
     source=(
         "delta printer kinematics; nominal numbers of the FLSun V400 (Klipper"
         " configuration, CC0)"
     ),
     about="linear delta (3-PUU with parallelograms): x, y, z driven",
-    pose=points(),
     joints=tuple(joint(f"q{i}", "m", -0.05, 0.6, DOWN) for i in TOWERS),
-    command=(
-        point("x", -0.140, 0.140),
-        point("y", -0.140, 0.140),
-        point("z", 0.0, 0.400),
-    ),
     base_frame=(
         "origin on the bed, midway between the towers; z up; towers at the angles from"
         " x to y that the parameters `angle` state"
     ),
     parameters=(
         Parameter("radius", RADIUS, 0.5e-3, "m", "tower circle less platform radius"),
-        *(
-            Parameter(f"arm{i}", ARM, 1.0e-3, "m", f"arm length of tower {i}")
-            for i in TOWERS
+        *families.numbers("arm", [ARM] * 3, 1.0e-3, "m", "arm length of tower"),
+        *families.numbers(
+            "angle", list(ANGLE.values()), 3.5e-3, "rad", "angle of tower"
         ),
-        *(
-            Parameter(f"angle{i}", ANGLE[i], 3.5e-3, "rad", f"angle of tower {i}")
-            for i in TOWERS
-        ),
-        *(
-            Parameter(
-                f"endstop{i}", ENDSTOP, 1.5e-3, "m", f"tool height at endstop {i}"
-            )
-            for i in TOWERS
+        *families.numbers(
+            "endstop", [ENDSTOP] * 3, 1.5e-3, "m", "tool height at endstop"
         ),
     ),
-    components=point_errors(),
-    home={"x": 0.0, "y": 0.0, "z": 0.020},
     lever=RADIUS,
     closure=closure,
-    platform=platform,
-    commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
-    target=lambda c: [c["x"], c["y"], c["z"]],
     guess=guess,
     skeleton=skeleton,
-    struts=lambda x, q, p: [(_carriage(i, q, p), _tool(x)) for i in TOWERS],
+    struts=lambda x, q, p: [(_carriage(i, q, p), tool_point(x)) for i in TOWERS],
     passive=passive_joints,
     frame=("angle3",),  # turning all towers together only turns the base frame
 )

@@ -24,10 +24,12 @@ import casadi as ca
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.model.machine import Expr, Machine, Parameter, Values
+from oed.model.machine import Expr, Values
 from oed.model.passive_joint import PassiveJoint
-from pkm_models.parts import passive
-from pkm_models.parts.coordinates import joint, point, point_errors, points
+from pkm_models.parts import translation
+from pkm_models.parts.coordinates import joint, point
+from pkm_models.parts.families import numbers
+from pkm_models.parts.translation import tool_point
 
 LEGS = (1, 2, 3)
 R_FRAME, R_PLATFORM = 0.200, 0.060  # m
@@ -54,13 +56,9 @@ def _point(radius: Expr, angle: Expr) -> Expr:
 
 def _ends(x: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     """Frame point f_i and platform point x + p_i."""
-    return _point(p[f"rf{i}"], p[f"thetaf{i}"]), _probe(x) + _point(
+    return _point(p[f"rf{i}"], p[f"thetaf{i}"]), tool_point(x) + _point(
         p[f"rp{i}"], p[f"thetap{i}"]
     )
-
-
-def _probe(x: Values) -> Expr:
-    return ca.vertcat(x["x"], x["y"], x["z"])
 
 
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
@@ -80,77 +78,54 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
         [*frame, frame[0]],
         *legs,
         [*platform, platform[0]],
-        *[[b, _probe(x)] for b in platform],
+        *[[b, tool_point(x)] for b in platform],
     ]
 
 
 def passive_joints(x: Values, q: Values, p: Values) -> list[PassiveJoint]:
     """Universal joints at the frame: first axes tangential, at the frame points' angles."""
     struts = [_ends(x, p, i) for i in LEGS]
-    angles = [p[f"thetaf{i}"] for i in LEGS]
-    axes = [ca.vertcat(-ca.sin(a), ca.cos(a), 0.0) for a in angles]
-    return passive.universals(struts, axes, passive.DOWN)
+    return translation.tangential_joints(struts, [p[f"thetaf{i}"] for i in LEGS])
 
 
-machine = Machine(
+machine = translation.machine(
+    (0.0, 0.0, -0.200),
+    (point("x", -0.040, 0.040), point("y", -0.040, 0.040), point("z", -0.250, -0.150)),
     name="micro_cmm",
     source=(
         "Rugbani and Schreve, The use of parallel mechanism micro-CMM in"
         " micrometrology, Eqs. (1)-(5)"
     ),
     about="micro-CMM with three extensible legs (3-UPU): x, y, z driven",
-    pose=points(),
     joints=tuple(
         joint(f"q{i}", "m", 0.120, 0.350, "length of leg {} less its zero")
         for i in LEGS
-    ),
-    command=(
-        point("x", -0.040, 0.040),
-        point("y", -0.040, 0.040),
-        point("z", -0.250, -0.150),
     ),
     base_frame=(
         "origin at the centre of the upper frame; z square to it, away from the probe;"
         " x towards leg 1"
     ),
     parameters=(
-        *(
-            Parameter(f"rf{i}", R_FRAME, MADE, "m", f"radius of frame point {i}")
-            for i in LEGS
+        *numbers("rf", [R_FRAME] * 3, MADE, "m", "radius of frame point"),
+        *numbers("rp", [R_PLATFORM] * 3, MADE, "m", "radius of platform point"),
+        *numbers(
+            "thetaf",
+            list(ANGLE.values()),
+            MADE / R_FRAME,
+            "rad",
+            "angle of frame point",
         ),
-        *(
-            Parameter(f"rp{i}", R_PLATFORM, MADE, "m", f"radius of platform point {i}")
-            for i in LEGS
+        *numbers(
+            "thetap",
+            list(ANGLE.values()),
+            MADE / R_PLATFORM,
+            "rad",
+            "angle of platform point",
         ),
-        *(
-            Parameter(
-                f"thetaf{i}",
-                ANGLE[i],
-                MADE / R_FRAME,
-                "rad",
-                f"angle of frame point {i}",
-            )
-            for i in LEGS
-        ),
-        *(
-            Parameter(
-                f"thetap{i}",
-                ANGLE[i],
-                MADE / R_PLATFORM,
-                "rad",
-                f"angle of platform point {i}",
-            )
-            for i in LEGS
-        ),
-        *(Parameter(f"dl{i}", 0.0, MADE, "m", f"zero of leg {i}") for i in LEGS),
+        *numbers("dl", [0.0] * 3, MADE, "m", "zero of leg"),
     ),
-    components=point_errors(),
-    home={"x": 0.0, "y": 0.0, "z": -0.200},
     lever=R_FRAME,
     closure=closure,
-    platform=lambda x: (ca.SX.eye(3), _probe(x)),
-    commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
-    target=lambda c: [c["x"], c["y"], c["z"]],
     guess=lambda c: (
         [c["x"], c["y"], c["z"]],
         [ca.norm_2(ca.vertcat(R_FRAME - R_PLATFORM, c["z"]))] * 3,

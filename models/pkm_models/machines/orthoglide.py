@@ -14,10 +14,9 @@ reach of the workspace. A guide's point along its direction is the zero of its s
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
-from oed.model.machine import Expr, Family, Machine, Start, Values
+from oed.model.machine import Expr, Family, Machine, Values
 from pkm_models.parts import families, legs, translation
 from pkm_models.parts.carriages import GuidedStruts
 from pkm_models.parts.families import Geometry, as_rows
@@ -41,14 +40,6 @@ def build(geometry: Geometry) -> Machine:
         joint=lambda x, p, i: translation.tool_point(x),
     )
 
-    def closure(x: Values, q: Values, p: Values) -> list[Expr]:
-        """Strut lengths, m."""
-        ends = zip(limbs.limbs, limbs.struts(x, q, p), strict=True)
-        return [ca.norm_2(b - a) - p[f"l{i}"] for i, (a, b) in ends]
-
-    def guess(c: Values, p: Values) -> Start:
-        return [c[n] for n in "xyz"], limbs.travels(c, p)
-
     def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
         """Guides up to their carriages, and struts."""
         ends = zip(limbs.limbs, limbs.struts(x, q, p), strict=True)
@@ -59,8 +50,8 @@ def build(geometry: Geometry) -> Machine:
     low, high = -span - reach - longest, span + reach + longest
     sd = families.tolerance(table, longest)
     return translation.machine(
-        home,
-        reach,
+        home.tolist(),
+        translation.command(home, reach),
         name=NAME,
         source="Wenger and Chablat 2000, Advances in Robot Kinematics, 305-314",
         about="three-axis glide of any size (3-PUU with parallelograms): x, y, z driven",
@@ -72,8 +63,8 @@ def build(geometry: Geometry) -> Machine:
             *families.numbers("l", strut.tolist(), sd, "m", "length of strut"),
         ),
         lever=longest,
-        closure=closure,
-        guess=guess,
+        closure=limbs.closure,
+        guess=lambda c, p: ([c[n] for n in "xyz"], limbs.travels(c, p)),
         skeleton=skeleton,
         struts=limbs.struts,
         family=family,

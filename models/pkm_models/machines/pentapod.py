@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Strut, Values
-from pkm_models.parts import coordinates, families, legs
+from pkm_models.parts import coordinates, families, legs, six_dof
 from pkm_models.parts.families import Geometry, as_rows, point
 from pkm_models.parts.rotation import tilt_torsion
 
@@ -124,7 +124,7 @@ def build(geometry: Geometry) -> Machine:
         read_error=lambda c, twist: list(twist[:5]),
         skeleton=skeleton,
         struts=lambda x, q, p: [leg(x, p, i) for i in LEGS],
-        base_frame=legs.GEOMETRY_FRAME,
+        base_frame=six_dof.GEOMETRY_FRAME,
         tool_axis="along the tool, from the tool point to the collars",
         orientation=of,
         command_orientation=of,

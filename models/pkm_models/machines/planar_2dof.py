@@ -21,8 +21,11 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from oed.model.machine import Expr, Machine, Parameter, Values
-from pkm_models.parts.coordinates import joint, point, point_errors, points
+from oed.model.machine import Expr, Parameter, Values
+from pkm_models.parts import translation
+from pkm_models.parts.coordinates import joint, point
+from pkm_models.parts.families import numbers
+from pkm_models.parts.translation import tool_point
 
 LIMBS = (1, 2)
 SIDE = {1: -0.5, 2: 0.5}
@@ -38,13 +41,9 @@ def _slider(i: int, q: Values, p: Values) -> Expr:
     )
 
 
-def _platform(x: Values) -> Expr:
-    return ca.vertcat(0.0, x["y"], x["z"])
-
-
 def closure(x: Values, q: Values, p: Values) -> list[Expr]:
     """Strut lengths, m."""
-    return [ca.norm_2(_platform(x) - _slider(i, q, p)) - p[f"l{i}"] for i in LIMBS]
+    return [ca.norm_2(tool_point(x) - _slider(i, q, p)) - p[f"l{i}"] for i in LIMBS]
 
 
 def guess(c: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:
@@ -59,18 +58,19 @@ def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
     lines = []
     for i in LIMBS:
         ends = [_slider(i, {f"q{i}": height}, p) for height in (0.0, 5.0)]
-        lines += [ends, [_slider(i, q, p), _platform(x)]]
+        lines += [ends, [_slider(i, q, p), tool_point(x)]]
     return lines
 
 
-machine = Machine(
+machine = translation.machine(
+    (0.0, 0.0),
+    (point("y", -1.5, 1.5), point("z", 0.0, 1.5)),
     name="planar_2dof",
     source=(
         "Chang, Li and Li 2011, Chin. J. Mech. Eng., calibration of a 2-DOF planar"
         " parallel manipulator"
     ),
     about="planar manipulator (2-PRR with parallelograms): y, z driven",
-    pose=points("yz"),
     joints=tuple(
         joint(
             f"q{i}",
@@ -81,18 +81,14 @@ machine = Machine(
         )
         for i in LIMBS
     ),
-    command=(point("y", -1.5, 1.5), point("z", 0.0, 1.5)),
     base_frame=(
         "origin on the table, midway between the guides; y horizontal, from guide 1 to"
         " guide 2; z up; the machine moves in the plane x = 0"
     ),
     parameters=(
         Parameter("D", D, DISTANCE, "m", "distance between the guides at z = 0"),
-        *(
-            Parameter(f"z{i}", 0.0, HOME, "m", f"home error of slider {i}")
-            for i in LIMBS
-        ),
-        *(Parameter(f"l{i}", L, LENGTH, "m", f"length of strut {i}") for i in LIMBS),
+        *numbers("z", [0.0] * 2, HOME, "m", "home error of slider"),
+        *numbers("l", [L] * 2, LENGTH, "m", "length of strut"),
         *(
             Parameter(
                 f"beta{i}", 0.0, TILT, "rad", f"tilt of guide {i} from the vertical"
@@ -100,15 +96,9 @@ machine = Machine(
             for i in LIMBS
         ),
     ),
-    components=point_errors("yz"),
-    home={"y": 0.0, "z": 0.0},
     lever=1.0,
     closure=closure,
-    platform=lambda x: (ca.SX.eye(3), _platform(x)),
-    commanded=lambda x, tip: [tip[1], tip[2]],
-    target=lambda c: [c["y"], c["z"]],
     guess=guess,
-    read_error=lambda c, twist: [twist[1], twist[2]],
     skeleton=skeleton,
-    struts=lambda x, q, p: [(_slider(i, q, p), _platform(x)) for i in LIMBS],
+    struts=lambda x, q, p: [(_slider(i, q, p), tool_point(x)) for i in LIMBS],
 )

@@ -34,13 +34,13 @@ from oed.model.machine import (
     Component,
     Coordinate,
     Expr,
-    Machine,
     Parameter,
     PointGroup,
     Values,
 )
-from pkm_models.parts import coordinates, passive
-from pkm_models.parts.rotation import tilt_torsion
+from pkm_models.parts import coordinates, passive, six_dof
+from pkm_models.parts.families import point_group
+from pkm_models.parts.six_dof import platform
 
 R, RADIUS, H, L = (
     0.349,
@@ -83,11 +83,6 @@ def joints(x: Values, q: Values, p: Values, i: int) -> tuple[Expr, Expr]:
     )
     rotation, point = platform(x)
     return slider, point + rotation @ local
-
-
-def platform(x: Values) -> tuple[Expr, Expr]:
-    """Orientation and tool tip."""
-    return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
 
 
 def out_of_plane(x: Values, q: Values, p: Values, i: int) -> Expr:
@@ -173,20 +168,18 @@ def _parameters(i: int) -> list[Parameter]:
     return [*table, Parameter(f"dl{i}", 0.0, LENGTH, "m", f"length of strut {i}")]
 
 
-_BALLS = tuple(
-    (tuple(f"db{i}{k}" for k in "xyz"), _circle(RADIUS, H, i)) for i in LIMBS
-)
+_BALLS = [_circle(RADIUS, H, i) for i in LIMBS]
 _SLIDERS = tuple(
     ((f"dR{i}x", f"dR{i}y", ""), _circle(R, 0.0, i)) for i in LIMBS
 )  # heights are no parameters
 
-machine = Machine(
+machine = six_dof.driven(
+    ("z", "alpha", "beta"),
     name="prs_spindle",
     source="Wang and Fan 2004, Int. J. Mach. Tools Manuf. 44, 1171-1178",
     about=(
         "3-PRS spindle head, full closure: z, alpha, beta driven; x, y, gamma parasitic"
     ),
-    pose=coordinates.points() + coordinates.angles(),
     joints=tuple(
         coordinates.joint(f"q{i}", "m", 1.1, 2.1, "height of slider {}, up")
         for i in LIMBS
@@ -201,7 +194,6 @@ machine = Machine(
         " them; x towards slider 1"
     ),
     tool_axis="from the tool tip into the spindle, up at home",
-    orientation=coordinates.POSE_ORIENTATION,
     command_orientation=AXIS,
     parameters=tuple(p for i in LIMBS for p in _parameters(i)),
     components=tuple(coordinates.point_error(n, driven=n == "z") for n in "xyz")
@@ -212,7 +204,6 @@ machine = Machine(
     home={"z": 0.200, "alpha": 0.0, "beta": 0.0},
     lever=H,
     closure=closure,
-    platform=platform,
     commanded=lambda x, tip: [tip[2], *[platform(x)[0][k, 2] for k in (0, 1)]],
     target=target,
     guess=guess,
@@ -225,7 +216,7 @@ machine = Machine(
         passive.DOWN,
     ),
     groups=(
-        PointGroup("platform joints", "the tool tip", _BALLS),  # type: ignore[arg-type]
+        point_group("platform joints", "the tool tip", "db", _BALLS),
         PointGroup("slider joints", "the machine's axis", _SLIDERS),
     ),
 )

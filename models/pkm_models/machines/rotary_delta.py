@@ -56,8 +56,8 @@ def build(geometry: Geometry) -> Machine:
     upper, lower = as_rows(table["upper"], 3), as_rows(table["lower"], 3)
     sd = families.tolerance(table, float(lower.max()))
     return translation.machine(
-        home,
-        families.number(table, "reach"),
+        home.tolist(),
+        translation.command(home, families.number(table, "reach")),
         name=NAME,
         source="Clavel 1991, thesis 925, EPFL; LinuxCNC, rotarydeltakins",
         about="rotary delta of any size (3-RUU with parallelograms): x, y, z driven",

@@ -21,7 +21,6 @@ import dataclasses
 import math
 
 import casadi as ca
-import numpy as np
 
 from oed.model.machine import (
     Dimension,
@@ -113,12 +112,6 @@ def _passive_joints(
     ]
 
 
-def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
-    """Base, legs, platform, tool, passive leg."""
-    passive = [pivot(p), six_dof.platform(x)[1]]
-    return [*legs.legs_skeleton(x, p, 3), passive]
-
-
 def passive_parameters(pivot: list[float], sd: float) -> list[Parameter]:
     rad = legs.DIRECTION_SD
     return [
@@ -146,47 +139,35 @@ def build(geometry: Geometry) -> Machine:
     """A machine of this geometry. Raises ValueError where it makes none."""
     table = families.completed(DIMENSIONS, geometry)
     families.positive(table, "reach")
-    base = families.array(table, "base")
-    platform = families.array(table, "platform")
-    home = families.array(table, "home")
-    reach = families.number(table, "reach")
-    pivot, angle = np.asarray(table["pivot"], dtype=float), float(table["first_axis"])
-    if abs(home[2] - pivot[2]) <= reach:
+    limbs, reach = legs.ExtensibleLegs(table), families.number(table, "reach")
+    home, size = limbs.home, limbs.size
+    centre, angle = families.array(table, "pivot"), float(table["first_axis"])
+    if abs(home[2] - centre[2]) <= reach:
         raise ValueError("the workspace reaches the pivot: move home, or reduce reach")
-    up = 1.0 if pivot[2] > home[2] else -1.0
-    lengths = np.linalg.norm(home + platform - base, axis=1)
-    size = families.largest(platform)
-    legs_range = families.around(lengths, 3.0 * reach, 3, legs.LEG)
-    sd = families.tolerance(table, float(lengths.mean()))
+    up = 1.0 if centre[2] > home[2] else -1.0
     ranges = zip(XYZ, home.tolist(), strict=True)
-    return Machine(
+    return six_dof.driven(
+        XYZ,
         name=NAME,
         source="Siciliano 1999, Robotica 17, 437-445: the Tricept robot",
         about="tripod with a passive leg (3-UPS + UP): x, y, z driven, the tilt follows",
-        pose=six_dof.POSE,
-        joints=legs_range,
+        joints=families.around(limbs.lengths, 3.0 * reach, 3, legs.LEG),
         command=tuple(coordinates.point(n, v - reach, v + reach) for n, v in ranges),
         parameters=(
-            *families.places("b", base, sd, "base joint"),
-            *families.places("a", platform, sd, "platform joint"),
-            *families.numbers("l", [0.0] * 3, sd, "m", "zero of leg"),
-            *passive_parameters(pivot.tolist(), sd),
+            *limbs.parameters(),
+            *passive_parameters(centre.tolist(), limbs.tolerance),
         ),
         components=legs.errors(XYZ),
         home=dict(zip(XYZ, home.tolist(), strict=True)),
         lever=size,
         closure=lambda x, q, p: _closure(x, q, p, angle, size),
-        platform=six_dof.platform,
-        commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
-        target=lambda c: [c[n] for n in XYZ],
         guess=lambda c, p: _guess(c, p, up),
-        read_error=lambda c, twist: twist,
-        skeleton=skeleton,
-        struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        skeleton=lambda x, q, p: [
+            *limbs.skeleton(x, q, p),
+            [pivot(p), six_dof.platform(x)[1]],
+        ],
+        struts=limbs.struts,
         passive=lambda x, q, p: _passive_joints(x, p, angle, up),
-        base_frame=legs.GEOMETRY_FRAME,
-        tool_axis=legs.GEOMETRY_TOOL_AXIS,
-        orientation=six_dof.ORIENTATION,
         family=family,
     )
 

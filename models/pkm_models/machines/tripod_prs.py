@@ -82,11 +82,11 @@ def build(geometry: Geometry) -> Machine:
     reach = families.number(table, "reach")
     longest = float(strut.max())
     sd = families.tolerance(table, longest)
-    return Machine(
+    return six_dof.driven(
+        legs.TRIPOD_COMMAND,
         name=NAME,
         source="Carretero et al. 2000, J. Mechanical Design 122, 17-24",
         about="tripod with carriages of any geometry (3-PRS): z and tilt driven",
-        pose=six_dof.POSE,
         joints=families.joint_ranges(-span - reach, span + longest, 3, legs.CARRIAGE),
         command=legs.tripod_command(table),
         parameters=(
@@ -99,16 +99,9 @@ def build(geometry: Geometry) -> Machine:
         components=legs.errors(("z", "ax", "ay")),
         home={"z": float(home[2]), "rx": 0.0, "ry": 0.0},
         lever=size,
-        platform=six_dof.platform,
-        commanded=lambda x, tip: [tip[2], x["rx"], x["ry"]],
-        target=lambda c: [c[n] for n in legs.TRIPOD_COMMAND],
-        read_error=lambda c, twist: twist,
-        base_frame=legs.GEOMETRY_FRAME,
-        tool_axis=legs.GEOMETRY_TOOL_AXIS,
-        orientation=six_dof.ORIENTATION,
         command_orientation=coordinates.TILT_DIRECTION,
         family=family,
-        **_builder(along, axes, as_rows(table["side"], 3)),  # type: ignore[arg-type]
+        **_builder(along, axes, as_rows(table["side"], 3)),
     )
 
 

@@ -15,8 +15,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from oed.base.arrays import Array
 from oed.model.machine import Dimension, Expr, Family, Machine, Start, Values
 from pkm_models.parts import coordinates, families, legs, passive, six_dof
@@ -58,58 +56,31 @@ def guess(c: Values, p: Values) -> Start:
     return pose, [legs.leg_length(x, p, i) for i in LEGS]
 
 
-def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
-    """Base, legs, platform, tool."""
-    return legs.legs_skeleton(x, p, 3)
-
-
 def build(geometry: Geometry) -> Machine:
     """A tripod of this geometry. Raises ValueError where it makes none."""
     table = families.completed(DIMENSIONS, geometry)
     families.positive(table, "reach", "tilt")
-    base = families.array(table, "base")
-    platform = families.array(table, "platform")
-    home = families.array(table, "home")
-    reach = families.number(table, "reach")
     axes = families.unit_vectors(table["axis"], 3)
-    size = families.largest(platform)
-    drawn = home + platform - base
-    lengths = np.linalg.norm(drawn, axis=1)
-    tilt = families.number(table, "tilt")
-    legs_range = families.around(
-        lengths, 2.0 * (reach + 2.0 * size * tilt), 3, legs.LEG
-    )
-    sd = families.tolerance(table, float(lengths.mean()))
-    return Machine(
+    limbs, reach = legs.ExtensibleLegs(table), families.number(table, "reach")
+    change = 2.0 * (reach + 2.0 * limbs.size * families.number(table, "tilt"))
+    return six_dof.driven(
+        legs.TRIPOD_COMMAND,
         name=NAME,
         source="Lee and Shah 1988, IEEE J. Robotics and Automation 4, 354-360",
         about="tripod of any geometry (3-RPS): z and tilt driven; x, y, spin parasitic",
-        pose=six_dof.POSE,
-        joints=legs_range,
+        joints=families.around(limbs.lengths, change, 3, legs.LEG),
         command=legs.tripod_command(table),
-        parameters=(
-            *families.places("b", base, sd, "base joint"),
-            *families.places("a", platform, sd, "platform joint"),
-            *families.numbers("l", [0.0] * 3, sd, "m", "zero of leg"),
-            *legs.hinge_parameters(),
-        ),
+        parameters=(*limbs.parameters(), *legs.hinge_parameters()),
         components=legs.errors(("z", "ax", "ay")),
-        home={"z": float(home[2]), "rx": 0.0, "ry": 0.0},
-        lever=size,
+        home={"z": float(limbs.home[2]), "rx": 0.0, "ry": 0.0},
+        lever=limbs.size,
         closure=lambda x, q, p: _closure(x, q, p, axes),
-        platform=six_dof.platform,
-        commanded=lambda x, tip: [tip[2], x["rx"], x["ry"]],
-        target=lambda c: [c[n] for n in legs.TRIPOD_COMMAND],
         guess=guess,
-        read_error=lambda c, twist: twist,
-        skeleton=skeleton,
-        struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
+        skeleton=limbs.skeleton,
+        struts=limbs.struts,
         passive=lambda x, q, p: passive.hinges(
-            [legs.leg(x, p, i) for i in LEGS], axes, drawn
+            limbs.struts(x, q, p), axes, limbs.drawn
         ),
-        base_frame=legs.GEOMETRY_FRAME,
-        tool_axis=legs.GEOMETRY_TOOL_AXIS,
-        orientation=six_dof.ORIENTATION,
         command_orientation=coordinates.TILT_DIRECTION,
         family=family,
     )

@@ -82,11 +82,6 @@ def _guess(c: Values, p: Values) -> Start:
     return pose, [legs.leg_length(x, p, i) for i in LEGS]
 
 
-def skeleton(x: Values, q: Values, p: Values) -> list[list[Expr]]:
-    """Base, legs, platform, tool."""
-    return legs.legs_skeleton(x, p, 3)
-
-
 def _refuse_what_locks(base: Array, platform: Array) -> None:
     """Refuse legs 1 and 2 whose axes do not agree. Raises ValueError."""
     slack = OFF_LINE * families.largest(base)
@@ -106,44 +101,31 @@ def build(geometry: Geometry) -> Machine:
     """A machine of this geometry. Raises ValueError where it makes none."""
     table = families.completed(DIMENSIONS, geometry)
     families.positive(table, "reach")
-    base = families.array(table, "base")
-    platform = families.array(table, "platform")
-    home = families.array(table, "home")
-    reach = families.number(table, "reach")
-    _refuse_what_locks(base, platform)
-    if np.abs(home[2] - base[:, 2]).min() <= reach:
+    limbs, reach = legs.ExtensibleLegs(table), families.number(table, "reach")
+    home = limbs.home
+    _refuse_what_locks(limbs.base, limbs.platform)
+    if np.abs(home[2] - limbs.base[:, 2]).min() <= reach:
         raise ValueError("the workspace reaches the base: move home, or reduce reach")
-    lengths = np.linalg.norm(home + platform - base, axis=1)
-    sd = families.tolerance(table, float(lengths.mean()))
     ranges = zip(XYZ, home.tolist(), strict=True)
-    return Machine(
+    return six_dof.driven(
+        XYZ,
         name=NAME,
         source="Lopez-Custodio and others 2020, J. Mechanisms and Robotics 12, 021109",
         about="tripod 2-UPR + SPR (Exechon): x, y, z driven, the tilt follows",
-        pose=six_dof.POSE,
-        joints=families.around(lengths, 3.0 * reach, 3, legs.LEG),
+        joints=families.around(limbs.lengths, 3.0 * reach, 3, legs.LEG),
         command=tuple(coordinates.point(n, v - reach, v + reach) for n, v in ranges),
         parameters=(
-            *families.places("b", base, sd, "base joint"),
-            *families.places("a", platform, sd, "platform joint"),
-            *families.numbers("l", [0.0] * 3, sd, "m", "zero of leg"),
+            *limbs.parameters(),
             *legs.hinge_parameters(),
             *legs.tilts(AXES, "the revolute axis at the platform, leg", "platform"),
         ),
         components=legs.errors(XYZ),
         home=dict(zip(XYZ, home.tolist(), strict=True)),
-        lever=families.largest(platform),
+        lever=limbs.size,
         closure=_closure,
-        platform=six_dof.platform,
-        commanded=lambda x, tip: [tip[0], tip[1], tip[2]],
-        target=lambda c: [c[n] for n in XYZ],
         guess=_guess,
-        read_error=lambda c, twist: twist,
-        skeleton=skeleton,
-        struts=lambda x, q, p: [legs.leg(x, p, i) for i in LEGS],
-        base_frame=legs.GEOMETRY_FRAME,
-        tool_axis=legs.GEOMETRY_TOOL_AXIS,
-        orientation=six_dof.ORIENTATION,
+        skeleton=limbs.skeleton,
+        struts=limbs.struts,
         family=family,
     )
 

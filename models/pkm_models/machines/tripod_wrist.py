@@ -247,9 +247,8 @@ def build(geometry: Geometry) -> Machine:
     """A machine of this geometry. Raises ValueError where it makes none."""
     table = families.completed(DIMENSIONS, geometry)
     families.positive(table, "reach", "tilt")
-    base, platform, home, pivot = (
-        families.array(table, name) for name in ("base", "platform", "home", "pivot")
-    )
+    limbs, pivot = legs.ExtensibleLegs(table), families.array(table, "pivot")
+    home, size = limbs.home, limbs.size
     points = np.broadcast_to(families.array(table, "wrist_point"), (2, 3))
     axes = families.unit_vectors(table["wrist_axis"], 2)
     _refuse_singular(axes, _home_tilt(table))
@@ -259,26 +258,22 @@ def build(geometry: Geometry) -> Machine:
     if abs(home[2] - pivot[2]) <= span:
         raise ValueError("the workspace reaches the pivot: move home, or reduce reach")
     up = 1.0 if pivot[2] > home[2] else -1.0
-    lengths = np.linalg.norm(home + platform - base, axis=1)
-    size = families.largest(platform)
-    sd = families.tolerance(table, float(lengths.mean()))
+    sd = limbs.tolerance
     turn = "angle of wrist axis {}, right-handed about it, less its zero"
     joints = (
-        *families.around(lengths, 3.0 * span, 3, legs.LEG),
+        *families.around(limbs.lengths, 3.0 * span, 3, legs.LEG),
         *(coordinates.joint(f"q{i}", "rad", -TURN, TURN, turn.format(i)) for i in AXES),
     )
     middle = [*home.tolist(), *_home_tilt(table).tolist()]
-    return Machine(
+    return six_dof.driven(
+        COMMAND,
         name=NAME,
         source="Siciliano 1999, Robotica 17, 437-445: the Tricept robot",
         about="tripod with a passive leg and a wrist of two axes: tool point and axis",
-        pose=six_dof.POSE,
         joints=joints,
         command=_commands(table),
         parameters=(
-            *families.places("b", base, sd, "base joint"),
-            *families.places("a", platform, sd, "platform joint"),
-            *families.numbers("l", [0.0] * 3, sd, "m", "zero of leg"),
+            *limbs.parameters(),
             *tripod.passive_parameters(pivot.tolist(), sd),
             *wrist.parameters(sd),
         ),
@@ -286,15 +281,9 @@ def build(geometry: Geometry) -> Machine:
         home=dict(zip(COMMAND, middle, strict=True)),
         lever=size,
         closure=lambda x, q, p: _closure(x, q, p, wrist, angle, size),
-        platform=six_dof.platform,
-        commanded=lambda x, tip: [tip[0], tip[1], tip[2], x["rx"], x["ry"]],
-        target=lambda c: [c[n] for n in COMMAND],
         guess=lambda c, p: _guess(c, p, wrist, up),
-        read_error=lambda c, twist: twist,
         skeleton=lambda x, q, p: _skeleton(x, q, p, wrist),
-        base_frame=legs.GEOMETRY_FRAME,
         tool_axis="z of the frame of the geometry's points at the platform, at angles 0",
-        orientation=six_dof.ORIENTATION,
         command_orientation=coordinates.TILT_DIRECTION,
         family=family,
     )

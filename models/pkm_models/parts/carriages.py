@@ -13,7 +13,7 @@ from pkm_models.parts.families import point
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class GuidedStruts:
+class GuidedStruts(legs.FixedStruts):
     """Limbs 1 to n: carriage i at b_i + q_i u_i, its strut to the platform joint.
 
     along  (n, 3) directions u_i of the guides
@@ -42,10 +42,6 @@ class GuidedStruts:
         """Ends (3,) of a strut, at the carriage and at the platform."""
         carriage = point(p, "b", i) + q[f"q{i}"] * self.axis(p, i)
         return carriage, self.joint(x, p, i)
-
-    def struts(self, x: Values, q: Values, p: Values) -> list[Strut]:
-        """Ends of all struts."""
-        return [self.ends(x, q, p, i) for i in self.limbs]
 
     def travels(self, x: Values, p: Values) -> list[Expr]:
         """Travel of each carriage for a pose, on its side of the platform joint."""

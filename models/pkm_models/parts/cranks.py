@@ -46,7 +46,7 @@ SIDE = (
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class CrankedStruts:
+class CrankedStruts(legs.FixedStruts):
     """Limbs 1 to n.
 
     axis   (n, 3) directions w_i
@@ -96,17 +96,6 @@ class CrankedStruts:
         angle = q[f"q{i}"] + p[f"zero{i}"]
         arm = p[f"r{i}"] * (ca.cos(angle) * first + ca.sin(angle) * second)
         return self.centre(p, i) + arm, self.joint(x, p, i)
-
-    def struts(self, x: Values, q: Values, p: Values) -> list[Strut]:
-        """Ends of all struts."""
-        return [self.ends(x, q, p, i) for i in self.limbs]
-
-    def closure(self, x: Values, q: Values, p: Values) -> list[Expr]:
-        """Strut lengths, m."""
-        rows = []
-        for i, (knee, end) in zip(self.limbs, self.struts(x, q, p), strict=True):
-            rows.append(ca.norm_2(end - knee) - p[f"l{i}"])
-        return rows
 
     def angles(self, x: Values, p: Values) -> list[Expr]:
         """Angle of each crank for a pose, with the knee on its side."""

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.model.machine import Coordinate, Dimension, Expr, Parameter, Values
+from oed.model.machine import Coordinate, Dimension, Expr, Parameter, PointGroup, Values
 from pkm_models.parts.coordinates import joint
 
 #: a table of geometry, SI, by name
@@ -79,6 +79,17 @@ def numbers(
         Parameter(f"{stem}{i}", float(v), sd, unit, f"{about} {i}")
         for i, v in enumerate(values, start=1)
     ]
+
+
+def point_group(
+    name: str, origin: str, stem: str, at: Sequence[tuple[float, float, float]]
+) -> PointGroup:
+    """Points of limbs 1, 2, ... that may shift and turn as one, `da1x`, `da1y`, ..."""
+    numbered = enumerate(at, start=1)
+    points = tuple(
+        ((f"{stem}{i}x", f"{stem}{i}y", f"{stem}{i}z"), place) for i, place in numbered
+    )
+    return PointGroup(name, origin, points)
 
 
 def point(p: Values, stem: str, i: int) -> Expr:

@@ -26,9 +26,6 @@ DIRECTION_SD = 1e-3
 BASE = "joint centres at the base, in the base frame"
 PLATFORM = "joint centres at the platform, from the tool point"
 SIDE = "1 where the carriage is ahead of its platform joint, -1 where behind"
-#: frames of machines whose geometry is a table
-GEOMETRY_FRAME = "that of the geometry's points at the base"
-GEOMETRY_TOOL_AXIS = "z of the frame of the geometry's points at the platform"
 #: joints of extensible legs and of carriages
 LEG = "length of leg {} less its zero"
 CARRIAGE = "travel of carriage {} along the direction of its guide"
@@ -65,12 +62,42 @@ def leg_length(x: Values, p: Values, i: int) -> Expr:
     return ca.norm_2(joint - foot) - p[f"l{i}"]
 
 
-def legs_skeleton(x: Values, p: Values, count: int) -> list[list[Expr]]:
-    """Base, legs, platform and tool."""
-    ends = [leg(x, p, i + 1) for i in range(count)]
-    feet = [foot for foot, _ in ends]
-    joints = [joint for _, joint in ends]
-    return skeleton(feet, joints, x)
+class ExtensibleLegs:
+    """Legs between the points of a table of geometry, each with the zero of its scale.
+
+    home       (3,) tool point at home, m
+    drawn      (n, 3) legs at home, m
+    lengths    (n,) of them
+    size       largest distance of a platform joint from the tool point, m
+    tolerance  standard deviation of places and lengths, m
+    """
+
+    def __init__(self, table: Geometry) -> None:
+        self.base = families.array(table, "base")
+        self.platform = families.array(table, "platform")
+        self.home = families.array(table, "home")
+        self.drawn = self.home + self.platform - self.base
+        self.lengths = np.linalg.norm(self.drawn, axis=1)
+        self.size = families.largest(self.platform)
+        self.tolerance = families.tolerance(table, float(self.lengths.mean()))
+
+    def parameters(self) -> list[Parameter]:
+        """Joints at base and platform, and zeros."""
+        sd, zeros = self.tolerance, [0.0] * len(self.base)
+        return [
+            *families.places("b", self.base, sd, "base joint"),
+            *families.places("a", self.platform, sd, "platform joint"),
+            *families.numbers("l", zeros, sd, "m", "zero of leg"),
+        ]
+
+    def struts(self, x: Values, q: Values, p: Values) -> list[Strut]:
+        """Ends of all legs."""
+        return [leg(x, p, i) for i in range(1, len(self.base) + 1)]
+
+    def skeleton(self, x: Values, q: Values, p: Values) -> list[list[Expr]]:
+        """Base, legs, platform and tool."""
+        feet, joints = zip(*self.struts(x, q, p), strict=True)
+        return skeleton(feet, joints, x)
 
 
 def errors(free: Sequence[str]) -> tuple[Component, ...]:
@@ -94,6 +121,28 @@ def skeleton(
     limbs = [[b, a] for b, a in zip(feet, joints, strict=True)]
     base, top = [*feet, feet[0]], [*joints, joints[0]]
     return [base, *limbs, top, [centre, platform(x)[1]]]
+
+
+class FixedStruts:
+    """Struts of fixed length on carriages or cranks, limbs 1 to n."""
+
+    @property
+    def limbs(self) -> range:
+        """Numbers of the limbs, from 1."""
+        raise NotImplementedError
+
+    def ends(self, x: Values, q: Values, p: Values, i: int) -> Strut:
+        """Ends (3,) of a strut, at what moves it and at the platform."""
+        raise NotImplementedError
+
+    def struts(self, x: Values, q: Values, p: Values) -> list[Strut]:
+        """Ends of all struts."""
+        return [self.ends(x, q, p, i) for i in self.limbs]
+
+    def closure(self, x: Values, q: Values, p: Values) -> list[Expr]:
+        """Strut lengths, m."""
+        ends = zip(self.limbs, self.struts(x, q, p), strict=True)
+        return [ca.norm_2(joint - foot) - p[f"l{i}"] for i, (foot, joint) in ends]
 
 
 # -- carriages on straight guides ------------------------------------------------------

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from oed.model.instrument import Channel
 from oed.model.machine import Expr, Parameter, Values
 from pkm_models.parts.rotation import tilt_torsion
 
@@ -20,6 +21,11 @@ def coordinate(name: str) -> str:
         f"{name} of the tool point in the instrument's frame, which is the base frame up"
         " to shift and turn"
     )
+
+
+def point_channels(sigma: float, axes: str = "xyz") -> tuple[Channel, ...]:
+    """`read_x`, ...: what an instrument reads of the tool point, with its noise, m."""
+    return tuple(Channel(f"read_{n}", "m", sigma, about=coordinate(n)) for n in axes)
 
 
 def frame_parameters(shift: float, turn: float) -> tuple[Parameter, ...]:
@@ -58,6 +64,11 @@ def point_in_frame(s: Values, point: Expr, about: Expr) -> Expr:
         + about
         + ca.vertcat(s["shift_x"], s["shift_y"], s["shift_z"])
     )
+
+
+def coordinates_in_frame(s: Values, point: Expr) -> list[Expr]:
+    """Its coordinates, x, y and z, with the base frame's origin as `about`."""
+    return list(ca.vertsplit(point_in_frame(s, point, ca.DM.zeros(3))))
 
 
 def axis_angles(axis: Expr) -> list[Expr]:

@@ -14,6 +14,10 @@ from pkm_models.parts import coordinates
 from pkm_models.parts.rotation import tilt_torsion
 
 XYZ, ANGLES = "xyz", ("rx", "ry", "spin")
+COMMAND = (*XYZ, *ANGLES)
+#: frames of machines whose geometry is a table
+GEOMETRY_FRAME = "that of the geometry's points at the base"
+GEOMETRY_TOOL_AXIS = "z of the frame of the geometry's points at the platform"
 POSE = coordinates.points() + coordinates.angles()
 ORIENTATION = coordinates.POSE_ORIENTATION
 COMPONENTS: tuple[Component, ...] = coordinates.point_errors() + tuple(
@@ -39,26 +43,33 @@ def platform(x: Values) -> tuple[Expr, Expr]:
     return tilt_torsion(x["rx"], x["ry"], x["spin"]), ca.vertcat(x["x"], x["y"], x["z"])
 
 
-def commanded(x: Values, tip: Expr) -> list[Expr]:
-    """The command that a pose is, its tool point at `tip`."""
-    return [tip[0], tip[1], tip[2], *[x[n] for n in ANGLES]]
-
-
-def target(c: Values) -> list[Expr]:
-    """A command's coordinates in the order of the pose's."""
-    return [c[n] for n in (*XYZ, *ANGLES)]
+def target(c: Values, names: Sequence[str] = COMMAND) -> list[Expr]:
+    """Coordinates of a command, by default in the order of the pose's."""
+    return [c[n] for n in names]
 
 
 def machine(**fields: Any) -> Machine:
-    """A machine with such a platform; `fields` are those of its geometry and legs."""
-    return Machine(
-        pose=POSE,
-        components=COMPONENTS,
-        platform=platform,
-        commanded=commanded,
-        target=target,
-        read_error=lambda c, twist: twist,
-        orientation=ORIENTATION,
-        command_orientation=ORIENTATION,
-        **fields,
+    """A machine with such a platform; `fields` are those of its geometry and legs.
+
+    Its geometry is a table, unless `base_frame` and `tool_axis` say otherwise.
+    """
+    return driven(
+        COMMAND, components=COMPONENTS, command_orientation=ORIENTATION, **fields
     )
+
+
+def driven(names: Sequence[str], **fields: Any) -> Machine:
+    """As `machine`, with only some coordinates of the platform commanded."""
+    common: dict[str, Any] = {
+        "pose": POSE,
+        "platform": platform,
+        "commanded": lambda x, tip: [
+            tip[XYZ.index(n)] if n in XYZ else x[n] for n in names
+        ],
+        "target": lambda c: target(c, names),
+        "read_error": lambda c, twist: twist,
+        "orientation": ORIENTATION,
+        "base_frame": GEOMETRY_FRAME,
+        "tool_axis": GEOMETRY_TOOL_AXIS,
+    }
+    return Machine(**{**common, **fields})

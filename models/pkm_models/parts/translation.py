@@ -8,8 +8,9 @@ from typing import Any
 import casadi as ca
 
 from oed.base.arrays import Array
-from oed.model.machine import Coordinate, Dimension, Expr, Machine, Values
-from pkm_models.parts import coordinates, families
+from oed.model.machine import Coordinate, Dimension, Expr, Machine, Strut, Values
+from oed.model.passive_joint import PassiveJoint
+from pkm_models.parts import coordinates, families, passive
 
 
 def ranges_dimensions(home: Sequence[float], reach: float) -> tuple[Dimension, ...]:
@@ -30,21 +31,32 @@ def command(home: Array, reach: float) -> tuple[Coordinate, ...]:
 
 
 def tool_point(x: Values) -> Expr:
-    """Tool point (3,); z is 0 where a machine moves in x and y alone."""
-    return ca.vertcat(x["x"], x["y"], x.get("z", 0.0))
+    """Tool point (3,); 0 along an axis in which the machine does not move."""
+    return ca.vertcat(*[x.get(n, 0.0) for n in "xyz"])
 
 
-def machine(home: Array, reach: float, **fields: Any) -> Machine:
-    """A machine whose tool point moves in as many axes as home (2,) or (3,) has."""
-    axes = "xyz"[: len(home)]
+def tangential_joints(
+    struts: Sequence[Strut], angles: Sequence[Expr]
+) -> list[PassiveJoint]:
+    """Joints of struts at the base, first axes tangential at these angles about z."""
+    axes = [ca.vertcat(-ca.sin(a), ca.cos(a), 0.0) for a in angles]
+    return passive.universals(struts, axes, passive.DOWN)
+
+
+def machine(
+    home: Sequence[float], command: Sequence[Coordinate], **fields: Any
+) -> Machine:
+    """A machine whose tool point moves in the axes of its command, from home (n,)."""
+    axes = "".join(c.name for c in command)
+    places = ["xyz".index(n) for n in axes]
     return Machine(
         pose=coordinates.points(axes),
-        command=command(home, reach),
+        command=tuple(command),
         components=coordinates.point_errors(axes),
-        home=dict(zip(axes, home.tolist(), strict=True)),
+        home=dict(zip(axes, home, strict=True)),
         platform=lambda x: (ca.SX.eye(3), tool_point(x)),
-        commanded=lambda x, tip: [tip[k] for k in range(len(axes))],
+        commanded=lambda x, tip: [tip[k] for k in places],
         target=lambda c: [c[n] for n in axes],
-        read_error=lambda c, twist: list(twist[: len(axes)]),
+        read_error=lambda c, twist: [twist[k] for k in places],
         **fields,
     )

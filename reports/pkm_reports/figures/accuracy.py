@@ -6,7 +6,7 @@ Lengths and angles have panels of their own, each on a log scale.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -81,13 +81,7 @@ def _panel(
         [realised[name].rms if name in realised else np.nan for name in group]
     )
     if np.isfinite(shown).any():
-        look: Any = {
-            "color": style.ORANGE,
-            "mec": style.INK,
-            "mew": 0.6,
-            "ms": 5,
-        }
-        axes.plot(places, shown, "D", label=REALISED, **look)
+        axes.plot(places, shown, "D", label=REALISED, **style.DIAMOND)
     style.log_axis(axes, "y")
     _set_limits(axes, group, shown)
     labels = [name if c.compensatable else f"{name} *" for name, c in group.items()]

@@ -120,7 +120,10 @@ def choose_plane(poses: Sequence[PlannedReading]) -> Plane | None:
             table[name] = values
     if not table:
         return None
-    spread = {name: _range(values) / _step(name) for name, values in table.items()}
+    spread = {
+        name: np.ptp(values[np.isfinite(values)]) / _step(name)
+        for name, values in table.items()
+    }
     widest = sorted(table, key=lambda name: -spread[name])[:2]
     if len(widest) == 1 or spread[widest[1]] == 0.0:
         table["reading"] = np.arange(1.0, len(poses) + 1.0)
@@ -128,10 +131,6 @@ def choose_plane(poses: Sequence[PlannedReading]) -> Plane | None:
     else:
         first, second = sorted(widest, key=names.index)
     return _plane((first, second), np.column_stack([table[first], table[second]]))
-
-
-def _range(values: Array) -> float:
-    return float(np.nanmax(values) - np.nanmin(values))
 
 
 def _plane(names: tuple[str, str], at: Array) -> Plane:
@@ -210,17 +209,13 @@ def _numbers_by_place(
 ) -> Mapping[tuple[float, float], list[int]]:
     """Numbers of the readings at each place, first and last reading's places first."""
     known = [int(k) for k in group if np.isfinite(plane.at[k]).all()]
-    places = {k: _rounded(plane.at[k]) for k in known}
+    places = {k: tuple(plane.at[k].round(3).tolist()) for k in known}
     numbers: dict[tuple[float, float], list[int]] = {
         places[k]: [] for k in [*known[:1], *known[-1:], *known]
     }
     for k in known:
         numbers[places[k]].append(k + 1)
     return numbers
-
-
-def _rounded(at: Array) -> tuple[float, float]:
-    return round(float(at[0]), 3), round(float(at[1]), 3)
 
 
 # -- numbers ---------------------------------------------------------------------------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -81,13 +81,7 @@ def _component(
     tables = [{}, *[realised(stage) for stage in plan.stages]]
     reached = _positive(missing.column(tables, key))
     if np.isfinite(reached).any():
-        look: Any = {
-            "color": style.ORANGE,
-            "mec": style.INK,
-            "mew": 0.6,
-            "ms": 5,
-        }
-        axes.plot(at + BESIDE, reached, "D", label=REALISED, **look)
+        axes.plot(at + BESIDE, reached, "D", label=REALISED, **style.DIAMOND)
     wanted = missing.entry(plan.goal, key)
     if wanted > 0.0:
         axes.axhline(wanted, color=colour, ls=":", lw=1.0)

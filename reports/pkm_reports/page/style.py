@@ -38,6 +38,8 @@ SKY, PINK, BROWN = "#56b4e9", "#cc79a7", "#8c6d1f"
 SHADE: Final = "#eef1f4"
 #: colours of categories, in the order in which they are used (Okabe and Ito)
 CYCLE: Final = (BLUE, ORANGE, GREEN, RED, SKY, PINK, BROWN, GREY)
+#: look of what virtual machines reached, a diamond
+DIAMOND: Final[dict[str, Any]] = {"color": ORANGE, "mec": INK, "mew": 0.6, "ms": 5}
 #: colours too light for white letters
 PALE: Final = (ORANGE, SKY, PINK)
 MARKERS: Final = ("o", "s", "D", "^", "v", "P", "X", "h")

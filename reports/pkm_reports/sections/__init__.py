@@ -19,8 +19,8 @@ from pkm_reports.sections import (
     kappa,
     plan,
     posterior,
+    record,
 )
-from pkm_reports.sections.appendix import claims, figures, record
 from pkm_reports.sections.design import chapter as design
 from pkm_reports.sections.gap import before as gap_before
 from pkm_reports.sections.gap import chapter as gap
@@ -48,7 +48,7 @@ CHAPTERS: Final = (
     gap_before.CHAPTER,
 )
 #: what only a reader who checks the work needs
-APPENDIX: Final = (claims.CHAPTER, figures.CHAPTER, record.CHAPTER)
+APPENDIX: Final = (record.CLAIMS, record.FIGURES, record.RECORD)
 
 
 def chapters(result: StudyResult) -> list[Section]:

@@ -100,7 +100,7 @@ def _diagnostics(marginals: Mapping[str, Marginal]) -> list[Block]:
 
     Held parameters are not sampled.
     """
-    sampled = {name: m for name, m in marginals.items() if _is_sampled(m)}
+    sampled = {name: m for name, m in marginals.items() if math.isfinite(or_nan(m.ess))}
     if not sampled:
         return []
     rhat = max((m.rhat for m in sampled.values() if m.rhat is not None), default=None)
@@ -124,10 +124,6 @@ def _diagnostics(marginals: Mapping[str, Marginal]) -> list[Block]:
             f" {text.listing(bad, 8)}."
         )
     ]
-
-
-def _is_sampled(marginal: Marginal) -> bool:
-    return math.isfinite(or_nan(marginal.ess))
 
 
 def _is_well_sampled(marginal: Marginal) -> bool:

@@ -155,7 +155,8 @@ def _first_numbers(lines: Sequence[Line], width: int, file: str) -> int:
         problem = "no line of numbers in columns"
         raise InputError(problem, "give a CSV with one reading a line", file=file)
     usual = _columns_of_numbers([wide[k] for k in numeric])
-    first = next(k for k in numeric if _fits(wide[k], usual))
+    cells = {k: [wide[k][column] for column in usual] for k in numeric}
+    first = next(k for k in numeric if all(not c or _is_number(c) for c in cells[k]))
     # Text in a column of numbers is a fact above the header, or a mistake to refuse.
     above_header = any(counts.get(k) == 0 for k in range(numeric[0], first))
     return first if above_header else numeric[0]
@@ -174,11 +175,6 @@ def _columns_of_numbers(lines: Sequence[Sequence[str]]) -> list[int]:
         for column, cells in enumerate(zip(*lines, strict=True))
         if 2 * sum(map(_is_number, cells)) > len(cells)
     ]
-
-
-def _fits(cells: Sequence[str], columns: Sequence[int]) -> bool:
-    """Whether these columns of a line have numbers or nothing."""
-    return all(not cells[k] or _is_number(cells[k]) for k in columns)
 
 
 def _is_number(cell: str) -> bool:

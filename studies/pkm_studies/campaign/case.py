@@ -16,6 +16,9 @@ from oed.mechanism.kinematics import AssemblyError
 SEED, ERROR, PROCESSOR_TIME = "seed", "error", "cpu_s"
 COLUMNS = (SEED, ERROR, PROCESSOR_TIME)
 
+#: failures of a case that are no fault of what computes it
+EXPECTED = (IdentificationError, AssemblyError, np.linalg.LinAlgError)
+
 #: computes the figures of a setting and a seed, as numbers, texts and truth values
 Figures = Callable[[Mapping[str, Any], int], Mapping[str, Any]]
 
@@ -43,6 +46,6 @@ def evaluate(case: Case) -> dict[str, Any]:
     begin = time.process_time()
     try:
         row |= case.figures(case.setting, case.seed)
-    except (IdentificationError, AssemblyError, np.linalg.LinAlgError) as error:
+    except EXPECTED as error:
         row[ERROR] = str(error)
     return {**row, PROCESSOR_TIME: round(time.process_time() - begin, 4)}

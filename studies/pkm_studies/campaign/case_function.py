@@ -14,15 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from oed.estimation.identification import IdentificationError
-from oed.mechanism.kinematics import AssemblyError
 from pkm_studies.base.errors import Place, shorten
 from pkm_studies.base.user_code import Origin
-from pkm_studies.campaign.case import COLUMNS
+from pkm_studies.campaign.case import COLUMNS, EXPECTED
 from pkm_studies.catalogue import catalogue
 
-#: failures of a case that are no fault of its function
-EXPECTED = (IdentificationError, AssemblyError, np.linalg.LinAlgError)
 #: characters of a failure that are shown
 LONGEST_REASON = 150
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 import gc
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import typer
 
 from pkm_studies.base import console, files
 from pkm_studies.base.errors import InputError, shorten
 from pkm_studies.commands.subcommands import SubcommandGroup
-from pkm_studies.stages.outcome import BAD_INPUT, DONE
+from pkm_studies.stages.outcome import BAD_INPUT, DONE, FAILED
 
 app = typer.Typer(
     name="oed",
@@ -51,6 +51,9 @@ KERNEL_ERRORS = {
     "oed.estimation.identification": "IdentificationError",
     "oed.posterior.log_density": "OutOfBoundsError",
 }
+
+#: what is refused because the fit is bad, as a claim that fails
+BAD_FIT = {"pkm_studies.compensation.export": "BadFitError"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -87,7 +90,10 @@ def _guarded(arguments: Sequence[str] | None) -> int:
             console.discard_output()
             return DONE
         return _bad_input(_about_file(error))
-    except _kernel_errors() as error:
+    except _loaded_errors(BAD_FIT) as error:
+        console.print_error(str(error))
+        return FAILED
+    except _loaded_errors(KERNEL_ERRORS) as error:
         return _bad_input(_with_notes(shorten(str(error), 500), error))
     except Exception as error:
         if not hasattr(error, "format_message"):
@@ -125,8 +131,8 @@ def _about_file(error: OSError) -> str:
     return str(files.refusal(error))
 
 
-def _kernel_errors() -> tuple[type[BaseException], ...]:
-    loaded = [(sys.modules.get(module), name) for module, name in KERNEL_ERRORS.items()]
+def _loaded_errors(names: Mapping[str, str]) -> tuple[type[BaseException], ...]:
+    loaded = [(sys.modules.get(module), name) for module, name in names.items()]
     return tuple(getattr(module, name) for module, name in loaded if module is not None)
 
 

@@ -37,6 +37,12 @@ OutFolder = Annotated[
 ResultFolder = Annotated[
     Path, typer.Argument(metavar="DIR", help="A result.", show_default=False)
 ]
+StoredResult = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DIR", help="Folder with a result.json.", show_default=False
+    ),
+]
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the study's.")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", help="Print only errors and failing claims.")

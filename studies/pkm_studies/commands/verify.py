@@ -7,21 +7,14 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base import console
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent, consent
-from pkm_studies.commands.options import AllowCode, MachineStudy
-
-DONE, FAILED = 0, 1
+from pkm_studies.commands.options import AllowCode, MachineStudy, StoredResult
+from pkm_studies.stages.outcome import DONE, FAILED
 
 
 def verify(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DIR", help="Folder with a result.json.", show_default=False
-        ),
-    ],
+    folder: StoredResult,
     readings: Annotated[
         Path | None,
         typer.Option(
@@ -59,19 +52,14 @@ def verify(
 ) -> int:
     """Plan the acceptance test of a compensated machine, or judge its readings."""
     from pkm_studies.base import csv_table
-    from pkm_studies.compensation.export import BadFitError
 
     given = consent(allow_code=allow_code)
-    try:
-        if readings is not None:
-            _check_judged(promise, uncertainty, planned)
-            if "setup" in csv_table.read(readings).header:
-                return _compare(folder, readings, study, given)
-            return _judge(folder, readings)
-        return _plan(folder, promise, uncertainty, power, poses, study, given, planned)
-    except BadFitError as error:
-        console.print_error(str(error))
-        return FAILED
+    if readings is not None:
+        _check_judged(promise, uncertainty, planned)
+        if "setup" in csv_table.read(readings).header:
+            return _compare(folder, readings, study, given)
+        return _judge(folder, readings)
+    return _plan(folder, promise, uncertainty, power, poses, study, given, planned)
 
 
 def _check_judged(promise: str, uncertainty: str, planned: Path | None) -> None:

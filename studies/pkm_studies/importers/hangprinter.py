@@ -108,7 +108,8 @@ class HangprinterImporter:
             geometry={"buildup_mm": _numbers(spools, "Q")[0]},
         )
         machine = described_machine(table, Origin.command(request.consent), Place(""))
-        check_unit(machine, motors, places, _file_of(tables, MOTORS))
+        file = next(t.file for t in tables if set(MOTORS) <= set(t.header))
+        check_unit(machine, motors, places, file)
         setups = [{"name": "lines", "instrument": "redundancy"}]
         if len(places):
             setups.append({"name": "camera", "instrument": "camera_known_frame"})
@@ -210,10 +211,6 @@ def _check_tables(tables: Sequence[CsvTable], paths: Sequence[Path]) -> None:
                 file=file,
             )
         kinds[kind] = file
-
-
-def _file_of(tables: Sequence[CsvTable], columns: str) -> str:
-    return next(table.file for table in tables if set(columns) <= set(table.header))
 
 
 def _motors(tables: Sequence[CsvTable]) -> Array:

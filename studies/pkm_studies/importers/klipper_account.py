@@ -10,8 +10,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers.klipper_config import Entry, KlipperConfig
+from pkm_studies.importers.klipper_config import KlipperConfig
 from pkm_studies.importers.klipper_mesh import PREFIX
 from pkm_studies.importers.words import (
     HARMLESS,
@@ -230,14 +229,13 @@ def config_account(config: KlipperConfig, files: Sequence[Path]) -> list[str]:
 
     files  that were given
     """
-    plain = [_group(name) for name in config.sections if _is_plain(name)]
+    plain = [
+        _group(name)
+        for name in config.sections
+        if _kind(name) not in COSTLY_SECTIONS and not name.startswith(INCLUDE)
+    ]
     words = account(_written(config), plain, WORDS)
     return [*words.sentences(), *_costly(config), *_included(config, files)]
-
-
-def _is_plain(name: str) -> bool:
-    """Whether nothing more is to be said of a section that is not read."""
-    return _kind(name) not in COSTLY_SECTIONS and not name.startswith(INCLUDE)
 
 
 def _group(name: str) -> str:
@@ -261,12 +259,8 @@ def _written(config: KlipperConfig) -> Iterator[WrittenWord]:
     for (section, key), entry in config.entries.items():
         group = _section_group(section)
         if group in WORDS:
-            error = functools.partial(_error, entry, f"[{section}] {key}")
+            error = functools.partial(entry.error, f"[{section}] {key}")
             yield WrittenWord(group, key, entry.text, entry.line, error)
-
-
-def _error(entry: Entry, option: str, problem: str, remedy: str) -> InputError:
-    return entry.error(option, problem, remedy)
 
 
 def _costly(config: KlipperConfig) -> list[str]:

@@ -61,7 +61,7 @@ class RrfImporter:
         maps = [path for path in request.files if is_height_map(path)]
         others = [path for path in request.files if path not in maps]
         texts = gcode.read(others)
-        order = execution_order(as_commands(texts))
+        order = execution_order([_as_command(line) for line in texts])
         lines = order.lines
         _check_kinematics(lines)
         given = facts.numbers(lines)
@@ -165,11 +165,6 @@ def _written(words: dict[str, str]) -> str:
 
 
 # -- replies as commands ---------------------------------------------------------------
-
-
-def as_commands(lines: Sequence[TextLine]) -> list[TextLine]:
-    """The lines with each answer written as its command."""
-    return [_as_command(line) for line in lines]
 
 
 def _as_command(line: TextLine) -> TextLine:

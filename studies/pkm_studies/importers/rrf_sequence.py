@@ -72,7 +72,11 @@ def execution_order(
         files.setdefault(line.file, []).append(capitals(line))
     code = {name: content for name, content in files.items() if _is_code(name)}
     notes = [_conditions(content, words) for content in code.values()]
-    stored = {name: content for name, content in code.items() if _is_override(name)}
+    stored = {
+        name: content
+        for name, content in code.items()
+        if Path(name).name.lower().startswith(OVERRIDE)
+    }
     probing = {
         name for name, content in files.items() if _has_points(content)
     } - stored.keys()
@@ -112,10 +116,6 @@ def capitals(line: TextLine) -> TextLine:
 
 def _is_code(file: str) -> bool:
     return file.lower().endswith(".g")
-
-
-def _is_override(file: str) -> bool:
-    return Path(file).name.lower().startswith(OVERRIDE)
 
 
 def _has_points(lines: Sequence[TextLine]) -> bool:

@@ -163,7 +163,9 @@ def first_sound(drafts: Iterable[str], path: Path, origin: Origin) -> str:
             whole = draft.replace(OPEN, "0.0")
             resolve(parse(whole, path, origin.consent), readings=())
         except (InputError, AssemblyError) as error:
-            problems.append(_as_input(error))
+            if not isinstance(error, InputError):
+                error = InputError(str(error), "")
+            problems.append(error)
             continue
         return draft
     problem = problems[0]
@@ -173,10 +175,6 @@ def first_sound(drafts: Iterable[str], path: Path, origin: Origin) -> str:
         file=problem.file,
         field=problem.field,
     )
-
-
-def _as_input(error: InputError | AssemblyError) -> InputError:
-    return error if isinstance(error, InputError) else InputError(str(error), "")
 
 
 def text(

@@ -9,9 +9,10 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.gap.before.runs import Run
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.base.errors import Place, suggest
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve.conditions import FEED, MINUTE, PASS_SUFFIX, reading_time
 from pkm_studies.resolve.grids import ReferencePlan
+from pkm_studies.resolve.lookup import known_name
 from pkm_studies.study.tables import ConditionsTable, GapDesignTable, RunCondition
 
 
@@ -55,12 +56,9 @@ def _check_plans(
             "add [[design.reference]] plans with `runs_by`",
         )
     for i, name in enumerate(table.candidates):
-        if name not in plans:
-            at = place.key("candidates").item(i)
-            raise at.error("no such plan", suggest(name, plans), name)
-    if table.keep is not None and table.keep not in plans:
-        remedy = suggest(table.keep, plans)
-        raise place.key("keep").error("no such plan", remedy, table.keep)
+        known_name(name, plans, place.key("candidates").item(i), "plan")
+    if table.keep is not None:
+        known_name(table.keep, plans, place.key("keep"), "plan")
     if table.keep is not None and table.keep in table.candidates:
         raise place.key("keep").error(
             "a plan is kept or a candidate, not both", "remove it from one", table.keep

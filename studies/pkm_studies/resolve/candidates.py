@@ -10,7 +10,7 @@ import numpy as np
 from oed.base import units
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place, suggest
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve import command_ranges, grids, limits, lookup, quantities
 from pkm_studies.resolve.grids import Circles, ReferencePlan
 from pkm_studies.resolve.quantities import format_value
@@ -188,9 +188,8 @@ def _angle_around(
     """The angle that runs round each circle: the one coordinate not used otherwise."""
     place = place.key("coordinate")
     columns = [c.name for c in machine.command]
-    if table.coordinate is not None and table.coordinate not in columns:
-        remedy = suggest(table.coordinate, columns)
-        raise place.error("no such coordinate", remedy, table.coordinate)
+    if table.coordinate is not None:
+        lookup.known_name(table.coordinate, columns, place, "coordinate")
     others = [c for c in machine.command if c.name not in (across, table.coordinate)]
     if len(others) != 1 or others[0].unit != "rad":
         problem = (

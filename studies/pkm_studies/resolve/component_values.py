@@ -1,6 +1,8 @@
-"""Values for pose components, as an option of the command gives them."""
+"""Values for pose components: as an option of the command gives them, and with units."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -29,3 +31,9 @@ def component_values(text: str, option: str, machine: Machine) -> dict[str, floa
             raise place.key(key).error("not a positive number", "write z_um=30", number)
         values[name] = float(units.to_si(value, unit))
     return values
+
+
+def with_fine_units(values: Mapping[str, float], machine: Machine) -> dict[str, float]:
+    """SI values by component as values by component and fine unit (`z_um`)."""
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    return {f"{n}_{fine[n]}": units.number(v, fine[n]) for n, v in values.items()}

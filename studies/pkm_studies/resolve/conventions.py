@@ -52,11 +52,6 @@ def machine_columns(machine: Machine) -> list[ColumnStatement]:
     ]
 
 
-def instrument_columns(instrument: Instrument) -> list[ColumnStatement]:
-    """Channels of an instrument."""
-    return [_statement(c, READING) for c in instrument.channels]
-
-
 def machine_frames(machine: Machine) -> list[str]:
     """The frames of a machine, in sentences without a full stop."""
     sentences = []
@@ -86,7 +81,7 @@ def _with_conventions(kind: str, entry: CatalogueEntry, item: Any) -> CatalogueE
     columns = (
         [*machine_columns(item), *(_statement(p, PARAMETER) for p in item.parameters)]
         if is_machine
-        else instrument_columns(item)
+        else [_statement(c, READING) for c in item.channels]
     )
     return dataclasses.replace(
         entry,

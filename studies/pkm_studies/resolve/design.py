@@ -226,15 +226,10 @@ def _check_needs(study: Study, table: DesignTable, name: str, place: Place) -> N
 # -- what is judged --------------------------------------------------------------------
 
 
-def _free_parameters(measurement: Measurement) -> list[str]:
-    pairs = zip(measurement.names, measurement.free, strict=True)
-    return [name for name, free in pairs if free]
-
-
 def _interest(
     table: DesignTable, measurement: Measurement, place: Place
 ) -> tuple[str, ...]:
-    free = _free_parameters(measurement)
+    free = lookup.free_parameters(measurement)
     if not table.interest:
         return tuple(name for name in free if "." not in name)
     return tuple(lookup.matching_names(table.interest, free, place))
@@ -243,7 +238,7 @@ def _interest(
 def _combination(
     table: DesignTable, measurement: Measurement, place: Place
 ) -> dict[str, float]:
-    free = _free_parameters(measurement)
+    free = lookup.free_parameters(measurement)
     for name in table.combination:
         lookup.known_name(name, free, place.key(name), "parameter")
     if table.combination and not any(table.combination.values()):

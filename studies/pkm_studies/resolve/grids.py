@@ -19,9 +19,10 @@ from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate, Machine
-from pkm_studies.base.errors import Place, suggest
+from pkm_studies.base.errors import Place
 from pkm_studies.resolve import poses, quantities
 from pkm_studies.resolve.command_ranges import check_tool_workspace, command_units
+from pkm_studies.resolve.lookup import known_name
 from pkm_studies.resolve.quantities import format_value
 from pkm_studies.study.tables import Axis, GridTable, Span
 
@@ -310,8 +311,7 @@ def run_labels(
     if by is None:
         return ["1"] * len(command)
     names = [c.name for c in coordinates]
-    if by not in names:
-        raise place.key("runs_by").error("no such coordinate", suggest(by, names), by)
+    known_name(by, names, place.key("runs_by"), "coordinate")
     k = names.index(by)
     values = [format_value(value, coordinates[k].unit) for value in command[:, k]]
     return [f"{by}={value.replace(' ', '')}" for value in values]

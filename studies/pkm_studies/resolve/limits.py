@@ -12,7 +12,6 @@ from oed.design import feasible
 from oed.design.clearance import Surroundings, cup_place
 from oed.design.segments import Capsule
 from oed.measurement.measurement import Measurement, Series
-from oed.model.instrument import Setup
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve import quantities
 from pkm_studies.study.tables import ConeTable, LimitsTable
@@ -79,7 +78,7 @@ def _limits(
 ) -> feasible.ReadingLimits:
     """The limits that apply to a set-up."""
     setup = measurement.setups[name]
-    has_cup = _has_cup(setup)
+    has_cup = setup.teach is not None or {"at_x", "at_y", "at_z"} <= {*setup.settings}
     cup_cone, tool_cone, cup = None, None, None
     if has_cup:
         cup_cone = _cone(table.cup_cone, place.key("cup_cone"))
@@ -97,11 +96,6 @@ def _limits(
         cup=cup,
         surroundings=_surroundings(table, has_cup, place),
     )
-
-
-def _has_cup(setup: Setup) -> bool:
-    """Whether the instrument's other end has a place in the base frame."""
-    return setup.teach is not None or {"at_x", "at_y", "at_z"} <= set(setup.settings)
 
 
 def _joint_ranges(

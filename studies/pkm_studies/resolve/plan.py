@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -127,7 +127,9 @@ def request_of(
         targets=quantities.read_values(table.wanted, components, place.key("wanted")),
         budget=budget - reserved,
         reserved=reserved,
-        compare=_open_sequences(table, open_tables),
+        compare=tuple(
+            tuple(names) for names in table.compare if set(names) <= set(open_tables)
+        ),
         effects=effects,
     )
 
@@ -177,13 +179,6 @@ def _effects(
         UNKNOWNS,
         units.factor("min") * _budget_min(table, study.place.key("plan")),
     )
-
-
-def _open_sequences(
-    table: PlanTable, names: Collection[str]
-) -> tuple[tuple[str, ...], ...]:
-    """The sequences to compare whose measurements are all still open."""
-    return tuple(tuple(s) for s in table.compare if set(s) <= set(names))
 
 
 def _reserved_seconds(study: Study, available: float) -> float:

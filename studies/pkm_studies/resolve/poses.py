@@ -16,9 +16,10 @@ from oed.model.machine import Machine
 from pkm_studies.base import csv_table
 from pkm_studies.base.errors import Place
 from pkm_studies.resolve import quantities
+from pkm_studies.resolve.command_ranges import command_units
 from pkm_studies.resolve.tool_points import ToolPoints, ranges
 from pkm_studies.study.tables import GridTable, Span
-from pkm_studies.study.tables.poses import CircleTable, CubeTable, LineTable
+from pkm_studies.study.tables.poses import CircleTable, CubeTable
 
 #: fields of a table that give poses in place of a grid
 FORMS = ("poses", "file", "circle", "line", "cube", "sample")
@@ -85,7 +86,7 @@ def given_poses(
 def _listed(lists: Mapping[str, list[float]], machine: Machine, place: Place) -> Poses:
     values: dict[str, Array] = {}
     for key, numbers in lists.items():
-        name, unit = quantities.split_key(key, _units(machine), place)
+        name, unit = quantities.split_key(key, command_units(machine), place)
         values[name] = units.to_si(np.array(numbers), unit)
     command = _command(values, machine, place)
     return Poses(command, ["1"] * len(command))
@@ -98,7 +99,7 @@ def _from_file(path: Path, machine: Machine, place: Place) -> Poses:
     for column in table.header:
         if column == "run":
             continue
-        name, unit = quantities.split_key(column, _units(machine), in_file)
+        name, unit = quantities.split_key(column, command_units(machine), in_file)
         values[name] = units.to_si(table.numbers(column), unit)
     command = _command(values, machine, in_file)
     has_runs = "run" in table.header
@@ -129,7 +130,8 @@ def _points(table: GridTable, kind: str) -> tuple[Array, list[str]]:
     if table.circle is not None:
         return circle_points(table.circle)
     if table.line is not None:
-        points = line_points(table.line)
+        line = table.line
+        points = units.to_si(np.linspace(line.from_mm, line.to_mm, line.count), "mm")
     elif table.cube is not None:
         points = cube_points(table.cube)
     else:
@@ -155,11 +157,6 @@ def circle_points(circle: CircleTable) -> tuple[Array, list[str]]:
     return units.to_si(np.concatenate(points), "mm"), run
 
 
-def line_points(line: LineTable) -> Array:
-    """Points (n, 3), m, evenly spaced on a line."""
-    return units.to_si(np.linspace(line.from_mm, line.to_mm, line.count), "mm")
-
-
 def cube_points(cube: CubeTable) -> Array:
     """Points (count^3, 3), m, evenly spaced in a cube."""
     edge = np.linspace(-0.5, 0.5, cube.count) * cube.side_mm
@@ -174,7 +171,7 @@ def _single_values(
     """SI values of the coordinates given with one value. Raises InputError."""
     values = {}
     for key, axis in table.coordinates.items():
-        name, unit = quantities.split_key(key, _units(machine), place)
+        name, unit = quantities.split_key(key, command_units(machine), place)
         if not isinstance(axis, float | int):
             remedy = "give one value, and a table for each further one"
             raise place.key(key).error("beside points it has one value", remedy)
@@ -199,7 +196,7 @@ def _sampled(
         if isinstance(axis, str):
             remedy = "give a grid, or a range to sample from"
             raise place.key(key).error("sampled poses hold no reading", remedy, axis)
-        name, unit = quantities.split_key(key, _units(machine), place)
+        name, unit = quantities.split_key(key, command_units(machine), place)
         ends = [axis.from_, axis.to] if isinstance(axis, Span) else np.ravel(axis)
         spread = units.to_si(ends, unit)
         column = names.index(name)
@@ -233,8 +230,3 @@ def within_reach(
             continue
         return reached[((q >= low) & (q <= high)).all(axis=1)]
     return reached
-
-
-def _units(machine: Machine) -> dict[str, str]:
-    """SI units of the command coordinates, by name."""
-    return {c.name: c.unit for c in machine.command}

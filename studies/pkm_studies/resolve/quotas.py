@@ -158,17 +158,15 @@ def _members(
     members = np.zeros(len(groups), dtype=bool)
     for k, group in enumerate(groups):
         by_setup = not quota.setups or group.setup in quota.setups
-        by_run = not quota.runs or _matches(group.run, quota.runs)
+        by_run = not quota.runs or any(
+            fnmatch.fnmatchcase(group.run, pattern) for pattern in quota.runs
+        )
         members[k] = by_setup and by_run and inside[group.rows].all()
     if not members.any():
         raise place.error(
             "no candidate is selected", "widen the selection, or remove the quota"
         )
     return members
-
-
-def _matches(run: str, patterns: Sequence[str]) -> bool:
-    return any(fnmatch.fnmatchcase(run, pattern) for pattern in patterns)
 
 
 def _check_runs(quota: QuotaTable, groups: Sequence[_Group], place: Place) -> None:

@@ -51,7 +51,9 @@ def with_tolerances(
     machine = with_correlation(study, machine)
     machine = with_earlier(study, machine)
     setups = with_noise(study, setups)
-    stated = {s.name: _stems(s.tolerance) for s in study.setup}
+    stated = {
+        s.name: {key.rpartition("_")[0] for key in s.tolerance} for s in study.setup
+    }
     changed = {}
     for name, setup in setups.items():
         nuisances = [
@@ -60,11 +62,6 @@ def with_tolerances(
         ]
         changed[name] = dataclasses.replace(setup, nuisances=tuple(nuisances))
     return machine, changed
-
-
-def _stems(table: Mapping[str, float]) -> set[str]:
-    """Names in a table's keys, without their units."""
-    return {key.rpartition("_")[0] for key in table}
 
 
 def _with_tolerance(

@@ -13,28 +13,16 @@ from pkm_reports.page.blocks import Table, TableColumn, number_columns, wide_col
 DIRECTION_SIGNS: Final = {True: "+1", False: f"{text.MINUS}1"}
 
 
-def _direction(value: float) -> str:
-    return DIRECTION_SIGNS[value > 0.0]
-
-
-def _payload(value: float) -> str:
-    return text.trimmed(value)
-
-
 def _feed(value: float) -> str:
     return text.trimmed(units.number(value, "mm") * units.factor("min"))
 
 
-def _start(value: float) -> str:
-    return text.trimmed(units.number(value, "min"))
-
-
 #: column title and text of each condition of a run, from its SI value
 CONDITIONS: Final[Mapping[str, tuple[str, Callable[[float], str]]]] = {
-    "direction": ("Direction", _direction),
-    "payload": ("Payload [N]", _payload),
+    "direction": ("Direction", lambda value: DIRECTION_SIGNS[value > 0.0]),
+    "payload": ("Payload [N]", text.trimmed),
     "feed": ("Feed [mm/min]", _feed),
-    "time": ("Start [min]", _start),
+    "time": ("Start [min]", lambda value: text.trimmed(units.number(value, "min"))),
 }
 
 

@@ -106,21 +106,8 @@ def write(compensation: Compensation) -> Texts:
     nominal = struts_of(compensation.kinematics, compensation.machine.nominal)
     head = [f"# {sentence}" for sentence in sentences_of(compensation)]
     pins = _hexapod(struts) if len(struts.zero) == 6 else _tripod(struts)
-    homes = [
-        *head,
-        "# strut length less joint reading, mm, and its change by calibration:",
-    ]
-    homes.append("# add the change to HOME_OFFSET of each joint")
-    for k, zero in enumerate(struts.zero):
-        homes += [
-            f"[JOINT_{k}]",
-            f"# STRUT_ZERO = {zero:.6f}",
-            f"# HOME_OFFSET_CHANGE = {zero - nominal.zero[k]:+.6f}",
-        ]
-    return {
-        ".hal": "\n".join([*head, *pins, ""]),
-        ".ini": "\n".join([*homes, ""]),
-    }
+    homes = linuxcnc_pentapod.homes(head, struts.zero.tolist(), nominal.zero.tolist())
+    return {".hal": "\n".join([*head, *pins, ""]), ".ini": homes}
 
 
 def _hexapod(struts: Struts) -> list[str]:
@@ -162,13 +149,7 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
     other = _formats_of(compensation.machine)
     if other is not None:
         return other[1](texts, compensation)
-    zero = np.array(
-        [
-            float(line.rsplit("=", 1)[1])
-            for line in texts[".ini"].splitlines()
-            if line.startswith("# STRUT_ZERO")
-        ]
-    )
+    zero = linuxcnc_pentapod.stated_zeros(texts[".ini"])
     pins = dict(
         line.split()[1:] for line in texts[".hal"].splitlines() if line[:5] == "setp "
     )

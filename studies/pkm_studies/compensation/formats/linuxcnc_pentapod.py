@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -40,24 +41,34 @@ def write(compensation: Compensation) -> Texts:
         for pin, name in PINS.items():
             value = units.number(compensation.parameter(name.format(i)), "mm")
             hal.append(f"setp pentakins.{pin.format(k)} {value:.6f}")
-    ini = [
+    zeros = [units.number(compensation.parameter(f"l{i}"), "mm") for i in LEGS]
+    indices = [compensation.machine.index(f"l{i}") for i in LEGS]
+    nominal = units.from_si(compensation.machine.nominal[indices], "mm").tolist()
+    return {".hal": "\n".join([*hal, ""]), ".ini": homes(head, zeros, nominal)}
+
+
+def homes(head: Sequence[str], zeros: Sequence[float], nominal: Sequence[float]) -> str:
+    """The INI file: strut lengths at a joint of 0, mm, identified and nominal."""
+    lines = [
         *head,
         "# strut length less joint reading, mm, and its change by calibration:",
+        "# add the change to HOME_OFFSET of each joint",
     ]
-    ini.append("# add the change to HOME_OFFSET of each joint")
-    for k, i in enumerate(LEGS):
-        zero = units.number(compensation.parameter(f"l{i}"), "mm")
-        index = compensation.machine.index(f"l{i}")
-        nominal = units.number(float(compensation.machine.nominal[index]), "mm")
-        ini += [f"[JOINT_{k}]", f"# STRUT_ZERO = {zero:.6f}"]
-        ini.append(f"# HOME_OFFSET_CHANGE = {zero - nominal:+.6f}")
-    return {".hal": "\n".join([*hal, ""]), ".ini": "\n".join([*ini, ""])}
+    for k, (zero, drawn) in enumerate(zip(zeros, nominal, strict=True)):
+        lines += [f"[JOINT_{k}]", f"# STRUT_ZERO = {zero:.6f}"]
+        lines.append(f"# HOME_OFFSET_CHANGE = {zero - drawn:+.6f}")
+    return "\n".join([*lines, ""])
+
+
+def stated_zeros(ini: str) -> Array:
+    """Strut lengths at a joint of 0, mm, as an INI file has them."""
+    return np.array([float(value) for value in ZERO.findall(ini)])
 
 
 def joints(texts: Texts, compensation: Compensation) -> Array:
     """Joint readings of a controller with these pins and homes."""
     pins = {name: float(value) for name, value in SETP.findall(texts[".hal"])}
-    zero = np.array([float(value) for value in ZERO.findall(texts[".ini"])])
+    zero = stated_zeros(texts[".ini"])
     legs = range(len(LEGS))
     base = np.array([[pins[f"base.{k}.{a}"] for a in "xyz"] for k in legs])
     radius, height = (np.array([pins[f"effector.{k}.{a}"] for k in legs]) for a in "rz")

@@ -14,7 +14,6 @@ from typing import TypedDict
 import numpy as np
 
 from oed.accuracy import prediction
-from oed.base import units
 from oed.base.arrays import Array
 from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.blocks import project_on_estimable
@@ -22,7 +21,9 @@ from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
+from pkm_studies.resolve.component_values import with_fine_units
 from pkm_studies.resolve.design import DesignRequest
+from pkm_studies.resolve.lookup import free_parameters
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.study.tables import DesignTable
 
@@ -120,13 +121,13 @@ class StudyCriteria:
         return scale[measurement.free]
 
     def _interest(self, measurement: Measurement) -> Array:
-        names = _free_names(measurement)
+        names = free_parameters(measurement)
         wanted = [k for k, n in enumerate(names) if n in self.request.interest]
         return np.eye(int(measurement.free.sum()))[:, wanted]
 
     def _combination(self, measurement: Measurement) -> Array:
         coefficients = self.request.combination
-        row = [coefficients.get(name, 0.0) for name in _free_names(measurement)]
+        row = [coefficients.get(name, 0.0) for name in free_parameters(measurement)]
         return (np.array(row) * self._scale(measurement))[None]
 
     def _mean_accuracy(
@@ -204,17 +205,9 @@ class StudyCriteria:
         total = np.einsum(
             "nkp,pq,nkq->k", maps.raw, covariance, maps.raw, optimize=True
         )
-        fine = {c.name: units.FINE[c.unit] for c in measurement.machine.components}
-        rms = {}
-        for name, variance in zip(maps.names, total / len(maps.raw), strict=True):
-            value = float(np.sqrt(max(variance, 0.0)))
-            rms[f"{name}_{fine[name]}"] = units.number(value, fine[name])
-        return rms
-
-
-def _free_names(measurement: Measurement) -> list[str]:
-    pairs = zip(measurement.names, measurement.free, strict=True)
-    return [name for name, free in pairs if free]
+        values = np.sqrt(np.maximum(total / len(maps.raw), 0.0)).tolist()
+        rms = dict(zip(maps.names, values, strict=True))
+        return with_fine_units(rms, measurement.machine)
 
 
 def improvement_factors(

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from oed.base import units
 from oed.base.arrays import Index
 from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.blocks import information
@@ -15,6 +14,7 @@ from oed.estimation.effect_sizes import healthy_size
 from oed.identifiability.information import prior_information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
+from pkm_studies.resolve.component_values import with_fine_units
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.planned_effects import (
     NONE,
@@ -185,8 +185,5 @@ def _accuracy(
     slopes = pose_error_slopes(c, maps.raw, effects)
     variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes, optimize=True)
     mean = variance / len(slopes) + effects.others
-    fine = {x.name: units.FINE[x.unit] for x in measurement.machine.components}
-    return {
-        f"{name}_{fine[name]}": units.number(float(np.sqrt(value)), fine[name])
-        for name, value in zip(maps.names, mean, strict=True)
-    }
+    rms = dict(zip(maps.names, np.sqrt(mean).tolist(), strict=True))
+    return with_fine_units(rms, measurement.machine)

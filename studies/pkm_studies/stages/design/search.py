@@ -21,6 +21,7 @@ from oed.design.exchange import Choice
 from oed.design.plan_limits import SetupLimit
 from oed.design.rules import MAX_COMBINATIONS, Rules
 from oed.design.setups import rank_combinations
+from pkm_studies.resolve.lookup import free_parameters
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,9 +67,7 @@ class DesignProblem:
         """Identity columns (n, r) of the machine's parameters and of some set-ups'."""
         candidates = self.candidates
         chosen = [candidates.setups[k] for k in setup_indices]
-        measurement = candidates.measurement
-        pairs = zip(measurement.names, measurement.free, strict=True)
-        names = [name for name, free in pairs if free]
+        names = free_parameters(candidates.measurement)
         columns = [
             k
             for k, name in enumerate(names)

@@ -13,11 +13,11 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.design.candidates import reading_time
 from oed.design.stages.option import Option
-from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import StudyResult
 from pkm_studies.resolve.earlier_result import known_parameters
+from pkm_studies.resolve.lookup import free_parameters
 from pkm_studies.resolve.plan import PlanRequest, request_of
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
 from pkm_studies.stages.forecast.task import EstimatedParameters
@@ -50,7 +50,7 @@ def read_earlier_session(
     """
     machine = resolved.machine
     measurement = resolved.measurement_with(())
-    free = _free_names(measurement)
+    free = free_parameters(measurement)
     value, covariance, source = known_parameters(stored, machine.name, free, folder)
     identified = dict(zip(free, value, strict=True))
     parameters = [
@@ -86,7 +86,7 @@ def stored_knowledge(
     if stored.final_estimate is None:
         return None
     machine = resolved.machine
-    free = _free_names(resolved.measurement_with(()))
+    free = free_parameters(resolved.measurement_with(()))
     value, covariance, _ = known_parameters(stored, machine.name, free, folder)
     at = [machine.index(name) for name in free]
     values = machine.nominal.copy()
@@ -94,12 +94,6 @@ def stored_knowledge(
     whole = np.zeros((len(values), len(values)))
     whole[np.ix_(at, at)] = covariance
     return EstimatedParameters(values, whole)
-
-
-def _free_names(measurement: Measurement) -> list[str]:
-    """Names of the free parameters."""
-    pairs = zip(measurement.names, measurement.free, strict=True)
-    return [name for name, is_free in pairs if is_free]
 
 
 def _without_done(

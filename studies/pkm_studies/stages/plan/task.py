@@ -18,6 +18,7 @@ from oed.design.stages.sequence.beam import BEAM
 from oed.design.stages.sequence.stage_memory import StageMemory
 from oed.design.stages.sequence.stage_plan import StagePlan
 from pkm_studies.base.errors import Place
+from pkm_studies.resolve.component_values import with_fine_units
 from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.earlier import EarlierSession
@@ -97,13 +98,10 @@ class PlanTask:
 
     def accuracy(self, covariance: Array) -> dict[str, float]:
         """Root mean square of each component over the workspace, in its fine unit."""
-        fine = {c.name: units.FINE[c.unit] for c in self.resolved.machine.components}
         goal = self.all_components
-        values = goal.accuracy(covariance) * goal.unit
-        return {
-            f"{name}_{fine[name]}": units.number(float(value), fine[name])
-            for name, value in zip(goal.names, values, strict=True)
-        }
+        values = (goal.accuracy(covariance) * goal.unit).tolist()
+        rms = dict(zip(goal.names, values, strict=True))
+        return with_fine_units(rms, self.resolved.machine)
 
     def posterior_covariance(self, plan: StagePlan) -> Array:
         """Covariance (n, n) of the machine after a plan."""

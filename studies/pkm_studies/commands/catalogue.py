@@ -1,4 +1,4 @@
-"""The subcommand `oed list`: the catalogue."""
+"""Subcommands of the catalogue: list and schema."""
 
 from __future__ import annotations
 
@@ -85,3 +85,23 @@ def _print_rows(rows: list[tuple[str, list[str]]]) -> None:
     for name, lines in rows:
         for label, line in zip([name, *[""] * len(lines)], lines, strict=False):
             print(f"{label:<{width}}  {line}")
+
+
+class Schema(enum.StrEnum):
+    """Files that `oed schema` describes."""
+
+    study = enum.auto()
+    result = enum.auto()
+    readings = enum.auto()
+
+
+def schema(
+    of: Annotated[
+        Schema, typer.Argument(metavar="study|result|readings", show_default=False)
+    ],
+) -> int:
+    """Print a JSON schema, for editors and scripts."""
+    from pkm_studies.study import schemas
+
+    console.print_json(schemas.SCHEMAS[of.value]())
+    return DONE

@@ -1,1 +1,0 @@
-"""The appendix: claims, key figures, and the record of what was computed with what."""

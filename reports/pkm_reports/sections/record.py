@@ -1,0 +1,97 @@
+"""Chapters of the appendix: claims, key figures, and the record of what was computed."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from oed.base.text import shorten
+from oed.result import StudyResult
+from pkm_reports.page import text
+from pkm_reports.page.blocks import (
+    Block,
+    Chapter,
+    Code,
+    Items,
+    Paragraph,
+    Table,
+    TableColumn,
+    wide_column,
+)
+
+#: characters of a measured value
+LONGEST: Final = 70
+
+
+def _claims(result: StudyResult) -> list[Block]:
+    """Each claim with what was measured and what is wanted."""
+    claims = result.claims
+    if not claims:
+        return []
+    failed = [claim.claim for claim in claims if not claim.met]
+    verdict = f"Not met: {text.listing(failed)}." if failed else "All are met."
+    worded = any(isinstance(claim.measured, str) for claim in claims)
+    columns = [
+        TableColumn("Claim"),
+        TableColumn("Measured", number=not worded, wide=worded),
+        wide_column("Wanted"),
+        TableColumn("Verdict"),
+    ]
+    rows = [
+        [
+            claim.claim,
+            _measured(claim.measured),
+            claim.wanted,
+            "✓ met" if claim.met else "✗ not met",
+        ]
+        for claim in claims
+    ]
+    marks = ["good" if claim.met else "bad" for claim in claims]
+    caption = (
+        "The claims of the study, from its [expect] table, against the measured"
+        f" values. {verdict}"
+    )
+    return [Table(columns, rows, caption, marks)]
+
+
+def _measured(value: float | str) -> str:
+    if isinstance(value, str):
+        return shorten(value, LONGEST)
+    return text.trimmed(value, 5)
+
+
+CLAIMS: Final = Chapter("claims", "Claims", _claims)
+
+
+def _figures(result: StudyResult) -> list[Block]:
+    """The headline of the result; findings about the readings stand on the first page."""
+    alarms = [] if result.goodness is None else result.goodness.findings
+    lines = [text.sentence(line) for line in result.headline if line not in alarms]
+    return [Items(lines, numbered=True)] if lines else []
+
+
+FIGURES: Final = Chapter("figures", "Key figures", _figures)
+
+
+def _record(result: StudyResult) -> list[Block]:
+    """Everything needed to run the study again."""
+    content: list[Block] = [_versions(result)]
+    if result.study_text:
+        content += [Paragraph("The study file:"), Code(result.study_text)]
+    return content
+
+
+def _versions(result: StudyResult) -> Table:
+    rows = [
+        ["study", result.study],
+        ["seed", str(result.seed)],
+        ["time", text.quantity(result.seconds, "s")],
+        ["result schema", str(result.schema)],
+        ["pkm-oed", result.version],
+    ]
+    others = {n: v for n, v in result.versions.items() if n != "pkm-oed"}
+    rows += [[name, version] for name, version in others.items()]
+    caption = "Seed and versions: the same ones give the same numbers."
+    return Table([TableColumn("What"), wide_column("Value")], rows, caption)
+
+
+RECORD: Final = Chapter("record", "Record", _record)

@@ -1,0 +1,202 @@
+"""Subcommands on stored results: report, compare, history, adjust, certificate, compensate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from oed.result.verdict import overall
+from pkm_studies.base.user_code import consent
+from pkm_studies.commands.options import (
+    AllowCode,
+    MachineStudy,
+    ResultFolder,
+    StoredResult,
+)
+from pkm_studies.stages.outcome import DONE, FAILED
+
+
+def report(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DIR...",
+            help="Folder with a result.json; several are put side by side.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder for a comparison of several results."),
+    ] = Path("out/comparison"),
+) -> int:
+    """Write HTML and PDF again from result.json, or a comparison of several results."""
+    from pkm_studies.base import files
+    from pkm_studies.results import stored_result
+
+    if len(folders) == 1:
+        paths = stored_result.write_report(folders[0])
+    else:
+        files.check_writable(out)
+        paths = stored_result.write_comparison(folders, out)
+    for path in paths:
+        print(f"Report: {path}")
+    return DONE
+
+
+def compare(before: ResultFolder, after: ResultFolder) -> int:
+    """Compare two sessions of one machine: what changed, and by how much."""
+    from pkm_studies.results import comparison
+
+    compared = comparison.compare(before, after)
+    for sentence in compared.sentences:
+        print(sentence)
+    return DONE if compared.is_trusted else FAILED
+
+
+def history(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FOLDER...",
+            help="Results of one machine, or folders of results.",
+            show_default=False,
+        ),
+    ],
+    limit: Annotated[
+        str,
+        typer.Option(
+            metavar="z_um=30,...",
+            help="Rms errors at which to calibrate again [twice the present ones].",
+        ),
+    ] = "",
+    study: MachineStudy = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Show how a machine drifts over its sessions, and when to calibrate again."""
+    from pkm_studies.sessions import history as histories
+
+    given = consent(allow_code=allow_code)
+    report = histories.history(folders, limit, study, given)
+    for sentence in report.sentences:
+        print(sentence)
+    return DONE if report.is_trusted else FAILED
+
+
+def adjust(
+    folder: StoredResult,
+    wanted: Annotated[
+        str,
+        typer.Option(
+            metavar="z_um=30,...",
+            help="Rms errors by which components count, and only these [by length].",
+        ),
+    ] = "",
+    study: MachineStudy = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Choose what to adjust at the machine, by how much, and what it brings."""
+    from pkm_studies.sessions import adjustment
+
+    given = consent(allow_code=allow_code)
+    section, paths = adjustment.adjust_folder(
+        folder, wanted=wanted, study_file=study, consent=given
+    )
+    return _print_written(adjustment.sentences(section), paths)
+
+
+def certificate(
+    folder: ResultFolder,
+    head: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Laboratory, customer, dates, tolerances [DIR/certificate.toml].",
+            show_default=False,
+        ),
+    ] = None,
+    study: MachineStudy = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Write a calibration certificate: XML for machines (DCC), PDF for persons."""
+    from pkm_studies.sessions import certify
+
+    given = consent(allow_code=allow_code)
+    written, paths = certify.certify_folder(
+        folder, head_file=head, study_file=study, consent=given
+    )
+    _print_written(certify.sentences(written), paths)
+    stated = overall(v for v in written.verdicts if v is not None)
+    return DONE if stated in (None, "pass") else FAILED
+
+
+def _print_written(sentences: Iterable[str], paths: Sequence[Path]) -> int:
+    for line in [*sentences, *(f"Written: {path}" for path in paths)]:
+        print(line)
+    return DONE
+
+
+Commands = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        help="Largest number of commands of a table [5000].",
+        show_default=False,
+    ),
+]
+FirmwareVersion = Annotated[
+    str | None,
+    typer.Option(
+        metavar="VERSION",
+        help="Version of the controller's firmware, as in 2.0.5 [that of the import].",
+        show_default=False,
+    ),
+]
+
+
+def compensate(
+    folder: StoredResult,
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="A format of `oed list formats`, or path/to/file.py:attribute.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="File to write [DIR/compensation.*]."),
+    ] = None,
+    study: MachineStudy = None,
+    commands: Commands = None,
+    firmware: FirmwareVersion = None,
+    adjusted: Annotated[
+        bool, typer.Option(help="For the machine after the lines of `oed adjust`.")
+    ] = False,
+    force: Annotated[bool, typer.Option(help="Write a bad fit as well.")] = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Write what the controller reads: parameters, tables, measuring poses."""
+    from pkm_studies.compensation import export
+    from pkm_studies.stages.corrected import table_grid
+
+    written = export.export_folder(
+        folder,
+        to,
+        out=out,
+        study_file=study,
+        force=force,
+        commands=table_grid.COMMANDS if commands is None else commands,
+        firmware=firmware,
+        adjusted=adjusted,
+        consent=consent(allow_code=allow_code),
+    )
+    for path in written.paths:
+        print(f"Compensation: {path}")
+    for sentence in written.sentences:
+        print(f"{sentence[0].upper()}{sentence[1:]}.")
+    return DONE

@@ -1,0 +1,266 @@
+"""Subcommands that run the pipeline: run, simulate, identify, diagnose, plan, forecast."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from oed.base import own_files
+from pkm_studies.base import console
+from pkm_studies.commands.options import (
+    AllowCode,
+    OutFolder,
+    Quiet,
+    Seed,
+    StudyPath,
+    Verbose,
+)
+from pkm_studies.stages.outcome import DONE, FAILED, report_outcome
+
+if TYPE_CHECKING:
+    from pkm_studies.study import Study
+
+
+def run(
+    study: StudyPath,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results [out/NAME]."),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Run a study: design, identification, accuracy, report."""
+    from pkm_studies.notebook import display
+
+    loaded, folder = load_for(study, allow_code, out)
+    from pkm_studies import pipeline  # only now: errors of input come at once
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.run(loaded, folder, seed=seed, progress=progress)
+    return report_outcome(result, folder, quiet, verbose=verbose)
+
+
+def simulate(
+    study: StudyPath,
+    out: Annotated[
+        Path,
+        typer.Option(
+            metavar="READINGS.csv", help="File for the readings.", show_default=False
+        ),
+    ],
+    allow_code: AllowCode = False,
+) -> int:
+    """Write readings of a virtual machine, and its truth in a second file."""
+    from pkm_studies.base import files
+
+    files.check_new(out)
+    loaded = load(study, allow_code)
+    files.check_writable(out.parent)
+    from pkm_studies import pipeline
+
+    readings, truth = pipeline.simulate(loaded, out)
+    print(f"Readings: {readings}\nTruth: {truth}")
+    return DONE
+
+
+def identify(
+    study: StudyPath,
+    readings: Annotated[
+        list[Path],
+        typer.Option(
+            metavar="CSV",
+            help="The readings; again for a further file.",
+            show_default=False,
+        ),
+    ],
+    out: OutFolder,
+    effects: Annotated[
+        str | None,
+        typer.Option(
+            "--with",
+            metavar="EFFECT,...",
+            help="Effects to estimate together with the parameters.",
+        ),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Identify the machine from readings."""
+    from pkm_studies.notebook import display
+
+    loaded, folder = load_for(study, allow_code, out)
+    from pkm_studies import pipeline
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.run(
+            loaded,
+            folder,
+            seed=seed,
+            progress=progress,
+            readings=readings,
+            effects=effects.replace(",", " ").split() if effects else (),
+        )
+    return report_outcome(result, folder, quiet, verbose=verbose)
+
+
+def diagnose(
+    study: StudyPath,
+    out: OutFolder,
+    readings: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="CSV",
+            help="The readings [those of the study]; again for a further file.",
+            show_default=False,
+        ),
+    ] = None,
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Earlier diagnosis: its readings count as well.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Find what causes the gap between model and machine: which effect, and where."""
+    from pkm_studies.notebook import display
+
+    loaded, folder = load_for(study, allow_code, out)
+    from pkm_studies import pipeline
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.diagnose(
+            loaded, readings or None, folder, after=after, seed=seed, progress=progress
+        )
+    return report_outcome(result, folder, quiet, verbose=verbose)
+
+
+def plan(
+    study: StudyPath,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results [out/NAME-plan]."),
+    ] = None,
+    after: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RESULT_DIR",
+            help="Result of an earlier session: plan the stages after it.",
+        ),
+    ] = None,
+    seed: Seed = None,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Plan which measurements to do, in which order; read and fit nothing."""
+    from pkm_studies.notebook import display
+
+    loaded, folder = load_for(study, allow_code, out, "-plan")
+    from pkm_studies import pipeline
+
+    with display.progress(quiet=quiet) as progress:
+        result = pipeline.plan(
+            loaded, folder, after=after, seed=seed, progress=progress
+        )
+    lines = []
+    if not quiet and result.plan is not None:
+        lines = display.plan_lines(result.plan, verbose=verbose)
+    return report_outcome(result, folder, quiet, verbose=verbose, above=lines)
+
+
+def forecast(
+    study: StudyPath,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Folder of the results; an estimate there is known [out/NAME-forecast].",
+        ),
+    ] = None,
+    readings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="Measured nodes: write the table. Without: plan the nodes.",
+        ),
+    ] = None,
+    seed: Seed = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Plan the nodes of forecast compensation, or make the table of measured ones."""
+    loaded, folder = load_for(study, allow_code, out, "-forecast")
+    from pkm_studies import pipeline
+    from pkm_studies.results import claims
+    from pkm_studies.stages.forecast.words import sentences
+
+    result = pipeline.forecast(loaded, folder, readings=readings, seed=seed)
+    for sentence in sentences(result.forecast):
+        print(sentence)
+    name, words = ("forecast_nodes.csv", "To fill in")
+    if result.forecast is not None and result.forecast.readings:
+        name, words = ("forecast_table.csv", "Table")
+    print(f"{words}: {own_files.latest(folder / name)}")
+    failing = [
+        claims.failure(claim, loaded.path.name)
+        for claim in result.claims
+        if not claim.met
+    ]
+    for sentence in failing:
+        console.print_error(sentence)
+    return FAILED if failing else DONE
+
+
+def load(path: Path, allow_code: bool) -> Study:
+    """The study of a file or of a shipped study's name."""
+    from pkm_studies import study
+    from pkm_studies.base.user_code import consent
+    from pkm_studies.study import shipped
+
+    return study.load(shipped.study_path(path), consent(allow_code=allow_code))
+
+
+def load_for(
+    path: Path, allow_code: bool, out: Path | None, suffix: str = ""
+) -> tuple[Study, Path]:
+    """The study, and the folder of its results: `out`, else one of the study's name.
+
+    Raises InputError where the folder cannot be written, or has a result that the study
+    rests on.
+    """
+    from pkm_studies.base import files
+
+    loaded = load(path, allow_code)
+    folder = out or Path("out") / f"{loaded.name}{suffix}"
+    files.check_writable(folder)
+    _check_apart(loaded, folder)
+    return loaded, folder
+
+
+def _check_apart(study: Study, folder: Path) -> None:
+    """Raises InputError where the study takes its prior from the folder of its results."""
+    from pkm_studies.base.errors import InputError
+
+    named = {"earlier": [study.prior.earlier or ""], "from": study.prior.from_}
+    for key, names in named.items():
+        for name in filter(None, names):
+            if (study.folder / name).resolve() == folder.resolve():
+                raise InputError(
+                    "the result would replace the one that its prior is taken from",
+                    "give another --out",
+                    file=str(study.path),
+                    field=f"prior.{key}",
+                    value=name,
+                )
