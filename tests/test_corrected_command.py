@@ -255,7 +255,9 @@ def test_the_first_line_is_true_of_the_corrected_fit(folder: Path) -> None:
 def test_without_effects_the_alarm_stays(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    study, readings = folder / "loads.study.toml", folder / "loads.readings.csv"
+    study, readings = tmp_path / "loads.study.toml", folder / "loads.readings.csv"
+    text = (folder / "loads.study.toml").read_text()
+    study.write_text(text + '[identify]\neffects = "none"\n')
     out = tmp_path / "out"
     assert run("identify", study, "--readings", readings, "--out", out) == 1
     printed = capsys.readouterr()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,15 @@ import test_bad_fit
 
 from pkm_studies.commands import cli
 
+#: the lines of the study of a bad fit that allow no effect
+NONE = '[identify]\neffects = "none"\n'
+
 
 def run(folder: Path, lines: str) -> dict[str, Any]:
     """Result of a fit of two ball bars on an independent head."""
     folder.mkdir()
     study, readings = test_bad_fit.write(folder, bar_readings.a3_readings(0))
-    study.write_text(study.read_text() + lines)
+    study.write_text(sample.changed(study.read_text(), (NONE, lines)))
     return identified(study, readings)[0]
 
 
@@ -41,8 +45,8 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
     folder = tmp_path_factory.mktemp("effects")
     lines = {
         "default": "",
-        "none": '\n[identify]\neffects = "none"\n',
-        "catalogue": '\n[identify]\neffects = "catalogue"\n',
+        "none": NONE,
+        "catalogue": '[identify]\neffects = "catalogue"\n',
     }
     return {name: run(folder / name, text) for name, text in lines.items()}
 
@@ -92,7 +96,8 @@ def test_an_unknown_effect_is_refused_by_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study, readings = test_bad_fit.write(tmp_path, bar_readings.a3_readings(0))
-    study.write_text(study.read_text() + '\n[identify]\neffects = ["backlsh"]\n')
+    misspelt = '[identify]\neffects = ["backlsh"]\n'
+    study.write_text(sample.changed(study.read_text(), (NONE, misspelt)))
     code = cli.main(
         [
             "identify",
@@ -119,36 +124,53 @@ spin_deg = 0
 """
 
 
+#: what may act in a hexapod: the right effect, and one that is not there
+FEW = '["backlash", "encoder_scale"]'
+#: the values of `effects` under which the leg's scale is known; all effects take a minute
+ALLOWED = (FEW, pytest.param('"catalogue"', marks=pytest.mark.slow))
+
+
 def with_wrong_scale(folder: Path, effects: str) -> tuple[dict[str, Any], int]:
     """A hexapod whose leg 1 goes 1 % too far, by formulas of its own."""
     folder.mkdir()
     study = leg_scale.write(folder, leg_scale.readings(0.01))
     text, _, _ = study.read_text().partition("x_mm = [-80, 80]")
     without_diagnosis = text.replace('[gap]\neffects = ["all"]\n', "")
-    allowed = f'[identify]\neffects = "{effects}"\n'
+    allowed = f"[identify]\neffects = {effects}\n"
     study.write_text(without_diagnosis + WORKSPACE + allowed)
     return identified(study, folder / "readings.csv")
 
 
 @pytest.fixture(scope="module")
-def wrong_scale(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> dict[str, tuple[dict[str, Any], int]]:
-    folder = tmp_path_factory.mktemp("scale")
+def without_search() -> Iterator[None]:
+    """Mistakes of the file have tests of their own."""
     with pytest.MonkeyPatch.context() as patch:
-        # mistakes of the file have tests of their own
         patch.setattr("oed.checks.check.explain", lambda *args, **options: [])
-        return {n: with_wrong_scale(folder / n, n) for n in ("none", "catalogue")}
+        yield
 
 
-def test_a_bad_fit_is_good_where_effects_explain_it(
-    wrong_scale: dict[str, tuple[dict[str, Any], int]],
-) -> None:
-    alone, code = wrong_scale["none"]
+@pytest.fixture(scope="module", params=ALLOWED)
+def wrong_scale(
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    without_search: None,
+) -> tuple[dict[str, Any], int]:
+    """Result and exit code where effects are allowed."""
+    return with_wrong_scale(tmp_path_factory.mktemp("scale") / "with", request.param)
+
+
+@pytest.mark.usefixtures("without_search")
+def test_a_wrong_scale_alone_is_a_bad_fit(tmp_path: Path) -> None:
+    alone, code = with_wrong_scale(tmp_path / "alone", '"none"')
     assert code == 1
     assert alone["goodness"]["bad_fit"]
     assert alone["prediction"] is None
-    allowed, code = wrong_scale["catalogue"]
+
+
+def test_a_bad_fit_is_good_where_effects_explain_it(
+    wrong_scale: tuple[dict[str, Any], int],
+) -> None:
+    allowed, code = wrong_scale
     assert code == 0
     assert not allowed["goodness"]["bad_fit"]
     first = allowed["goodness"]["findings"][0]
@@ -159,10 +181,10 @@ def test_a_bad_fit_is_good_where_effects_explain_it(
 
 
 def test_the_controller_gets_parameters_that_take_up_effects(
-    wrong_scale: dict[str, tuple[dict[str, Any], int]],
+    wrong_scale: tuple[dict[str, Any], int],
 ) -> None:
     """Less is left than with the machine's parameters, and as much as predicted."""
-    result, _ = wrong_scale["catalogue"]
+    result, _ = wrong_scale
     estimate = result["estimate"]
     own = {name: p["value"] for name, p in estimate["parameters"].items()}
     sent = estimate["controller"]
@@ -185,7 +207,7 @@ def test_the_controller_gets_parameters_that_take_up_effects(
 
 
 @pytest.mark.usefixtures("no_search_for_mistakes")
-@pytest.mark.parametrize("effects", ["none", "catalogue"])
+@pytest.mark.parametrize("effects", ['"none"', *ALLOWED])
 def test_readings_that_are_held_out_lie_within_the_bands(
     tmp_path: Path, effects: str
 ) -> None:
@@ -200,13 +222,13 @@ def test_readings_that_are_held_out_lie_within_the_bands(
     held_out = setup.replace('name = "t"', 'name = "u"')
     rest = rest.replace("[readings]\n", '[readings]\npredict = ["u"]\n')
     rest = rest.replace('[gap]\neffects = ["all"]\n', "")
-    allowed = f'[identify]\neffects = "{effects}"\n'
+    allowed = f"[identify]\neffects = {effects}\n"
     study.write_text(f"{text}[[setup]]{setup}[[setup]]{held_out}[noise]{rest}{allowed}")
     result, _ = identified(study, tmp_path / "readings.csv")
     places = [s for s in result["held_out"] if s["unit"] == "um"]
     assert len(places) == 3
     rms = np.sqrt(np.mean([s["rms"] ** 2 for s in places]))
-    if effects == "none":
+    if effects == '"none"':
         assert rms > 200.0
         return
     assert rms < 100.0  # the noise is 50
