@@ -137,7 +137,7 @@ def test_the_schema_has_the_tables() -> None:
 
 
 def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
-    study = gap_fixture.written(tmp_path, STUDY)
+    study = gap_fixture.written(tmp_path)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     code, out, err = oed("diagnose", study, "--readings", "r.csv", "--out", "out")
     assert (code, err) == (0, "")

@@ -108,7 +108,10 @@ def test_a_machine_commanded_in_angles_follows_a_circle() -> None:
         ),
         ("poses = { x_mm = [0, 1], y_mm = [0, 1], z_mm = [9] }", "x 2, y 2, z 1"),
         ("poses = { x_mm = [0], y_mm = [0] }", "z_mm: missing"),
-        ("circle = { centre_mm = [0,0,90], radius_mm = 900 }", "cannot be put on 36"),
+        (
+            "circle = { centre_mm = [0,0,90], radius_mm = 900, count = 4 }",
+            "cannot be put on 4",
+        ),
         ('circle = { centre_mm = [0,0,90], radius_mm = 9, plane = "xz" }', "zx"),
         ('file = "none.csv"', "there is no such CSV file"),
         ('file = "bad.csv"', "line 3, column y_mm = wide"),

@@ -74,24 +74,18 @@ def test_each_combination_is_a_test_on_two_processes(tmp_path: Path) -> None:
     assert all((folder / "result.json").is_file() for folder in results)
 
 
-NONSENSE = """\
-import pytest
-
-
-def test_without_the_mark(varied_study):
-    varied_study.result
-
-
-@pytest.mark.study_sweep("plan.study.toml", vary={"setup.x.y": [1]})
-def test_of_a_setup_that_is_not_there(varied_study):
-    varied_study.result
-"""
+#: marks of tests of `varied_study` that make no sense
+NONSENSE = ("", '@pytest.mark.study_sweep("plan.study.toml", vary={"setup.x.y": [1]})')
 
 
 def test_a_sweep_that_makes_no_sense_is_an_error_in_words(tmp_path: Path) -> None:
-    printed = _suite(
-        tmp_path, NONSENSE, "-p", "no:xdist", "--continue-on-collection-errors"
+    """Two files, for an error ends the collection of its file."""
+    without, unknown = (
+        f"import pytest\n\n{mark}\ndef test_it(varied_study):\n    varied_study.result\n"
+        for mark in NONSENSE
     )
+    (tmp_path / "test_other.py").write_text(unknown, encoding="utf-8")
+    printed = _suite(tmp_path, without, "-p", "no:xdist", "test_other.py")
     assert "varied_study needs the mark study_sweep" in printed
     assert "no entry 'x'" in printed
     assert "Traceback" not in printed
