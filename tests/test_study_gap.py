@@ -166,7 +166,7 @@ def test_the_command_diagnoses_readings(oed: Run, tmp_path: Path) -> None:
 def test_readings_of_the_study_and_the_same_from_a_file_give_the_same(
     oed: Run, tmp_path: Path
 ) -> None:
-    stated = STUDY.replace("[noise]", "[noise]\nestimate = false")
+    stated = gap_fixture.STUDY.replace("[noise]", "[noise]\nestimate = false")
     study = gap_fixture.written(tmp_path, stated)
     assert oed("simulate", study, "--out", "r.csv")[0] == 0
     assert oed("diagnose", study, "--out", "simulated", "--quiet") == (0, "", "")
