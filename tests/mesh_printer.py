@@ -111,7 +111,8 @@ def run(text: str, folder: Path, mesh: str = "hold-out") -> StudyResult:
     path, _ = session.import_files("klipper", [config], folder, mesh=mesh)
     study = path.read_text()
     middle = study.index("[prediction]"), study.index("[controller]")
-    short = study[: middle[0]] + "[posterior]\nenabled = false\n" + study[middle[1] :]
+    plain = '[posterior]\nenabled = false\n[identify]\neffects = "none"\n'
+    short = study[: middle[0]] + plain + study[middle[1] :]
     path.write_text(short)
     return pipeline.run(oed.load_study(path), folder / "out", report=False)
 

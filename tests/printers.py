@@ -14,6 +14,7 @@ from pkm_studies.importers.base import ImportedSession
 
 #: no samples and no report
 PLAIN = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
+PLAIN += '[identify]\neffects = "none"\n'
 
 
 def take(

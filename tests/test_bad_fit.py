@@ -35,6 +35,9 @@ teach = { z_mm = 1386.0, psi_deg = 0.0, theta_deg = 0.0 }
 [noise]
 length_um = 0.5
 
+[identify]
+effects = "none"
+
 [posterior]
 enabled = false
 

@@ -219,7 +219,7 @@ def test_simulated_readings_can_be_identified(oed: Run, tmp_path: Path) -> None:
     text = (
         PLAN
         + "[readings]\nsimulate = true\ntruth = { dq1_mm = 1.5 }\n[posterior]\nenabled"
-        " = false\n"
+        ' = false\n[identify]\neffects = "none"\n'
     )
     study = write(tmp_path / "p.study.toml", text)
     code, out, _ = oed("simulate", study, "--out", "new/r.readings.csv")

@@ -22,6 +22,8 @@ name = "tracker"
 instrument = "camera"
 channels = ["read_y", "read_z"]
 {prior}
+[identify]
+effects = "none"
 [posterior]
 enabled = false
 [report]

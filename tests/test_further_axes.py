@@ -49,6 +49,7 @@ teach = { z_mm = 1286.0, psi_deg = 0.0, theta_deg = 0.0 }
 length_um = 0.5
 [identify]
 stages = [["dq*"], ["*"]]
+effects = "none"
 [posterior]
 enabled = false
 [prediction]

@@ -35,6 +35,9 @@ sigma_mm = 2.0
 parameters = ["angle*"]
 sigma_deg = 0.5
 
+[identify]
+effects = "none"
+
 [posterior]
 enabled = false
 

@@ -23,7 +23,7 @@ from oed.checks.outliers import find_outliers
 from pkm_studies.commands import cli
 from pkm_studies.importers import session
 
-NO_POSTERIOR = "\n[posterior]\nenabled = false\n"
+PLAIN = "\n[posterior]\nenabled = false\n[identify]\neffects = 'none'\n"
 #: Klipper's delta: radius and arm, endstops by tower, towers, probed circle (mm), step
 RADIUS, ARM, ENDSTOPS = 110.0, 250.0, (260.0, 260.4, 259.7)
 TOWERS = np.radians([210.0, 330.0, 90.0])
@@ -73,7 +73,7 @@ def test_seven_heights_detect_an_error_and_locate_none(
     lines = (tmp_path / "in" / "q.readings.csv").read_text("utf-8").splitlines()
     centre = 2 + next(k for k, line in enumerate(lines) if line.startswith("setup,"))
     circle = list(range(centre + 1, centre + 7))
-    study.write_text(study.read_text("utf-8") + NO_POSTERIOR, encoding="utf-8")
+    study.write_text(study.read_text("utf-8") + PLAIN, encoding="utf-8")
     out = tmp_path / "out"
     assert call("run", study, "--out", out) == 1
     assert "the fit is bad" in capsys.readouterr().err

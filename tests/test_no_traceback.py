@@ -25,6 +25,9 @@ instrument = "rm4"
 name = "rm5"
 instrument = "rm5"
 
+[identify]
+effects = "none"
+
 [posterior]
 enabled = false
 

@@ -16,9 +16,8 @@ from oed.noise.law import reach_words
 from pkm_studies.commands import cli
 
 ESTIMATE = ("length_um = 0.5", "length_um = 0.5\nestimate = true")
-RIGID = '\n[identify]\neffects = "none"\n'
-ESTIMATED = sample.changed(test_bad_fit.STUDY + RIGID, ESTIMATE)
-WITHOUT_REPORT = sample.changed(test_bad_fit.WITHOUT_REPORT + RIGID, ESTIMATE)
+ESTIMATED = sample.changed(test_bad_fit.STUDY, ESTIMATE)
+WITHOUT_REPORT = sample.changed(test_bad_fit.WITHOUT_REPORT, ESTIMATE)
 
 
 def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:

@@ -46,7 +46,8 @@ def test_of_other_values_the_last_counts(capsys: pytest.CaptureFixture[str]) -> 
 
 def test_readings_of_all_files_count(tmp_path: Path) -> None:
     study = tmp_path / "delta.study.toml"
-    study.write_text(sample.DELTA, encoding="utf-8")
+    text = sample.DELTA + '[identify]\neffects = "none"\n'
+    study.write_text(text, encoding="utf-8")
     later = sample.DELTA_READINGS
     for run in ("1", "d1", "d2"):
         later = later.replace(f"probe,{run},", f"probe,{run}b,")

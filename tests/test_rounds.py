@@ -63,6 +63,9 @@ sigma_mm = 0.3
 parameters = ["beta*"]
 sigma_mrad = 5
 
+[identify]
+effects = "none"
+
 [posterior]
 enabled = false
 
@@ -238,6 +241,8 @@ estimate = false
 [[prior.tolerance]]
 parameters = ["dq*"]
 sigma_mm = 8
+[identify]
+effects = "none"
 [posterior]
 enabled = false
 [prediction]

@@ -92,7 +92,7 @@ def test_a_state_that_no_reading_recorded_is_refused(
     text = study.read_text().replace(
         "[prediction]\n", "[prediction]\nstates = { temp_frame_C = [18, 26] }\n"
     )
-    study.write_text(text + '\n[identify]\neffects = ["gravity"]\n')
+    study.write_text(text.replace('effects = "none"', 'effects = ["gravity"]'))
     out = tmp_path / "out"
     arguments = ["identify", str(study), "--readings", str(readings)]
     assert cli.main([*arguments, "--out", str(out)]) == 2
