@@ -171,6 +171,6 @@ def test_a_tool_point_beside_the_axis_is_read_there() -> None:
         and len(t.amounts) == 1
     )
     (other,) = trial.undo(np.array([0.025]))
-    (setup,) = other.measurement.setups.values()
+    setup = other.measurement.setups[other.series[0].setup]
     (before,) = session.measurement.setups.values()
     assert np.array(setup.tool) - np.array(before.tool) == pytest.approx([0.025, 0, 0])

@@ -120,8 +120,8 @@ def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial 
     count = sum(len(group) - 1 for group in groups)
 
     def undo(amounts: Array) -> list[SessionReadings]:
-        if abs(amounts[0]) > LARGEST:
-            raise ValueError("a reading holds less than all of the one before")
+        if not 0.0 <= amounts[0] <= LARGEST:
+            raise ValueError("a reading holds a part of the one before")
         y = _without(given, groups, LAGS[held], float(amounts[0]))
         return [session.with_y(y)]
 
@@ -133,7 +133,7 @@ def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial 
         )
 
     def scaling(amounts: Array) -> float:
-        return -count * float(np.log(max(abs(1.0 - amounts[0]), 1e-12)))
+        return -count * float(np.log1p(-np.clip(amounts[0], -LARGEST, LARGEST)))
 
     slope = (session.y - _without(given, groups, LAGS[held], STEP)) / STEP
     return MistakeTrial(
@@ -144,7 +144,6 @@ def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial 
         amounts=np.zeros(1),
         steps=np.array([STEP]),
         scaling=scaling,
-        linear_scaling=lambda amounts: scaling(np.clip(amounts, -LARGEST, LARGEST)),
         family=f"lag {held} {each} {scope.name}",
         columns=slope[:, None],
     )

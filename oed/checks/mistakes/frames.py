@@ -16,16 +16,18 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
+from scipy.spatial import transform
 
 from oed.base.arrays import Array
-from oed.base.orientation import Orientation
+from oed.base.orientation import Orientation, rotation
 from oed.checks.mistakes.driven import commanded
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import moved_trials
+from oed.checks.mistakes.pose import SLACK
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
 
@@ -38,12 +40,12 @@ AXES = "xyz"
 class FrameMistake:
     """A mistake of a frame, in words, and poses without it.
 
-    orientation  by which angles are read, where it is not that of their columns
+    matrices  rotations (n, 3, 3) of angles by name, where it is not that of their columns
     """
 
     words: str
     undo: Unframed
-    orientation: Orientation | None = None
+    matrices: Callable[[Mapping[str, Array]], Array] | None = None
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
@@ -67,11 +69,32 @@ def _mistakes(orientation: Orientation) -> Iterator[FrameMistake]:
         "are of the inverse poses: of the base in the platform's frame",
         lambda p, r: (-np.einsum("nij,nj->ni", r, p), np.swapaxes(r, 1, 2)),
     )
+    for other in _conventions(orientation):
+        words = f"have angles in another order: {other.formula}"
+        yield FrameMistake(words, lambda p, r: (p, r), other.matrices)
+    yield FrameMistake(
+        f"have {', '.join(orientation.names)} of one rotation vector",
+        lambda p, r: (p, r),
+        partial(_of_vectors, orientation.names),
+    )
+
+
+def _conventions(orientation: Orientation) -> list[Orientation]:
+    """What the same angles make otherwise: the same rotations in another order, and
+    rotations about three axes in any order.
+    """
+    x, y, z = orientation.names
+    orders = itertools.permutations([("x", x), ("y", y), ("z", z)])
+    others = [rotation(*factors) for factors in orders]
     for factors in itertools.permutations(orientation.factors):
-        if factors != orientation.factors:
-            other = dataclasses.replace(orientation, factors=factors)
-            words = f"have angles in another order: {other.formula}"
-            yield FrameMistake(words, lambda p, r: (p, r), other)
+        others.append(dataclasses.replace(orientation, factors=factors))
+    return [o for o in dict.fromkeys(others) if o != orientation]
+
+
+def _of_vectors(names: Sequence[str], angles: Mapping[str, Array]) -> Array:
+    """Rotations (n, 3, 3) by the vectors that some angles are."""
+    vectors = np.column_stack([angles[name] for name in names])
+    return np.asarray(transform.Rotation.from_rotvec(vectors).as_matrix())
 
 
 def _of_axes(turn: Array) -> Iterator[FrameMistake]:
@@ -98,9 +121,9 @@ def _of_axes(turn: Array) -> Iterator[FrameMistake]:
 
 def _unframed(orientation: Orientation, mistake: FrameMistake, poses: Array) -> Array:
     """Poses (n, 6), places and angles, without a mistake."""
-    read = mistake.orientation or orientation
+    matrices = mistake.matrices or orientation.matrices
     angles = dict(zip(orientation.names, poses[:, 3:].T, strict=True))
-    p, r = mistake.undo(poses[:, :3], read.matrices(angles))
+    p, r = mistake.undo(poses[:, :3], matrices(angles))
     values = orientation.angles(r)
     return np.column_stack([p, *(values[name] for name in orientation.names)])
 
@@ -151,6 +174,6 @@ def _driven(given: Given) -> Iterator[MistakeTrial]:
         return
     for mistake in _mistakes(orientation):
         change = partial(_unframed, orientation, mistake)
-        moved = commanded(given.session.measurement, change)
+        moved = commanded(given.session.measurement, change, slack=SLACK)
         sentence = f"the commanded poses{{within}} {mistake.words}"
         yield from moved_trials(given, "frame", sentence, moved)

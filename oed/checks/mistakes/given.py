@@ -10,9 +10,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Mask
+from oed.checks.fit import Fit
 from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
 from oed.checks.session import SessionReadings
 from oed.dataset.columns import column_name, parse_column
+from oed.measurement.measurement import Series
 
 #: noise within which two readings are the same
 SAME = 0.2
@@ -27,26 +29,45 @@ class Given:
     """A session whose mistakes are looked for; its measurement has all set-ups.
 
     with_amounts  whether mistakes of an amount in the commands are looked for
+    at            fit at which readings are linear; None for the nominal machine
 
     Raises AssemblyError where the nominal machine cannot be read.
     """
 
     session: SessionReadings
     with_amounts: bool = True
+    at: Fit | None = None
 
-    @functools.cached_property
-    def predicted(self) -> Array:
-        """Readings (N,) of the nominal machine, SI."""
+    def read(self, series: Sequence[Series], theta: Array) -> tuple[Array, Array]:
+        """Readings (N,), SI, and slopes (N, r) over the free parameters in their
+        tolerances.
+        """
         measurement = self.session.measurement
-        return measurement.readings(self.session.series, measurement.nominal)
+        y = measurement.readings(series, theta)
+        scaled = measurement.in_prior_units(measurement.jacobian(series, theta))
+        return y, scaled[:, measurement.free]
 
     @functools.cached_property
+    def nominal(self) -> tuple[Array, Array]:
+        """Readings (N,) and slopes (N, r) of the nominal machine."""
+        return self.read(self.session.series, self.session.measurement.nominal)
+
+    @functools.cached_property
+    def _linear(self) -> tuple[Array, Array]:
+        if self.at is None:
+            return self.nominal
+        y, slopes = self.read(self.session.series, self.at.theta)
+        return y - slopes @ self.at.departure, slopes
+
+    @property
+    def predicted(self) -> Array:
+        """Readings (N,) of the nominal machine, SI, in the linear model."""
+        return self._linear[0]
+
+    @property
     def slopes(self) -> Array:
         """Slopes (N, r) over the free parameters in their tolerances, SI."""
-        measurement = self.session.measurement
-        jacobian = measurement.jacobian(self.session.series, measurement.nominal)
-        scaled = measurement.in_prior_units(jacobian)
-        return scaled[:, measurement.free]
+        return self._linear[1]
 
     @functools.cached_property
     def sigma(self) -> Array:
@@ -103,9 +124,10 @@ class Given:
         bases = {}
         if np.isfinite(self.length[values]).any():
             bases["the nominal length"] = self.length
-        apart = np.abs(self.predicted - self.length)[values]
+        nominal = self.nominal[0]
+        apart = np.abs(nominal - self.length)[values]
         if not (apart < SAME * self.sigma[values]).all():
-            bases["the nominal machine"] = self.predicted
+            bases["the nominal machine"] = nominal
         return bases
 
     @functools.cached_property

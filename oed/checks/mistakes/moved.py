@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,12 +21,15 @@ from oed.checks.mistakes.trial import (
     plain,
 )
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Series
+from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
+from oed.model.instrument import Setup
 
 #: a series as it was read; None where it cannot have been
 Moved = Callable[[Series], Series | None]
 
+#: what the name of a set-up ends in that some readings have anew
+AGAIN = " again"
 #: errors of poses that cannot be reached
 CANNOT_BE = (AssemblyError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
@@ -52,7 +56,6 @@ def on_moved(
             undo=lambda amounts: [with_moved(given.session, scope.readings, moved)],
             log_prior=0.0 if scope.level == "file" else seldom,
             table=table,
-            mask=scope.values(given.session),
         )
 
     return on
@@ -104,7 +107,6 @@ def displaced_trials(
             is_blind=is_blind,
             family=f"{family} {scope.name}",
             table=table,
-            mask=scope.values(given.session),
         )
 
     yield from in_scopes(scopes, on)
@@ -180,18 +182,30 @@ def pose_table(
             by_amount[places, 0] = change * spread
     if np.isnan(predicted).all():
         return None
-    return PoseTable(predicted, slopes, by_amount)
+    y, nominal_slopes = given.nominal
+    predicted += given.predicted - y
+    return PoseTable(predicted, slopes + given.slopes - nominal_slopes, by_amount)
 
 
 def _nominal(given: Given, series: Series) -> tuple[Array, Array] | None:
     """Readings and slopes of the nominal machine, SI and in tolerances."""
-    measurement = given.session.measurement
     try:
-        y = measurement.readings([series], measurement.nominal)
-        jacobian = measurement.jacobian([series], measurement.nominal)
+        return given.read([series], given.session.measurement.nominal)
     except CANNOT_BE:
         return None
-    return y, measurement.in_prior_units(jacobian)[:, measurement.free]
+
+
+def mounted_again(
+    measurement: Measurement,
+    setups: Iterable[str],
+    changed: Callable[[Setup], Mapping[str, Any]],
+) -> Measurement:
+    """The measurement with some set-ups once more, with another name and fields."""
+    again = []
+    for name in setups:
+        one = measurement.setups[name]
+        again.append(dataclasses.replace(one, name=name + AGAIN, **changed(one)))
+    return measurement.with_setups([*measurement.setups.values(), *again])
 
 
 def with_moved(

@@ -35,7 +35,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     """Readings reversed and shifted, in each run, in one of them, and in the file."""
     for each in (True, False):
         scopes = [given.file] if each else given.scopes
-        for words, turn in {**BACKWARD, **_sortings(given)}.items():
+        for words, turn in {**BACKWARD, **_column_orders(given)}.items():
             on = partial(_turned_round, given, words, turn, each)
             yield from in_scopes(scopes, on)
         for shift in SHIFTS:
@@ -67,18 +67,22 @@ def _subject(scope: Scope, *, each: bool) -> str:
     return f"the readings{scope.of}" if scope.name else "the readings of the file"
 
 
-def _sortings(given: Given) -> dict[str, Turn]:
-    """Orders of rows sorted by a column: as a directory or a spreadsheet has them."""
-    keys = {"number": given.session.values["order"].to_numpy()[given.session.firsts]}
-    for name, values in given.columns.items():
-        if np.isfinite(values).all():
-            keys[name] = np.round(values, 6)
+def _column_orders(given: Given) -> dict[str, Turn]:
+    """Orders of rows by a column: as a directory or a spreadsheet sorts them, and those
+    of a meander, whose lines are those in which a command stays.
+    """
+    number = given.session.values["order"].to_numpy()[given.session.firsts]
+    columns = {n: v for n, v in given.columns.items() if np.isfinite(v).all()}
     turns: dict[str, Turn] = {}
-    for name, key in keys.items():
+    for name, values in {"number": number, **columns}.items():
+        key = np.round(values, 6)
         as_text = np.array([f"{value:g}" for value in key])
         words = f"the order of their {name}"
         turns[f"{words} as text (1, 10, 2, ...)"] = partial(_unsorted, as_text)
         turns[words] = partial(_unsorted, key)
+        for place, first in enumerate(("first", "second")):
+            words = f"the order of a meander: every other line of one {name} backward"
+            turns[f"{words}, from the {first} on"] = partial(_to_and_fro, key, place)
     return turns
 
 
@@ -87,6 +91,16 @@ def _unsorted(key: Array, rows: Index) -> Index:
     sources = np.empty_like(rows)
     sources[np.argsort(key[rows], kind="stable")] = rows
     return sources
+
+
+def _to_and_fro(key: Array, first: int, rows: Index) -> Index:
+    """Rows with every other line of one key (n,) turned round, where there are several."""
+    lines = np.split(rows, np.flatnonzero(np.diff(key[rows])) + 1)
+    if len(lines) == 1:
+        return rows
+    return np.concatenate(
+        [line[:: -1 if k % 2 == first else 1] for k, line in enumerate(lines)]
+    )
 
 
 def _turned_round(

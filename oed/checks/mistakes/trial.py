@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from oed.base import units
 from oed.base.arrays import Array, Index, Mask
 from oed.checks.fit import Fit
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.session import SessionReadings
+from oed.checks.words import rounded
 from oed.measurement.measurement import Measurement
 
 #: sessions without a mistake of some amounts (k,): one, or several of machines apart
@@ -62,7 +64,6 @@ class MistakeTrial:
     log_scale  sum over the values of the log of the factor on them: readings that a trial
                makes small fit easily, and their density pays for it
     scaling    the same of amounts, where it follows from them
-    linear_scaling  the same of amounts in the linear model
     log_prior  of the trial among those of its kind and level, beyond an equal share
     family     trials of which the likeliest alone is fitted
     missing    values, by mask (N,), of which the trial does not say where they belong
@@ -72,7 +73,7 @@ class MistakeTrial:
 
     y          (N,) values
     mistaken   (N,) values with the mistake in them, where it is not its own inverse
-    table      readings at other poses, for the values `mask`
+    table      readings at other poses, for the values of the scope
     columns    (N, k) slopes of the values over the amounts; those whose size is not
                known are scaled to what they explain
     parts      values, by mask (N,), that a machine of their own gives
@@ -91,7 +92,6 @@ class MistakeTrial:
     is_blind: bool = False
     log_scale: float = 0.0
     scaling: Callable[[Array], float] = lambda amounts: 0.0
-    linear_scaling: Callable[[Array], float] = lambda amounts: 0.0
     log_prior: float = 0.0
     family: str = ""
     missing: Mask | None = None
@@ -99,7 +99,6 @@ class MistakeTrial:
     y: Array | None = None
     mistaken: Array | None = None
     table: PoseTable | None = None
-    mask: Mask | None = None
     columns: Array | None = None
     parts: Mask | None = None
     noise: Array | None = None
@@ -145,6 +144,13 @@ def in_values(given: Given, make: OnValues) -> Iterator[MistakeTrial]:
 def plain(sentence: str) -> Words:
     """The words of a mistake without amounts."""
     return lambda amounts, sd: sentence
+
+
+def amount(value: float, sd: float, unit: str, *, with_sd: bool = False) -> str:
+    """An SI value in a unit, to the first digit of its standard deviation."""
+    size, error = (units.number(float(v), unit) for v in (value, sd))
+    text = f"{rounded(size, error)} {unit}"
+    return f"{text} (sd {error:.2g} {unit})" if with_sd else text
 
 
 def value_trial(

@@ -19,6 +19,8 @@ OTHERS = {"m": {"inch": units.INCH}}
 #: fine units in which deviations are written, by SI unit
 FINE = {si: (units.FINE[si], units.factor(units.FINE[si])) for si in ("m", "rad")}
 DIVISIONS = {"m": ("divisions of 0.01 mm", 1e-5)}
+#: an angle, rad, by which a notation says what its last digits are
+SMALL_ANGLE = np.array([1e-5 * units.DEG])
 #: standard deviations of a prediction from zero from which on its sign is known
 SURE = 3.0
 #: what readings, or deviations, are of what they should be
@@ -34,6 +36,8 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     for si in dict.fromkeys(given.unit[given.shown]):
         for name, factor in _unit_factors(si).items():
             yield from in_values(given, partial(_in_unit, given, si, name, factor))
+    for words, meant in notations.SEXAGESIMAL.items():
+        yield from in_values(given, partial(_sexagesimal, given, words, meant))
     for origin in ORIGINS[1:]:
         for fine in ({}, FINE, DIVISIONS):
             for sign in (1.0, -1.0):
@@ -104,6 +108,20 @@ def _in_unit(
     zero = np.zeros(len(values))
     ratio = factor / stated.factor
     return _changed(given, "unit", scope, sentence, values, zero, ratio)
+
+
+def _sexagesimal(
+    given: Given, words: str, meant: notations.Notation, scope: Scope, values: Mask
+) -> MistakeTrial | None:
+    """Angles whose decimals are minutes, or minutes and seconds, of them."""
+    y = given.session.y.copy()
+    y[values] = meant(y[values])
+    if set(given.unit[values]) != {"rad"} or not np.isfinite(y).all():
+        return None
+    subject = _readings(given, scope, values)
+    sentence = f"{subject} have {words} after their decimal point"
+    log_scale = float(values.sum() * np.log(meant(SMALL_ANGLE) / SMALL_ANGLE)[0])
+    return value_trial(given.session, "unit", scope, sentence, y, log_scale)
 
 
 def _unit_factors(si: str) -> Mapping[str, float]:

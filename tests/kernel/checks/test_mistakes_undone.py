@@ -70,8 +70,8 @@ MADE: list[tuple[ModuleType, str, tuple[float, ...]]] = [
     (limits, "revolutions not counted", ()),
     (amounts, "zeroed again in one run", (0.2e-3,)),
     (amounts, "the bar zeroed again at row 32", (0.2e-3,)),
-    (amounts, "scale of the bar", (0.01,)),
-    (amounts, "one gauge in two lines' channels, 25 % large", (0.25,)),
+    (amounts, "scale of the bar", (0.01 / 1.01,)),
+    (amounts, "one gauge in two lines' channels, 25 % large", (0.2,)),
 ]
 
 
