@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
+from scipy import linalg
 
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
@@ -48,8 +49,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     yield from in_values(given, partial(_offset, given))
     yield from in_values(given, partial(_scale, given))
     yield from in_values(given, partial(_offsets_of_runs, given))
-    for channel in dict.fromkeys(given.channel[given.shown]):
-        yield from _offsets_of_stretches(given, given.channel == channel)
+    yield from _offsets_of_stretches(given)
     scopes = [*given.scopes, *given.parts]
     yield from filter(None, (_moved_setup(given, scope) for scope in scopes))
     yield from _sizes(given)
@@ -107,34 +107,42 @@ def _offset(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
     return _off_by(given, kind, scope, words, column, family)
 
 
-def _offsets_of_stretches(given: Given, of_channel: Mask) -> Iterator[MistakeTrial]:
-    """Rows inside a run that are off by an amount: the likeliest of all such stretches.
+def _offsets_of_stretches(given: Given) -> Iterator[MistakeTrial]:
+    """Rows inside a run that are off by an amount: the likeliest of each channel.
 
     With the precision P of the readings r about the linear model, an offset c of unknown
     size lessens their misfit by (c^T P r)^2 / c^T P c.
     """
-    gains: list[tuple[float, Index]] = []
     covariance = given.slopes @ given.slopes.T + np.diag(given.sigma**2)
-    precision = np.linalg.inv(covariance)
+    precision = linalg.inv(covariance)
     pull = precision @ (given.session.y - given.predicted)
-    for run in given.runs:
-        places = np.flatnonzero(of_channel & run.values(given.session))
-        count = len(places)
-        sums = np.append(0.0, np.cumsum(pull[places]))
-        block = np.cumsum(np.cumsum(precision[np.ix_(places, places)], 0), 1)
-        block = np.pad(block, ((1, 0), (1, 0)))
-        for i in range(1, count - LEAST_PART):
-            for j in range(i + LEAST_PART, count):
-                size = block[j, j] - block[i, j] - block[j, i] + block[i, i]
-                gains.append(((sums[j] - sums[i]) ** 2 / size, places[i:j]))
-    gains.sort(key=lambda one: -one[0])
-    for _, places in gains[:STRETCHES]:
-        readings = given.session.reading_of_value[places]
-        values = np.isin(np.arange(len(of_channel)), places)
-        one = _offset(given, rows_scope(given.session, readings), values)
-        if one is not None:
-            share = float(np.log(STRETCHES / len(gains)))
-            yield dataclasses.replace(one, log_prior=min(share, 0.0))
+    for channel in dict.fromkeys(given.channel[given.shown]):
+        gains: list[tuple[float, Index]] = []
+        for run in given.runs:
+            at = (given.channel == channel) & run.values(given.session)
+            places = np.flatnonzero(at)
+            gains += _gains(pull[places], precision[np.ix_(places, places)], places)
+        gains.sort(key=lambda one: -one[0])
+        for _, places in gains[:STRETCHES]:
+            readings = given.session.reading_of_value[places]
+            values = np.isin(np.arange(len(pull)), places)
+            one = _offset(given, rows_scope(given.session, readings), values)
+            if one is not None:
+                share = float(np.log(STRETCHES / len(gains)))
+                yield dataclasses.replace(one, log_prior=min(share, 0.0))
+
+
+def _gains(pull: Array, precision: Array, places: Index) -> list[tuple[float, Index]]:
+    """What an offset of each stretch inside a run of n values gains; P r (n,), P (n, n)."""
+    count = len(places)
+    sums = np.append(0.0, np.cumsum(pull))
+    block = np.pad(precision.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    gains = []
+    for i in range(1, count - LEAST_PART):
+        for j in range(i + LEAST_PART, count):
+            size = block[j, j] - block[i, j] - block[j, i] + block[i, i]
+            gains.append((float((sums[j] - sums[i]) ** 2 / size), places[i:j]))
+    return gains
 
 
 def _offsets_of_runs(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:

@@ -1,5 +1,5 @@
-"""Poses in another frame or by another meaning of their angles: of what a tracker reads,
-and of what the controller is given.
+"""Axes that stand otherwise: columns of readings exchanged or turned, poses in another
+frame or by another meaning of their angles, as read and as given to the controller.
 
 With y = (p, R), p the tool point and R the rotation of the platform's frame, a mistake is
 
@@ -22,9 +22,9 @@ from functools import partial
 import numpy as np
 from scipy.spatial import transform
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation, rotation
-from oed.checks.mistakes.driven import commanded
+from oed.checks.mistakes.driven import Change, commanded, permuted
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import moved_trials
 from oed.checks.mistakes.pose import SLACK
@@ -34,6 +34,8 @@ from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
 #: places (n, 3) and rotations (n, 3, 3) without a mistake, of those with it
 Unframed = Callable[[Array, Array], tuple[Array, Array]]
 AXES = "xyz"
+#: channels of one unit that are permuted, at most
+MOST_CHANNELS = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,9 +51,77 @@ class FrameMistake:
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
-    """Poses that are read, and poses that are commanded, in another frame."""
+    """Columns of one unit in any order and with any signs, and poses in another frame."""
+    by_unit: dict[str, list[str]] = {}
+    for channel in dict.fromkeys(given.channel[given.shown]):
+        by_unit.setdefault(given.session.unit(channel), []).append(str(channel))
+    for names in (few for some in by_unit.values() for few in _groups(some)):
+        for order in itertools.permutations(names):
+            for signs in itertools.product((1.0, -1.0), repeat=len(names)):
+                if order == tuple(names) and sum(signs) > len(names) - 4.0:
+                    continue  # the sign of one alone: see `values`
+                on = partial(_exchanged, given, names, order, signs)
+                yield from in_scopes(given.scopes, on)
     yield from _read(given)
     yield from _driven(given)
+
+
+# -- columns ---------------------------------------------------------------------------
+
+
+def _groups(names: list[str]) -> list[list[str]]:
+    """Channels that are permuted together: pairs alone where there are many."""
+    if len(names) <= MOST_CHANNELS:
+        return [names]
+    return [list(pair) for pair in itertools.combinations(names, 2)]
+
+
+def _exchanged(
+    given: Given,
+    names: list[str],
+    order: tuple[str, ...],
+    signs: tuple[float, ...],
+    scope: Scope,
+) -> MistakeTrial | None:
+    """The session with each channel of `names` taken from that of `order`."""
+    session = given.session
+    sources = [names.index(name) for name in order]
+    turned = permuted(sources, signs)
+    y = _mapped(given, names, scope.values(session) & given.shown, turned)
+    if y is None or np.array_equal(y, session.y):
+        return None
+    column = {name: session.column(name).name for name in names}
+    moved = [(a, b) for a, b in zip(names, order, strict=True) if a != b]
+    if min(signs) > 0.0:
+        exchanged = [column[a] for a, _ in moved]
+        words = f"{', '.join(exchanged[:-1])} and {exchanged[-1]}"
+        sentence = f"the columns {words} are exchanged{scope.within}"
+    else:
+        triples = zip(names, order, signs, strict=True)
+        axes = [
+            f"{column[a]} is {'-' if s < 0 else ''}{column[b]}" for a, b, s in triples
+        ]
+        sentence = f"the axes stand otherwise{scope.within}: {', '.join(axes)}"
+    return value_trial(session, "columns", scope, sentence, y)
+
+
+def _mapped(
+    given: Given, names: Sequence[str], at: Mask, change: Change
+) -> Array | None:
+    """Values (N,) with those of some channels (n, k) changed together; None where not
+    each of them has as many.
+    """
+    masks = [at & (given.channel == name) for name in names]
+    if len({int(mask.sum()) for mask in masks}) > 1 or not masks[0].any():
+        return None
+    y = given.session.y.copy()
+    changed = change(np.column_stack([y[mask] for mask in masks]))
+    for mask, values in zip(masks, changed.T, strict=True):
+        y[mask] = values
+    return y
+
+
+# -- what may be wrong with poses ------------------------------------------------------
 
 
 def _mistakes(orientation: Orientation) -> Iterator[FrameMistake]:
@@ -145,21 +215,13 @@ def _read(given: Given) -> Iterator[MistakeTrial]:
 def _read_otherwise(
     given: Given, orientation: Orientation, mistake: FrameMistake, scope: Scope
 ) -> MistakeTrial | None:
-    session = given.session
-    at = scope.values(session)
     names = [*(f"read_{axis}" for axis in AXES), *orientation.names]
-    masks = [at & (given.channel == name) for name in names]
-    count = {int(mask.sum()) for mask in masks}
-    if len(count) > 1 or 0 in count:
+    at = scope.values(given.session)
+    y = _mapped(given, names, at, partial(_unframed, orientation, mistake))
+    if y is None:
         return None
-    poses = np.column_stack([session.y[mask] for mask in masks])
-    y = session.y.copy()
-    for mask, values in zip(
-        masks, _unframed(orientation, mistake, poses).T, strict=True
-    ):
-        y[mask] = values
     sentence = f"the poses that were read{scope.within} {mistake.words}"
-    return value_trial(session, "frame", scope, sentence, y)
+    return value_trial(given.session, "frame", scope, sentence, y)
 
 
 # -- poses that are commanded ----------------------------------------------------------

@@ -136,5 +136,6 @@ def _ends_near(one: Index, other: Index, step: int) -> bool:
 
 
 def rows_scope(session: SessionReadings, readings: Index) -> Scope:
+    """Some rows, by their first and last one."""
     rows = session.rows(readings)
     return Scope("rows", f"rows {min(rows)} to {max(rows)}", readings)

@@ -115,7 +115,7 @@ def _table(
     except CANNOT_BE:
         return None
     spread = np.maximum(0.1 * np.abs(start), STEP) if start.any() else 1.0
-    first = first + given.predicted - given.nominal[0]
+    first = first + given.predicted - given.nominal
     return PoseTable(first, given.slopes, slopes * spread)
 
 

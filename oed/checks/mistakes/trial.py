@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
+from oed.checks.copies import resolution
 from oed.checks.fit import Fit
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
@@ -22,6 +24,8 @@ Undo = Callable[[Array], Sequence[SessionReadings]]
 Words = Callable[[Array, Array], str]
 
 NO_AMOUNTS: Array = np.zeros(0)
+#: step of readings with more digits than are looked at, in their noise
+FINEST = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,6 +176,59 @@ def value_trial(
         y=y,
         mistaken=mistaken,
     )
+
+
+def dropped_trial(
+    given: Given, kind: str, scope: Scope, sentence: str, missing: Mask, **more: Any
+) -> MistakeTrial:
+    """A trial without the readings that have some values (N,)."""
+    session = given.session
+    dropped = np.unique(session.reading_of_value[missing]).tolist()
+    is_all = len(dropped) == 1 + int(session.reading_of_value[-1])
+    return MistakeTrial(
+        kind=kind,
+        scope=scope,
+        words=plain(sentence),
+        undo=lambda amounts: [] if is_all else [session.without(dropped)],
+        missing=missing,
+        **more,
+    )
+
+
+def noise_trial(
+    given: Given,
+    kind: str,
+    scope: Scope,
+    sentence: str,
+    factor: Array,
+    log_prior: float,
+) -> MistakeTrial:
+    """A trial with factors (N,) on the stated noise."""
+    session = given.session
+
+    def undo(amounts: Array) -> list[SessionReadings]:
+        sigma = factor * given.sigma
+        series = tuple(
+            dataclasses.replace(s, sigma=sigma[span].reshape(len(s), -1))
+            for s, span in zip(session.series, session.spans, strict=True)
+        )
+        return [dataclasses.replace(session, series=series)]
+
+    return MistakeTrial(
+        kind=kind,
+        scope=scope,
+        words=plain(sentence),
+        undo=undo,
+        log_prior=log_prior,
+        noise=factor,
+    )
+
+
+def log_density_of_known(given: Given, values: Mask, digits: Mask) -> float:
+    """Log density, SI, of some values (N,) that are certain to the last digit of others."""
+    step = resolution(given.session, np.flatnonzero(digits))
+    size = np.maximum(step, FINEST * given.sigma[values])
+    return -float(np.log(size).sum())
 
 
 def members(session: SessionReadings, readings: Index) -> Index:

@@ -46,9 +46,16 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
         yield from in_values(given, partial(_added_twice, given, origin))
     yield from in_values(given, partial(_lost, given))
     for origin in ORIGINS:
-        yield from in_values(given, partial(_reversed, given, origin))
+        reversed_sign = "the sign of {} is reversed"
+        yield from in_values(
+            given, partial(_about, given, origin, "sign", reversed_sign, -1.0)
+        )
         for words, factor in (FACTORS | (THOUSANDS if origin else POINT_LOST)).items():
-            yield from in_values(given, partial(_scaled, given, origin, words, factor))
+            why = ": the decimal point is lost" if words in POINT_LOST else ""
+            sentence = f"{{}} are {words} what they should be{why}"
+            yield from in_values(
+                given, partial(_about, given, origin, "scale", sentence, 1.0 / factor)
+            )
 
 
 def _base(given: Given, values: Mask, origin: str) -> Array | None:
@@ -194,31 +201,24 @@ def _lost(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
     return value_trial(given.session, "sign", scope, sentence, changed)
 
 
-def _reversed(
-    given: Given, origin: str, scope: Scope, values: Mask
+def _about(
+    given: Given,
+    origin: str,
+    kind: str,
+    sentence: str,
+    factor: float,
+    scope: Scope,
+    values: Mask,
 ) -> MistakeTrial | None:
-    base = _base(given, values, origin)
-    if base is None:
-        return None
-    of = _where(given, scope, values)
-    if scope.level == "instrument":
-        of = f"the readings{scope.of}"
-    elif len(set(given.channel[values])) > 1 and given.is_all(scope, values):
-        of = f"all readings{scope.of}"
-    what = f"the deviations of {of} from {origin}" if origin else of
-    sentence = f"the sign of {what} is reversed"
-    return _changed(given, "sign", scope, sentence, values, base, -1.0, base)
-
-
-def _scaled(
-    given: Given, origin: str, words: str, factor: float, scope: Scope, values: Mask
-) -> MistakeTrial | None:
+    """Readings whose deviations from an origin have another sign or size."""
     base = _base(given, values, origin)
     if base is None:
         return None
     what = _readings(given, scope, values)
+    if kind == "sign" and scope.level != "instrument":
+        is_all = given.is_all(scope, values) and len(set(given.channel[values])) > 1
+        what = f"all readings{scope.of}" if is_all else _where(given, scope, values)
     if origin:
         what = f"the deviations of {what} from {origin}"
-    why = ": the decimal point is lost" if words in POINT_LOST else ""
-    sentence = f"{what} are {words} what they should be{why}"
-    return _changed(given, "scale", scope, sentence, values, base, 1.0 / factor, base)
+    words = sentence.format(what)
+    return _changed(given, kind, scope, words, values, base, factor, base)
