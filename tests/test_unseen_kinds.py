@@ -305,7 +305,7 @@ def backlash(size: float, column: str, command: str) -> Change:
     ("machine", "change"),
     [
         pytest.param("hexapod", two_far, marks=SLOW),
-        ("a3", noisier(6.0, "length_mm")),
+        pytest.param("a3", noisier(6.0, "length_mm"), marks=SLOW),
         pytest.param("a3", noisier(40.0, "length_mm"), marks=SLOW),
         pytest.param("hexapod", noisier(30.0, "read_x_mm"), marks=SLOW),
         pytest.param("delta", noisier(8.0, "height_mm"), marks=SLOW),
