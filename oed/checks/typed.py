@@ -18,6 +18,8 @@ from oed.measurement.measurement import Series
 #: standard deviations of what all others predict within which another number fits, and
 #: from which on the one of the file is so far off that a fitting one says something
 FITS, FAR = 4.0, 40.0
+#: digits of a command beyond which a program wrote it, and no hand
+TYPED = 5
 
 
 def other_number(session: SessionReadings, solution: Fit, one: FarReading) -> str:
@@ -73,7 +75,10 @@ def _with_other_commands(part: SessionReadings) -> Iterator[tuple[str, Series]]:
     for k, coordinate in enumerate(measurement.machine.command):
         column = column_name(coordinate.name, coordinate.unit)
         factor = parse_column(column).factor
-        for words, number in _slips(float(series.command[place, k]) / factor):
+        written = float(series.command[place, k]) / factor
+        if len(f"{abs(written):.9g}".replace(".", "")) > TYPED:
+            continue
+        for words, number in _slips(written):
             command = series.command.copy()
             command[place, k] = number * factor
             try:
