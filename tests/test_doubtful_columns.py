@@ -11,7 +11,7 @@ from blunder_table_forms import interpolated, two_digits_exchanged
 
 from oed.checks import conditions, copies
 from oed.checks.candidates import candidates
-from oed.checks.mistakes import Given, amounts, limits, rounding, tools
+from oed.checks.mistakes import Given, amounts, noise, tools
 from oed.checks.screening import Screening
 from oed.dataset.notations import notations
 from oed.dataset.readings_file import ReadingsError
@@ -117,7 +117,7 @@ def test_the_stated_noise_is_doubted_where_readings_fit_a_thousand_times_better(
     None
 ):
     given = Given(machines.session("a3", machines.readings("a3", 0)))
-    (trial,) = [t for t in limits.noise_trials(given) if t.noise.max() == 1e3]
+    (trial,) = [t for t in noise.noise_trials(given) if t.noise.max() == 1e3]
     (other,) = trial.undo(trial.amounts)
     assert other.noise().sigma == pytest.approx(1e3 * given.sigma)
 
@@ -129,7 +129,7 @@ def test_a_rounded_command_is_noise_of_its_slope() -> None:
     given = Given(machines.session("a3", rows))
     trial = next(
         t
-        for t in rounding.trials(given)
+        for t in noise.trials(given)
         if t.words(t.amounts, t.amounts)
         == "theta_deg is rounded to 1: finer numbers were driven"
     )
@@ -171,6 +171,6 @@ def test_a_tool_point_beside_the_axis_is_read_there() -> None:
         and len(t.amounts) == 1
     )
     (other,) = trial.undo(np.array([0.025]))
-    (setup,) = other.measurement.setups.values()
+    setup = other.measurement.setups[other.series[0].setup]
     (before,) = session.measurement.setups.values()
     assert np.array(setup.tool) - np.array(before.tool) == pytest.approx([0.025, 0, 0])

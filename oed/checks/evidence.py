@@ -14,7 +14,7 @@ import itertools
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Mask
 from oed.checks.fit import Fit
 from oed.checks.screening import scales_of_noise
 from oed.checks.session import SessionReadings
@@ -29,11 +29,12 @@ from oed.noise.prior import (
 )
 from oed.noise.process import Laws, Whitening
 from oed.noise.structure import ReadingStructure
+from oed.result.trust import GUESS
 
 #: coordinates of the laws that are looked at: error of a run, carried share and reach
 LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)
-#: share of the prior of no effect, and of each rival
-PLAIN, UNUSUAL = 0.6, 0.1
+#: share of the prior of no effect, and of all rivals
+PLAIN, UNUSUAL = 0.6, 0.4
 #: factor between sizes of an effect
 SIZE_STEP = 4.0
 #: degree of a drift in the order of readings
@@ -86,7 +87,8 @@ def log_evidence(
     few = _few(laws, weights)
     rivalling = rivals(session, linear.slopes) if with_effects else []
     for rival in rivalling:
-        terms.append(float(np.log(UNUSUAL)) + _with_rival(linear, rival, *few, scales))
+        log_share = float(np.log(UNUSUAL / len(rivalling)))
+        terms.append(log_share + _with_rival(linear, rival, *few, scales))
     constant = linear.log_unit + 0.5 * len(structure) * float(np.log(2.0 * np.pi))
     return float(special.logsumexp(terms)) - constant
 
@@ -100,16 +102,14 @@ def _with_rival(
         largest = 100.0
     count = max(1, int(np.log(largest) / np.log(SIZE_STEP)))
     sizes = SIZE_STEP ** np.arange(1, count + 1)
-    values = [
-        _log_marginal(
-            linear,
-            rival.slopes(linear.slopes, size, linear.structure),
-            laws,
-            weights,
-            scales,
-        )
-        for size in sizes
-    ]
+    values = []
+    for size in sizes:
+        factor = np.where(rival.noisier, 1.0 / size, np.ones(len(linear.residual)))
+        one = dataclasses.replace(linear, residual=factor * linear.residual)
+        slopes = factor[:, None] * rival.slopes(linear.slopes, size)
+        most = GUESS * float(factor.min())
+        log_density = _log_marginal(one, slopes, laws, weights, scales, most)
+        values.append(log_density + float(np.log(factor).sum()))
     return float(special.logsumexp(values)) - float(np.log(len(values)))
 
 
@@ -134,9 +134,17 @@ def _few(laws: Laws, weights: Array) -> tuple[Laws, Array]:
 
 
 def _log_marginal(
-    linear: LinearReadings, slopes: Array, laws: Laws, weights: Array, scales: Array
+    linear: LinearReadings,
+    slopes: Array,
+    laws: Laws,
+    weights: Array,
+    scales: Array,
+    most: float = GUESS,
 ) -> float:
-    """Log density over the unit, by laws of every scale."""
+    """Log density over the unit, by laws of every scale.
+
+    most  error of a run over the stated noise: beyond that is a mistake, and no noise
+    """
     whitening = Whitening(linear.structure, laws)
     gram = whitening.gram(np.column_stack([linear.residual, slopes]))
     values, vectors = np.linalg.eigh(gram[:, 1:, 1:])
@@ -152,9 +160,9 @@ def _log_marginal(
     is_assumed = linear.structure.statement.is_assumed
     prior = log_prior_of_scale(scales, is_assumed=is_assumed)
     prior = prior - special.logsumexp(prior)
-    return float(
-        special.logsumexp(weights[:, None] + prior - 0.5 * (log_size + misfit))
-    )
+    is_noise = laws.level[:, None] * scales <= most
+    log_density = weights[:, None] + prior - 0.5 * (log_size + misfit)
+    return float(special.logsumexp(log_density[is_noise]))
 
 
 # -- what may act without a mistake ----------------------------------------------------
@@ -165,32 +173,35 @@ class Rival:
     """An effect of unknown size.
 
     name       in words
-    columns    (N, k) its forms, of unit size, in units of the stated noise; none where
-               the parameters' own slopes count more than their tolerances say
+    columns    (N, k) its forms, of unit size, in units of the stated noise
+    is_factor  whether its size is a factor on the tolerances
+    noisier    values, by mask (N,), on whose noise its size is a factor
     """
 
     name: str
-    columns: Array | None
+    columns: Array | None = None
+    is_factor: bool = False
+    noisier: Mask | bool = False
 
-    @property
-    def is_factor(self) -> bool:
-        """Whether its size is a factor on the tolerances."""
-        return self.columns is None
-
-    def slopes(self, slopes: Array, size: float, structure: ReadingStructure) -> Array:
+    def slopes(self, slopes: Array, size: float) -> Array:
         """Slopes (N, r + k) with the effect at a size."""
-        if self.columns is None:
-            return size * slopes
-        return np.hstack([slopes, size * self.columns])
+        if self.columns is not None:
+            return np.hstack([slopes, size * self.columns])
+        return size * slopes if self.is_factor else slopes
 
 
 def rivals(session: SessionReadings, slopes: Array) -> list[Rival]:
-    """Drift, smooth error over the poses, and tolerances too narrow."""
+    """Drift, smooth error over the poses, tolerances too narrow, and more noise in one
+    channel of several.
+    """
     group = _groups(session)
+    groups = np.unique(group)
+    noisier = [group == g for g in groups if len(groups) > 1]
     return [
         Rival("a drift through the session", _by_group(_drift(session), group)),
         Rival("a smooth error over the poses", _by_group(_smooth(session), group)),
-        Rival("tolerances that are too narrow", None),
+        Rival("tolerances that are too narrow", is_factor=True),
+        *(Rival("more noise in one channel", noisier=one) for one in noisier),
     ]
 
 

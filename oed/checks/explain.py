@@ -13,7 +13,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from oed.checks.candidates import HOPELESS, MISTAKEN, Candidate, candidates
 from oed.checks.evidence import linear_readings, log_evidence
@@ -45,6 +45,8 @@ SETTLED = 1.5
 WITH_EFFECTS = 1.5
 #: robust standard deviations from which a residual may be an outlier
 FAR = 4.5
+#: tolerances from nominal beyond which a fit is no machine to be linear about
+FAR_PARAMETER = 4.0
 #: standard deviations that an amount must be away from nothing
 SIGNIFICANT = 3.0
 
@@ -86,7 +88,13 @@ def explain(
     given = Given(dataclasses.replace(_sample(session), measurement=measurement))
     before = np.inf if solution is None else solution.ratio
     screening = Screening(given)
-    nothing = as_given(given, screening.as_given().scale)
+    nearest = fit_of_any_misfit(given.session, screening.as_given().scale)
+    nothing = as_given(nearest)
+    if nearest is not None and np.abs(nearest.departure).max() < FAR_PARAMETER:
+        screening = _better(
+            screening, Screening(dataclasses.replace(given, at=nearest))
+        )
+        given = screening.given
     chosen = candidates(given, screening, thorough=thorough, of_noise=of_noise)
     fitted: list[Undone] = []
     for some in (chosen.first, chosen.then):
@@ -94,6 +102,12 @@ def explain(
         if any(_settles(one, nothing) for one in fitted):
             break
     return _explanations(_distinct(fitted), nothing, before)
+
+
+def _better(one: Screening, other: Screening) -> Screening:
+    """The linear model that explains the readings as given better."""
+    gain = other.as_given().log_evidence - one.as_given().log_evidence
+    return other if gain > 0.0 else one
 
 
 def _settles(one: Undone, nothing: Undone | None) -> bool:
@@ -173,15 +187,15 @@ class Undone:
     ratio: float
 
 
-def as_given(given: Given, scale: float) -> Undone | None:
-    """The readings as given, without a prior; None where they cannot be fitted.
-
-    scale  of the noise over the stated one, in the linear model
-    """
+def as_given(nearest: Fit | None) -> Undone | None:
+    """The readings as given, without a prior; None where they cannot be fitted."""
+    if nearest is None:
+        return None
     try:
-        return _fitted([given.session], scale, 0.0)
+        solution, log_density = _with_evidence(nearest)
     except CANNOT_BE:
         return None
+    return Undone("", "", log_density, solution.ratio)
 
 
 def undone(given: Given, candidate: Candidate) -> Undone | None:
@@ -246,12 +260,12 @@ def _with_amounts(trial: MistakeTrial, scale: float, log_prior: float) -> Undone
     fitted = fit_amounts(trial, scale)
     if fitted is None:
         return None
-    size = float(np.abs(fitted.amounts / fitted.sd).max())
-    if size < SIGNIFICANT:
+    amounts, precision = fitted.amounts, linalg.pinvh(fitted.covariance)
+    if amounts @ precision @ amounts < SIGNIFICANT**2:
         return None
     solution, log_density = _with_evidence(fitted.solution)
-    ratios = np.sqrt(np.mean(fitted.amounts**2)) / fitted.sd
-    cost = LOG_SIZES + 0.5 * float(np.log1p(ratios**2).sum())
+    gained = np.eye(len(amounts)) + float(np.mean(amounts**2)) * precision
+    cost = LOG_SIZES + 0.5 * float(np.linalg.slogdet(gained)[1])
     total = log_prior + log_density + trial.scaling(fitted.amounts) - cost
     words = trial.words(fitted.amounts, fitted.sd)
     return Undone(trial.kind, words, total, solution.ratio)

@@ -109,7 +109,8 @@ def fit(
     except (ArithmeticError, ValueError, RuntimeError, linalg.LinAlgError):
         return None
     residual, departure = minima.residual[0], minima.z[0]
-    if not np.isfinite(residual).all():
+    # the distance of a pose from itself has no slope
+    if not (np.isfinite(residual).all() and np.isfinite(minima.slopes[0]).all()):
         return None
     return Fit(
         session=session,

@@ -23,11 +23,16 @@ WIDE = 1e9
 
 @dataclasses.dataclass(frozen=True)
 class FitOfAmounts:
-    """Amounts (k,) and their standard deviations, SI, with the fit at them."""
+    """Amounts (k,) and their covariance (k, k), SI, with the fit at them."""
 
     amounts: Array
-    sd: Array
+    covariance: Array
     solution: Fit
+
+    @property
+    def sd(self) -> Array:
+        """Standard deviations (k,), SI."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 def fit_amounts(trial: MistakeTrial, scale: float) -> FitOfAmounts | None:
@@ -142,9 +147,8 @@ class _AmountProblem:
             noise=self.noise,
             scale=self.scale,
         )
-        variance = (np.diag(covariance) / norm**2)[self.count :]
-        if not (variance > 0.0).all():
+        scaled = steps / norm[self.count :]
+        of_amounts = covariance[self.count :, self.count :] * np.outer(scaled, scaled)
+        if not (np.diag(of_amounts) > 0.0).all():
             return None
-        return FitOfAmounts(
-            x[self.count :] * steps, np.sqrt(variance) * steps, solution
-        )
+        return FitOfAmounts(x[self.count :] * steps, of_amounts, solution)

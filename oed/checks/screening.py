@@ -141,7 +141,7 @@ class Screening:
             weight = 1.0 / (self._white.values + scale**2)
             gram = (whole - (components.T * weight) @ components) / scale**2
             gain, amounts = gain_of_amounts(gram)
-            gains.append(gain + trial.linear_scaling(amounts))
+            gains.append(gain + trial.scaling(amounts))
         return self._best(alone + np.array(gains))
 
     # -- other poses, missing values, several machines ---------------------------------
@@ -150,8 +150,8 @@ class Screening:
         given = self.given
         y = given.session.y if trial.y is None else trial.y
         predicted, slopes = given.predicted, given.slopes
-        if trial.table is not None and trial.mask is not None:
-            at = trial.mask
+        if trial.table is not None:
+            at = trial.scope.values(given.session)
             predicted = np.where(at, trial.table.predicted, predicted)
             slopes = np.where(at[:, None], trial.table.slopes, slopes)
             amount = np.where(at[:, None], trial.table.by_amount, 0.0)

@@ -262,7 +262,7 @@ def outliers(
     for one in found_rows.gross:
         sentence = (
             f"{_contradiction(session, one)}: the row is set aside."
-            f"{other_number(session, one)}"
+            f"{other_number(session, found_rows.solution, one)}"
         )
         row = session.rows([one.reading])
         findings.append(CheckFinding(Severity.OUTLIER, "outlier", sentence, row))

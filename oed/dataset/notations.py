@@ -65,8 +65,7 @@ def _of_angle(values: Array) -> dict[str, Notation]:
         "{} is in grad, not in deg": partial(np.multiply, DEGREES / GRADS),
         "{} is in deg of a sheet in grad": partial(np.multiply, GRADS / DEGREES),
     }
-    for words, with_seconds in (("minutes", False), ("minutes and seconds", True)):
-        meant = partial(_sexagesimal, with_seconds=with_seconds)
+    for words, meant in SEXAGESIMAL.items():
         if np.isfinite(meant(values)).all():
             changes[f"{{}} has {words} after its decimal point"] = meant
     return changes
@@ -83,3 +82,10 @@ def _sexagesimal(values: Array, *, with_seconds: bool) -> Array:
         minutes = np.where(seconds < SIXTY, full + seconds / SIXTY, np.nan)
     degrees = np.where(minutes < SIXTY, whole + minutes / SIXTY, np.nan)
     return np.asarray(np.sign(values) * degrees * units.DEG)
+
+
+#: angles whose decimals are something else, in words
+SEXAGESIMAL: dict[str, Notation] = {
+    "minutes": partial(_sexagesimal, with_seconds=False),
+    "minutes and seconds": partial(_sexagesimal, with_seconds=True),
+}

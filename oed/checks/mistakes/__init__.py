@@ -9,24 +9,23 @@ scope          the part of a session that a mistake concerns
 given          the readings as given, with what is predicted of them, and which of them
                one instrument may have taken in several set-ups
 values         readings in another unit, as deviations, with a sign or a factor
-columns        columns of readings exchanged, or axes turned
 order          readings in another order, or of another run
 sorting        readings sorted, or in an unknown order
-copied         readings of one run or set-up in another one
-setups         readings of another set-up
+setups         readings of another set-up, or differences from another pose of their run
 moved, driven  series at other poses
-pose           commanded poses with wrong signs, columns or offsets
-program        another program of a fixed length: a circle at another height
+pose           commanded poses with wrong signs, columns or offsets; another program of a
+               fixed length: a circle at another height
 joints         legs numbered otherwise
-reference      differences from another pose of their run
-rounding       commands whose decimals were lost
-frames         poses in another frame, or with another meaning of their angles
+noise          noise in another unit, and commands whose decimals were lost
+frames         columns exchanged, axes turned, poses in another frame, or with another
+               meaning of their angles
 carried        readings that hold parts of others: a lag, differences, sums, means
-limits         clipped readings, revolutions not counted, noise in another unit
+limits         clipped readings, revolutions not counted
 amounts        wrong zeros inside an instrument, such as a dead length, offsets, factors,
                set-ups that moved, wrong sizes
 tools          other tool points of instrument, controller or study
-contradiction  two parts of a session that fit alone, a run that contradicts all others
+contradiction  two parts of a session that fit alone, a run that contradicts all others, or
+               has the readings of another one
 """
 
 from __future__ import annotations
@@ -36,17 +35,13 @@ from collections.abc import Iterator
 from oed.checks.mistakes import (
     amounts,
     carried,
-    columns,
     contradiction,
-    copied,
     frames,
     joints,
     limits,
+    noise,
     order,
     pose,
-    program,
-    reference,
-    rounding,
     setups,
     sorting,
     tools,
@@ -62,16 +57,12 @@ _MISTAKES = (
     frames,
     carried,
     limits,
-    columns,
     order,
     sorting,
-    copied,
     setups,
     pose,
-    program,
-    rounding,
+    noise,
     joints,
-    reference,
     amounts,
     tools,
     contradiction,
@@ -84,7 +75,7 @@ PHYSICAL = ("offset", "run", "factor", "tool", "size", "change", "contradiction"
 def trials(given: Given, *, of_noise: bool = False) -> Iterator[MistakeTrial]:
     """Every mistake of a session, undone; those of its noise alone."""
     if of_noise:
-        yield from limits.noise_trials(given)
+        yield from noise.noise_trials(given)
         return
     for mistake in _MISTAKES:
         yield from mistake.trials(given)

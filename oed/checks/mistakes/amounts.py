@@ -13,27 +13,34 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
+from scipy import linalg
 
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import with_moved
-from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, Words, in_scopes, in_values
+from oed.checks.mistakes.moved import AGAIN, mounted_again, with_moved
+from oed.checks.mistakes.scope import LEAST_PART, Scope, rows_scope
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    Words,
+    amount,
+    in_scopes,
+    in_values,
+)
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.measurement.measurement import Series
 from oed.measurement.reading_noise import source_slopes
-from oed.model.instrument import InnerReading, Setup
+from oed.model.instrument import InnerReading
 
-#: name of a set-up whose unknowns part of the readings have anew
-AGAIN = " again"
 #: log prior of another factor in part of a set-up: it belongs to the instrument
 SELDOM = -3.0
 #: tolerances to which that of a number is widened which may be wrong
 WIDER = 50.0
 #: words of a reading that is below and above what it should be, by SI unit
 WAYS = {"m": ("short", "long"), "rad": ("small", "large")}
+#: stretches of rows inside a run, the likeliest of each channel, that are tried
+STRETCHES = 5
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
@@ -42,6 +49,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     yield from in_values(given, partial(_offset, given))
     yield from in_values(given, partial(_scale, given))
     yield from in_values(given, partial(_offsets_of_runs, given))
+    yield from _offsets_of_stretches(given)
     scopes = [*given.scopes, *given.parts]
     yield from filter(None, (_moved_setup(given, scope) for scope in scopes))
     yield from _sizes(given)
@@ -50,14 +58,15 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
 # -- readings --------------------------------------------------------------------------
 
 
-def _of_one(given: Given, scope: Scope, values: Mask) -> tuple[str, str] | None:
-    """Channel of values that one instrument reads, and their words; None for several."""
-    channel = str(given.channel[values][0])
+def _subject(given: Given, scope: Scope, values: Mask) -> str:
     if scope.level == "instrument":
-        return channel, f"all readings{scope.of} are"
-    if len(set(given.channel[values])) > 1:
-        return None
-    return channel, f"all readings of {given.names(values)}{scope.within} are"
+        return f"all readings{scope.of} are"
+    return f"all readings of {given.names(values)}{scope.within} are"
+
+
+def _has_one(given: Given, scope: Scope, values: Mask) -> bool:
+    """Whether one instrument reads all values, in one channel."""
+    return scope.level == "instrument" or len(set(given.channel[values])) == 1
 
 
 def _off_by(
@@ -81,16 +90,16 @@ def _off_by(
 
 
 def _offset(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
-    session, one = given.session, _of_one(given, scope, values)
-    if one is None:
+    if not _has_one(given, scope, values):
         return None
-    channel, subject = one
+    session, channel = given.session, str(given.channel[values][0])
     kind, cause = "offset", "the bar length or the zero of the instrument is wrong"
     if scope.is_part:
         kind, cause = "run", "the set-up moved or was zeroed again"
 
     def words(amounts: Array, sd: Array) -> str:
         size, error = (session.fine(channel, float(v[0])) for v in (amounts, sd))
+        subject = _subject(given, scope, values)
         return f"{subject} off by {size} (sd {error}): {cause}"
 
     column = np.asarray(values, dtype=float)[:, None]
@@ -98,56 +107,94 @@ def _offset(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
     return _off_by(given, kind, scope, words, column, family)
 
 
+def _offsets_of_stretches(given: Given) -> Iterator[MistakeTrial]:
+    """Rows inside a run that are off by an amount: the likeliest of each channel.
+
+    With the precision P of the readings r about the linear model, an offset c of unknown
+    size lessens their misfit by (c^T P r)^2 / c^T P c.
+    """
+    covariance = given.slopes @ given.slopes.T + np.diag(given.sigma**2)
+    precision = linalg.inv(covariance)
+    pull = precision @ (given.session.y - given.predicted)
+    for channel in dict.fromkeys(given.channel[given.shown]):
+        gains: list[tuple[float, Index]] = []
+        for run in given.runs:
+            at = (given.channel == channel) & run.values(given.session)
+            places = np.flatnonzero(at)
+            gains += _gains(pull[places], precision[np.ix_(places, places)], places)
+        gains.sort(key=lambda one: -one[0])
+        for _, places in gains[:STRETCHES]:
+            readings = given.session.reading_of_value[places]
+            values = np.isin(np.arange(len(pull)), places)
+            one = _offset(given, rows_scope(given.session, readings), values)
+            if one is not None:
+                share = float(np.log(STRETCHES / len(gains)))
+                yield dataclasses.replace(one, log_prior=min(share, 0.0))
+
+
+def _gains(pull: Array, precision: Array, places: Index) -> list[tuple[float, Index]]:
+    """What an offset of each stretch inside a run of n values gains; P r (n,), P (n, n)."""
+    count = len(places)
+    sums = np.append(0.0, np.cumsum(pull))
+    block = np.pad(precision.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    gains = []
+    for i in range(1, count - LEAST_PART):
+        for j in range(i + LEAST_PART, count):
+            size = block[j, j] - block[i, j] - block[j, i] + block[i, i]
+            gains.append((float((sums[j] - sums[i]) ** 2 / size), places[i:j]))
+    return gains
+
+
 def _offsets_of_runs(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
     """Each run of a file or a set-up off by an amount of its own."""
-    session, one = given.session, _of_one(given, scope, values)
-    parts = [run.values(session) & values for run in given.runs]
+    parts = [run.values(given.session) & values for run in given.runs]
     columns = np.column_stack([p for p in parts if p.any()]).astype(float)
-    if one is None or scope.is_part or columns.shape[1] < 2:
+    is_one = _has_one(given, scope, values)
+    if not is_one or scope.is_part or columns.shape[1] < 2:
         return None
-    channel, subject = one
+    channel = str(given.channel[values][0])
 
     def words(amounts: Array, sd: Array) -> str:
-        least, most = (session.fine(channel, f(amounts)) for f in (np.min, np.max))
+        least, most = (
+            given.session.fine(channel, f(amounts)) for f in (np.min, np.max)
+        )
         return (
-            f"{subject} off by an amount of each run, {least} to {most}: the instrument"
-            " was not zeroed at each run, or moved between them"
+            f"{_subject(given, scope, values)} off by an amount of each run, {least} to"
+            f" {most}: the instrument was not zeroed at each run, or moved between them"
         )
 
     return _off_by(given, "run", scope, words, columns, f"offsets {channel}")
 
 
 def _scale(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
-    session, one = given.session, _of_one(given, scope, values)
-    if one is None:
+    """Values of one unit times 1 / (1 - a), with the amount a."""
+    session, count = given.session, int(values.sum())
+    is_of_one = len(set(session.values["setup"][values])) == 1
+    is_of_one &= len(set(given.unit[values])) == 1
+    if not is_of_one and not _has_one(given, scope, values):
         return None
-    channel, subject = one
-    count = int(values.sum())
-
-    def undo(amounts: Array) -> list[SessionReadings]:
-        factor = np.where(values, 1.0 / (1.0 + amounts[0]), 1.0)
-        return [session.with_y(session.y * factor)]
 
     def words(amounts: Array, sd: Array) -> str:
-        size, error = (100.0 * float(v[0]) for v in (amounts, sd))
+        rest = 1.0 - float(amounts[0])
+        size, error = 100.0 * float(amounts[0]) / rest, 100.0 * float(sd[0]) / rest**2
         return (
-            f"{subject} {rounded(abs(size), error)} %"
+            f"{_subject(given, scope, values)} {rounded(abs(size), error)} %"
             f" (sd {error:.2g} %) too {'large' if size > 0.0 else 'small'}: the scale or"
             " conversion factor of the instrument is wrong"
         )
 
+    column = np.where(values, session.y, 0.0)
     return MistakeTrial(
         kind="factor",
         scope=scope,
         words=words,
-        undo=undo,
+        undo=lambda amounts: [session.with_y(session.y - column * amounts[0])],
         amounts=np.zeros(1),
         steps=np.array([1e-6]),
         log_prior=SELDOM if scope.is_part else 0.0,
-        scaling=lambda amounts: -count * _log_size(1.0 + amounts[0]),
-        linear_scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
-        family=f"factor {channel} {scope.name}",
-        columns=np.where(values, session.y, 0.0)[:, None],
+        scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
+        family=f"factor {given.names(values)} {scope.name}",
+        columns=column[:, None],
     )
 
 
@@ -200,9 +247,10 @@ def _set_up_again(
     session: SessionReadings, readings: Index, setup: str
 ) -> SessionReadings:
     """The session in which some readings have a set-up of their own, with its unknowns."""
-    setups = dict(session.measurement.setups)
-    again: Setup = dataclasses.replace(setups[setup], name=setup + AGAIN, station="")
-    measurement = session.measurement.with_setups([*setups.values(), again])
+    measurement = mounted_again(
+        session.measurement, [setup], lambda one: {"station": ""}
+    )
+    again = measurement.setups[setup + AGAIN]
     unknowns = {f"{again.name}.{n.name}": WIDER for n in again.nuisances}
     wider = dataclasses.replace(session, measurement=measurement, wider=unknowns)
 
@@ -224,17 +272,15 @@ def _sizes(given: Given) -> Iterator[MistakeTrial]:
 
 
 def _size(given: Given, k: int, column: int) -> MistakeTrial:
-    session = given.session
-    parameter = session.measurement.parameters[k]
-    unit = units.display(parameter.unit)
-    wider = dataclasses.replace(session, wider={parameter.name: WIDER})
+    parameter = given.session.measurement.parameters[k]
+    wider = dataclasses.replace(given.session, wider={parameter.name: WIDER})
 
     def words(amounts: Array, sd: Array) -> str:
-        size, error = (units.number(float(v[0]), unit) for v in (amounts, sd))
+        size = amount(amounts[0], sd[0], units.display(parameter.unit))
         tolerances = abs(float(amounts[0])) / parameter.tolerance
         return (
-            f"{parameter.name} is {rounded(size, error)} {unit} from its nominal value,"
-            f" {tolerances:.2g} times its tolerance: a number of the study is wrong"
+            f"{parameter.name} is {size} from its nominal value, {tolerances:.2g} times its"
+            " tolerance: a number of the study is wrong"
         )
 
     return MistakeTrial(
@@ -282,17 +328,13 @@ def _zero(
     slopes = np.where(scope.values(given.session), every, 0.0)
     if not slopes.any():
         return None
-    unit = units.display(inner.unit)
     kind, cause = "offset", f"{inner.zero} is wrong"
     if scope.is_part:
         kind, cause = "run", "the instrument was zeroed again"
 
     def words(amounts: Array, sd: Array) -> str:
-        size, error = (units.number(float(v[0]), unit) for v in (amounts, sd))
-        way = WAYS[inner.unit][size > 0.0]
-        return (
-            f"every {inner.name}{scope.within} is {rounded(abs(size), error)} {unit} (sd"
-            f" {error:.2g} {unit}) too {way}: {cause}"
-        )
+        unit, way = units.display(inner.unit), WAYS[inner.unit][int(amounts[0] > 0.0)]
+        size = amount(abs(amounts[0]), sd[0], unit, with_sd=True)
+        return f"every {inner.name}{scope.within} is {size} too {way}: {cause}"
 
     return _off_by(given, kind, scope, words, slopes[:, None], f"zero {inner.name}")

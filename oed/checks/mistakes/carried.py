@@ -1,9 +1,8 @@
 """Readings that hold a part of others of their run: read before they settled, as
 differences from the one before, as sums, as means.
 
-Readings y of a run hold those without the mistake, m, as P y = Q m: P and Q are matrices
-that a share a of the reading before makes, or fixed ones. The density of Q^-1 P y is
-|det Q| / |det P| times that of y.
+Readings y of a run are linear in those without the mistake, y = Q m: the density of m is
+|det Q| times that of y.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
+from scipy import linalg
 
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
@@ -26,8 +26,6 @@ MOST, LEAST = 400, 3
 SINGULAR = 1e4
 #: share of the reading before, for differences, and largest one
 STEP, LARGEST = 1e-4, 0.98
-#: matrices P and Q (n, n) of a number of readings and a share
-Held = Callable[[int, float], tuple[Array, Array]]
 
 
 def _chain(count: int, rest: float = 1.0, before: float = 0.0) -> Array:
@@ -41,25 +39,19 @@ def _mean_of_three(count: int) -> Array:
     return np.asarray(near / near.sum(axis=1, keepdims=True))
 
 
-#: P and Q of a number of readings n and a share a, in words
-FIXED: dict[str, Held] = {
-    "differences from the reading before": lambda n, a: (
-        _chain(n),
-        _chain(n, 1.0, -1.0),
-    ),
-    "running sums": lambda n, a: (_chain(n, 1.0, -1.0), _chain(n)),
-    "means of each with its two neighbours": lambda n, a: (
-        _chain(n),
-        _mean_of_three(n),
-    ),
+#: Q of a number of readings, in words
+FIXED: dict[str, Callable[[int], Array]] = {
+    "differences from the reading before": lambda n: _chain(n, 1.0, -1.0),
+    "running sums": lambda n: np.tri(n),
+    "means of each with its two neighbours": _mean_of_three,
 }
-#: whether the display holds a share of the reading before as shown, or as it should be
-LAGS: dict[str, Held] = {
-    "of the reading before as it was shown": lambda n, a: (
-        _chain(n, 1.0, -a),
-        _chain(n, 1.0 - a),
+#: Q of a number of readings n and a share a that the display holds of the reading before,
+#: as it was shown or as it should be
+LAGS: dict[str, Callable[[int, float], Array]] = {
+    "of the reading before as it was shown": lambda n, a: linalg.solve(
+        _chain(n, 1.0, -a), _chain(n, 1.0 - a)
     ),
-    "of the reading before": lambda n, a: (_chain(n), _chain(n, 1.0 - a, a)),
+    "of the reading before": lambda n, a: _chain(n, 1.0 - a, a),
 }
 
 
@@ -92,21 +84,22 @@ def _where(given: Given, scope: Scope, *, each: bool) -> str:
     return " of each run" if each and len(given.runs) > 1 else ""
 
 
-def _without(given: Given, groups: list[Index], held: Held, share: float) -> Array:
+def _without(
+    given: Given, groups: list[Index], matrix: Callable[[int], Array]
+) -> Array:
     """Values (N,) without what they hold of others."""
     y = given.session.y.copy()
     for group in groups:
-        p, q = held(len(group), share)
-        y[group] = np.linalg.solve(q, p @ y[group])
+        y[group] = np.linalg.solve(matrix(len(group)), y[group])
     return y
 
 
 def _fixed(given: Given, words: str, each: bool, scope: Scope) -> MistakeTrial | None:
-    groups, held = _groups(given, scope, each=each), FIXED[words]
-    matrices = [held(len(group), 0.0)[1] for group in groups]
+    groups = _groups(given, scope, each=each)
+    matrices = [FIXED[words](len(group)) for group in groups]
     if not groups or any(np.linalg.cond(q) > SINGULAR for q in matrices):
         return None
-    y = _without(given, groups, held, 0.0)
+    y = _without(given, groups, FIXED[words])
     log_scale = -float(sum(np.linalg.slogdet(q)[1] for q in matrices))
     sentence = f"the readings{_where(given, scope, each=each)} are {words}"
     return value_trial(given.session, "carried", scope, sentence, y, log_scale)
@@ -119,11 +112,13 @@ def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial 
         return None
     count = sum(len(group) - 1 for group in groups)
 
+    def without(share: float) -> Array:
+        return _without(given, groups, lambda n: LAGS[held](n, share))
+
     def undo(amounts: Array) -> list[SessionReadings]:
-        if abs(amounts[0]) > LARGEST:
-            raise ValueError("a reading holds less than all of the one before")
-        y = _without(given, groups, LAGS[held], float(amounts[0]))
-        return [session.with_y(y)]
+        if not 0.0 <= amounts[0] <= LARGEST:
+            raise ValueError("a reading holds a part of the one before")
+        return [session.with_y(without(float(amounts[0])))]
 
     def words(amounts: Array, sd: Array) -> str:
         share, error = (100.0 * float(v[0]) for v in (amounts, sd))
@@ -133,9 +128,8 @@ def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial 
         )
 
     def scaling(amounts: Array) -> float:
-        return -count * float(np.log(max(abs(1.0 - amounts[0]), 1e-12)))
+        return -count * float(np.log1p(-np.clip(amounts[0], -LARGEST, LARGEST)))
 
-    slope = (session.y - _without(given, groups, LAGS[held], STEP)) / STEP
     return MistakeTrial(
         kind="carried",
         scope=scope,
@@ -144,7 +138,6 @@ def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial 
         amounts=np.zeros(1),
         steps=np.array([STEP]),
         scaling=scaling,
-        linear_scaling=lambda amounts: scaling(np.clip(amounts, -LARGEST, LARGEST)),
         family=f"lag {held} {each} {scope.name}",
-        columns=slope[:, None],
+        columns=((session.y - without(STEP)) / STEP)[:, None],
     )

@@ -1,7 +1,10 @@
-"""Parts of a session that contradict others for a reason unknown, or fit alone."""
+"""Parts of a session that contradict others for a reason unknown, are copied from others,
+or fit alone.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -9,38 +12,65 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, plain
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    dropped_trial,
+    log_density_of_known,
+    members,
+    plain,
+)
 from oed.checks.session import SessionReadings
 
-#: readings that a part has at least
-LEAST = 6
+#: readings that a part has at least, and of which copies are looked for
+LEAST, LEAST_COPIED = 6, 3
 #: readings of a session up to which it is divided at every one
 MOST_CUT = 300
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
-    """The session in two parts, and without each run and set-up."""
+    """The session in two parts, and without each run and set-up: it may be anything, or
+    equal another one to the last digit.
+    """
     yield from _divisions(given)
-    yield from _contradictions(given)
-
-
-def _contradictions(given: Given) -> Iterator[MistakeTrial]:
-    """Each run and set-up whose readings may be anything."""
+    for level in ("run", "set-up"):
+        scopes = [s for s in given.scopes if s.level == level]
+        for one, other in itertools.permutations(scopes, 2):
+            if _equal(given, one.readings, other.readings):
+                yield _copied(given, one, other)
     for scope in given.scopes:
         if scope.level in ("run", "set-up"):
-            yield _unknown(given, scope)
+            sentence = (
+                f"the readings{scope.of} contradict all others, and no usual mistake"
+                " explains how"
+            )
+            missing = scope.values(given.session)
+            yield dropped_trial(given, "contradiction", scope, sentence, missing)
 
 
-def _unknown(given: Given, scope: Scope) -> MistakeTrial:
-    session = given.session
-    dropped = [int(k) for k in scope.readings]
-    sentence = f"the readings{scope.of} contradict all others, and no usual mistake explains how"
-    return MistakeTrial(
-        kind="contradiction",
-        scope=scope,
-        words=plain(sentence),
-        undo=lambda amounts: [session.without(dropped)],
-        missing=scope.values(session),
+# -- copies ----------------------------------------------------------------------------
+
+
+def _equal(given: Given, one: Index, other: Index) -> bool:
+    if len(one) != len(other) or len(one) < LEAST_COPIED:
+        return False
+    y, session = given.session.y, given.session
+    first, second = (members(session, r) for r in (one, other))
+    if len(first) != len(second):
+        return False
+    recorded = given.shown[first].all()
+    return bool(recorded and np.array_equal(y[first], y[second]) and np.ptp(y[first]))
+
+
+def _copied(given: Given, one: Scope, other: Scope) -> MistakeTrial:
+    """The session without readings that are given already as those of another scope.
+
+    They are certain then: their density is that of a value known to its last digit.
+    """
+    missing = one.values(given.session)
+    log_missing = log_density_of_known(given, missing, missing)
+    sentence = f"the readings{one.of} are those{other.of}, copied"
+    return dropped_trial(
+        given, "copied", one, sentence, missing, log_missing=log_missing
     )
 
 

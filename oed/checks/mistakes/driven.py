@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.moved import Moved
@@ -115,19 +115,9 @@ def of_column(k: int, meant: Change) -> Change:
     return change
 
 
-def scaled(k: int, factor: float) -> Change:
-    """Column k times a factor."""
-    return of_column(k, lambda values: factor * values)
-
-
 def shifted(k: int, amount: float) -> Change:
     """Column k plus an amount, SI."""
     return of_column(k, lambda values: values + amount)
-
-
-def in_turn(*changes: Change) -> Change:
-    """One change after another."""
-    return lambda values: functools.reduce(lambda v, change: change(v), changes, values)
 
 
 def exchanged(count: int, one: int, other: int) -> tuple[int, ...]:
@@ -137,6 +127,6 @@ def exchanged(count: int, one: int, other: int) -> tuple[int, ...]:
     return tuple(order)
 
 
-def permuted(order: tuple[int, ...]) -> Change:
-    """Columns in another order."""
-    return lambda values: values[:, list(order)]
+def permuted(order: Sequence[int], signs: ArrayLike = 1.0) -> Change:
+    """Columns in another order, with signs."""
+    return lambda values: values[:, list(order)] * np.asarray(signs)

@@ -1,5 +1,5 @@
-"""Poses in another frame or by another meaning of their angles: of what a tracker reads,
-and of what the controller is given.
+"""Axes that stand otherwise: columns of readings exchanged or turned, poses in another
+frame or by another meaning of their angles, as read and as given to the controller.
 
 With y = (p, R), p the tool point and R the rotation of the platform's frame, a mistake is
 
@@ -16,40 +16,112 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
+from scipy.spatial import transform
 
-from oed.base.arrays import Array
-from oed.base.orientation import Orientation
-from oed.checks.mistakes.driven import commanded
+from oed.base.arrays import Array, Mask
+from oed.base.orientation import Orientation, rotation
+from oed.checks.mistakes.driven import Change, commanded, permuted
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import moved_trials
+from oed.checks.mistakes.pose import SLACK
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
 
 #: places (n, 3) and rotations (n, 3, 3) without a mistake, of those with it
 Unframed = Callable[[Array, Array], tuple[Array, Array]]
 AXES = "xyz"
+#: channels of one unit that are permuted, at most
+MOST_CHANNELS = 3
 
 
 @dataclasses.dataclass(frozen=True)
 class FrameMistake:
     """A mistake of a frame, in words, and poses without it.
 
-    orientation  by which angles are read, where it is not that of their columns
+    matrices  rotations (n, 3, 3) of angles by name, where it is not that of their columns
     """
 
     words: str
     undo: Unframed
-    orientation: Orientation | None = None
+    matrices: Callable[[Mapping[str, Array]], Array] | None = None
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
-    """Poses that are read, and poses that are commanded, in another frame."""
+    """Columns of one unit in any order and with any signs, and poses in another frame."""
+    by_unit: dict[str, list[str]] = {}
+    for channel in dict.fromkeys(given.channel[given.shown]):
+        by_unit.setdefault(given.session.unit(channel), []).append(str(channel))
+    for names in (few for some in by_unit.values() for few in _groups(some)):
+        for order in itertools.permutations(names):
+            for signs in itertools.product((1.0, -1.0), repeat=len(names)):
+                if order == tuple(names) and sum(signs) > len(names) - 4.0:
+                    continue  # the sign of one alone: see `values`
+                on = partial(_exchanged, given, names, order, signs)
+                yield from in_scopes(given.scopes, on)
     yield from _read(given)
     yield from _driven(given)
+
+
+# -- columns ---------------------------------------------------------------------------
+
+
+def _groups(names: list[str]) -> list[list[str]]:
+    """Channels that are permuted together: pairs alone where there are many."""
+    if len(names) <= MOST_CHANNELS:
+        return [names]
+    return [list(pair) for pair in itertools.combinations(names, 2)]
+
+
+def _exchanged(
+    given: Given,
+    names: list[str],
+    order: tuple[str, ...],
+    signs: tuple[float, ...],
+    scope: Scope,
+) -> MistakeTrial | None:
+    """The session with each channel of `names` taken from that of `order`."""
+    session = given.session
+    sources = [names.index(name) for name in order]
+    turned = permuted(sources, signs)
+    y = _mapped(given, names, scope.values(session) & given.shown, turned)
+    if y is None or np.array_equal(y, session.y):
+        return None
+    column = {name: session.column(name).name for name in names}
+    moved = [(a, b) for a, b in zip(names, order, strict=True) if a != b]
+    if min(signs) > 0.0:
+        exchanged = [column[a] for a, _ in moved]
+        words = f"{', '.join(exchanged[:-1])} and {exchanged[-1]}"
+        sentence = f"the columns {words} are exchanged{scope.within}"
+    else:
+        triples = zip(names, order, signs, strict=True)
+        axes = [
+            f"{column[a]} is {'-' if s < 0 else ''}{column[b]}" for a, b, s in triples
+        ]
+        sentence = f"the axes stand otherwise{scope.within}: {', '.join(axes)}"
+    return value_trial(session, "columns", scope, sentence, y)
+
+
+def _mapped(
+    given: Given, names: Sequence[str], at: Mask, change: Change
+) -> Array | None:
+    """Values (N,) with those of some channels (n, k) changed together; None where not
+    each of them has as many.
+    """
+    masks = [at & (given.channel == name) for name in names]
+    if len({int(mask.sum()) for mask in masks}) > 1 or not masks[0].any():
+        return None
+    y = given.session.y.copy()
+    changed = change(np.column_stack([y[mask] for mask in masks]))
+    for mask, values in zip(masks, changed.T, strict=True):
+        y[mask] = values
+    return y
+
+
+# -- what may be wrong with poses ------------------------------------------------------
 
 
 def _mistakes(orientation: Orientation) -> Iterator[FrameMistake]:
@@ -67,11 +139,32 @@ def _mistakes(orientation: Orientation) -> Iterator[FrameMistake]:
         "are of the inverse poses: of the base in the platform's frame",
         lambda p, r: (-np.einsum("nij,nj->ni", r, p), np.swapaxes(r, 1, 2)),
     )
+    for other in _conventions(orientation):
+        words = f"have angles in another order: {other.formula}"
+        yield FrameMistake(words, lambda p, r: (p, r), other.matrices)
+    yield FrameMistake(
+        f"have {', '.join(orientation.names)} of one rotation vector",
+        lambda p, r: (p, r),
+        partial(_of_vectors, orientation.names),
+    )
+
+
+def _conventions(orientation: Orientation) -> list[Orientation]:
+    """What the same angles make otherwise: the same rotations in another order, and
+    rotations about three axes in any order.
+    """
+    x, y, z = orientation.names
+    orders = itertools.permutations([("x", x), ("y", y), ("z", z)])
+    others = [rotation(*factors) for factors in orders]
     for factors in itertools.permutations(orientation.factors):
-        if factors != orientation.factors:
-            other = dataclasses.replace(orientation, factors=factors)
-            words = f"have angles in another order: {other.formula}"
-            yield FrameMistake(words, lambda p, r: (p, r), other)
+        others.append(dataclasses.replace(orientation, factors=factors))
+    return [o for o in dict.fromkeys(others) if o != orientation]
+
+
+def _of_vectors(names: Sequence[str], angles: Mapping[str, Array]) -> Array:
+    """Rotations (n, 3, 3) by the vectors that some angles are."""
+    vectors = np.column_stack([angles[name] for name in names])
+    return np.asarray(transform.Rotation.from_rotvec(vectors).as_matrix())
 
 
 def _of_axes(turn: Array) -> Iterator[FrameMistake]:
@@ -98,9 +191,9 @@ def _of_axes(turn: Array) -> Iterator[FrameMistake]:
 
 def _unframed(orientation: Orientation, mistake: FrameMistake, poses: Array) -> Array:
     """Poses (n, 6), places and angles, without a mistake."""
-    read = mistake.orientation or orientation
+    matrices = mistake.matrices or orientation.matrices
     angles = dict(zip(orientation.names, poses[:, 3:].T, strict=True))
-    p, r = mistake.undo(poses[:, :3], read.matrices(angles))
+    p, r = mistake.undo(poses[:, :3], matrices(angles))
     values = orientation.angles(r)
     return np.column_stack([p, *(values[name] for name in orientation.names)])
 
@@ -122,21 +215,13 @@ def _read(given: Given) -> Iterator[MistakeTrial]:
 def _read_otherwise(
     given: Given, orientation: Orientation, mistake: FrameMistake, scope: Scope
 ) -> MistakeTrial | None:
-    session = given.session
-    at = scope.values(session)
     names = [*(f"read_{axis}" for axis in AXES), *orientation.names]
-    masks = [at & (given.channel == name) for name in names]
-    count = {int(mask.sum()) for mask in masks}
-    if len(count) > 1 or 0 in count:
+    at = scope.values(given.session)
+    y = _mapped(given, names, at, partial(_unframed, orientation, mistake))
+    if y is None:
         return None
-    poses = np.column_stack([session.y[mask] for mask in masks])
-    y = session.y.copy()
-    for mask, values in zip(
-        masks, _unframed(orientation, mistake, poses).T, strict=True
-    ):
-        y[mask] = values
     sentence = f"the poses that were read{scope.within} {mistake.words}"
-    return value_trial(session, "frame", scope, sentence, y)
+    return value_trial(given.session, "frame", scope, sentence, y)
 
 
 # -- poses that are commanded ----------------------------------------------------------
@@ -151,6 +236,6 @@ def _driven(given: Given) -> Iterator[MistakeTrial]:
         return
     for mistake in _mistakes(orientation):
         change = partial(_unframed, orientation, mistake)
-        moved = commanded(given.session.measurement, change)
+        moved = commanded(given.session.measurement, change, slack=SLACK)
         sentence = f"the commanded poses{{within}} {mistake.words}"
         yield from moved_trials(given, "frame", sentence, moved)

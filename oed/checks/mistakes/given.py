@@ -10,9 +10,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Mask
+from oed.checks.fit import Fit
 from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
 from oed.checks.session import SessionReadings
 from oed.dataset.columns import column_name, parse_column
+from oed.measurement.measurement import Series
 
 #: noise within which two readings are the same
 SAME = 0.2
@@ -27,26 +29,50 @@ class Given:
     """A session whose mistakes are looked for; its measurement has all set-ups.
 
     with_amounts  whether mistakes of an amount in the commands are looked for
+    at            fit at which readings are linear; None for the nominal machine
 
     Raises AssemblyError where the nominal machine cannot be read.
     """
 
     session: SessionReadings
     with_amounts: bool = True
+    at: Fit | None = None
+
+    def read(self, series: Sequence[Series], theta: Array) -> tuple[Array, Array]:
+        """Readings (N,), SI, and slopes (N, r) over the free parameters in their
+        tolerances.
+        """
+        measurement = self.session.measurement
+        y = measurement.readings(series, theta)
+        scaled = measurement.in_prior_units(measurement.jacobian(series, theta))
+        return y, scaled[:, measurement.free]
+
+    def linear(self, series: Sequence[Series]) -> tuple[Array, Array]:
+        """The same of the nominal machine in the linear model."""
+        if self.at is None:
+            return self.read(series, self.session.measurement.nominal)
+        y, slopes = self.read(series, self.at.theta)
+        return y - slopes @ self.at.departure, slopes
 
     @functools.cached_property
-    def predicted(self) -> Array:
+    def nominal(self) -> Array:
         """Readings (N,) of the nominal machine, SI."""
         measurement = self.session.measurement
         return measurement.readings(self.session.series, measurement.nominal)
 
     @functools.cached_property
+    def _linear(self) -> tuple[Array, Array]:
+        return self.linear(self.session.series)
+
+    @property
+    def predicted(self) -> Array:
+        """Readings (N,) of the nominal machine, SI, in the linear model."""
+        return self._linear[0]
+
+    @property
     def slopes(self) -> Array:
         """Slopes (N, r) over the free parameters in their tolerances, SI."""
-        measurement = self.session.measurement
-        jacobian = measurement.jacobian(self.session.series, measurement.nominal)
-        scaled = measurement.in_prior_units(jacobian)
-        return scaled[:, measurement.free]
+        return self._linear[1]
 
     @functools.cached_property
     def sigma(self) -> Array:
@@ -103,9 +129,9 @@ class Given:
         bases = {}
         if np.isfinite(self.length[values]).any():
             bases["the nominal length"] = self.length
-        apart = np.abs(self.predicted - self.length)[values]
+        apart = np.abs(self.nominal - self.length)[values]
         if not (apart < SAME * self.sigma[values]).all():
-            bases["the nominal machine"] = self.predicted
+            bases["the nominal machine"] = self.nominal
         return bases
 
     @functools.cached_property
@@ -168,12 +194,17 @@ def shared_instruments(session: SessionReadings) -> list[tuple[Scope, Mask]]:
 
     Sets that are all readings of a unit or of a channel concern the file, and are left out.
     """
-    known = {mask.tobytes() for mask in _of_file(session)}
+    channel = session.values["channel"].to_numpy()
+    units = np.array([session.unit(name) for name in channel])
+    keys = [(key, name) for key in (channel, units) for name in dict.fromkeys(key)]
+    known = {((key == name) & session.shown).tobytes() for key, name in keys}
     sets: list[tuple[Scope, Mask]] = []
-    for uses_by_size in _uses(session):
+    setups = list(dict.fromkeys(s.setup for s in session.series))
+    for size in range(2, len(setups) + 1):
         some = []
-        for uses in uses_by_size:
-            mask = _values(session, uses)
+        for uses in _uses(session, list(itertools.combinations(setups, size))):
+            masks = [session.mask(setup, c) for setup, few in uses for c in few]
+            mask = np.logical_or.reduce(masks)
             if mask.tobytes() not in known:
                 known.add(mask.tobytes())
                 some.append((_scope(session, uses, mask), mask))
@@ -183,54 +214,22 @@ def shared_instruments(session: SessionReadings) -> list[tuple[Scope, Mask]]:
     return sets
 
 
-def _of_file(session: SessionReadings) -> Iterator[Mask]:
-    channel = session.values["channel"].to_numpy()
-    names = list(dict.fromkeys(channel))
-    unit = np.asarray([session.unit(name) for name in channel])
-    for name in names:
-        yield np.asarray(channel == name) & session.shown
-    for si in dict.fromkeys(unit):
-        yield np.asarray(unit == si) & session.shown
-
-
-def _uses(session: SessionReadings) -> Iterator[Iterator[tuple[Use, ...]]]:
-    """Set-ups with channels of one unit, by the number of set-ups."""
-    channels = _channels_by_unit(session)
-    setups = list(dict.fromkeys(s.setup for s in session.series))
-    for size in range(2, len(setups) + 1):
-        yield _uses_of(channels, itertools.combinations(setups, size))
-
-
-def _uses_of(
-    channels: Sequence[dict[str, list[str]]], groups: Iterator[tuple[str, ...]]
-) -> Iterator[tuple[Use, ...]]:
-    for members in groups:
-        for by_setup in channels:
-            if all(name in by_setup for name in members):
-                yield tuple((name, tuple(by_setup[name])) for name in members)
-                choices = [[(name, (c,)) for c in by_setup[name]] for name in members]
-                yield from itertools.product(*choices)
-
-
-def _channels_by_unit(session: SessionReadings) -> list[dict[str, list[str]]]:
-    """Channels with a display by set-up, for each unit in which columns are."""
-    by_unit: dict[tuple[str, float], dict[str, list[str]]] = {}
+def _uses(
+    session: SessionReadings, groups: Sequence[tuple[str, ...]]
+) -> Iterator[Sequence[Use]]:
+    """Set-ups of each group with their channels of one unit, or with one of these."""
     shown = session.values[session.shown]
-    for setup, channel in dict.fromkeys(
+    by_unit: dict[tuple[str, float], list[Use]] = {}
+    for setup, name in dict.fromkeys(
         zip(shown["setup"], shown["channel"], strict=True)
     ):
-        column = session.column(channel)
-        of_unit = by_unit.setdefault((column.unit, column.factor), {})
-        of_unit.setdefault(setup, []).append(channel)
-    return list(by_unit.values())
-
-
-def _values(session: SessionReadings, uses: Sequence[Use]) -> Mask:
-    mask = np.zeros(len(session), dtype=bool)
-    for setup, channels in uses:
-        for channel in channels:
-            mask |= session.mask(setup, channel)
-    return mask
+        column = session.column(name)
+        by_unit.setdefault((column.unit, column.factor), []).append((setup, (name,)))
+    for members, uses in itertools.product(groups, by_unit.values()):
+        choices = [[use for use in uses if use[0] == setup] for setup in members]
+        if all(choices):
+            yield [(few[0][0], tuple(c for _, (c,) in few)) for few in choices]
+            yield from itertools.product(*choices)
 
 
 def _scope(session: SessionReadings, uses: Sequence[Use], mask: Mask) -> Scope:

@@ -8,14 +8,17 @@ from functools import partial
 
 import numpy as np
 
-from oed.base import units
 from oed.base.arrays import Array
-from oed.checks.mistakes.driven import exchanged, jointed, of_column, permuted, scaled
+from oed.checks.mistakes.driven import exchanged, jointed, of_column, permuted
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, displaced_trials, moved_trials
+from oed.checks.mistakes.moved import (
+    Moved,
+    SoughtAmount,
+    displaced_trials,
+    moved_trials,
+)
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, Words
-from oed.checks.words import rounded
+from oed.checks.mistakes.trial import MistakeTrial, amount
 
 #: joints of which every order is tried
 EVERY_ORDER = 3
@@ -40,7 +43,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
         yield from moved_trials(given, "joints", f"{sentence}{{within}}", moved, SELDOM)
     for k, joint in enumerate(joints):
         if joint.lower < 0.0 < joint.upper:
-            moved = jointed(measurement, scaled(k, -1.0))
+            moved = jointed(measurement, of_column(k, np.negative))
             sentence = f"the sign of {joint.name} is reversed{{within}}"
             yield from moved_trials(given, "joints", sentence, moved, SELDOM)
         for sign in (1.0, -1.0):
@@ -53,21 +56,17 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
 def _stopped(given: Given, k: int, sign: float) -> Iterator[MistakeTrial]:
     """A joint that went no further than a stop, where readings are far off beyond it."""
 
-    def moved(amount: float) -> Moved:
+    def moved(end: float) -> Moved:
         stop = np.minimum if sign > 0.0 else np.maximum
-        change = of_column(k, lambda values: stop(values, amount))
+        change = of_column(k, lambda values: stop(values, end))
         return jointed(given.session.measurement, change)
 
+    words = partial(_stop_words, given, k, sign)
     for stop in _likely_stops(given, k, sign):
+        sought = SoughtAmount(stop, SPREAD, STEP)
+        family, scopes = f"stop {k} {sign:g}", [given.file]
         yield from displaced_trials(
-            given,
-            "stop",
-            partial(_stop_words, given, k, sign),
-            moved,
-            (stop, STEP, SPREAD),
-            f"stop {k} {sign:g}",
-            scopes=[given.file],
-            is_blind=True,
+            given, "stop", words, moved, sought, family, scopes=scopes, is_blind=True
         )
 
 
@@ -93,24 +92,20 @@ def _joint(given: Given, k: int) -> Array:
     return np.concatenate([s.q[s.index[:, 0], k] for s in given.session.series])
 
 
-def _stop_words(given: Given, k: int, sign: float, scope: Scope) -> Words:
+def _stop_words(
+    given: Given, k: int, sign: float, scope: Scope, amounts: Array, sd: Array
+) -> str:
     joint = given.session.measurement.machine.joints[k]
-    unit = "deg" if joint.unit == "rad" else "mm"
-
-    def words(amounts: Array, sd: Array) -> str:
-        size, error = (units.number(float(v[0]), unit) for v in (amounts, sd))
-        way = "longer" if sign > 0.0 else "shorter"
-        if unit == "deg":
-            way = "further"
-        beyond = sign * _joint(given, k) > sign * amounts[0]
-        rows = given.session.rows(np.flatnonzero(beyond))
-        listed = ", ".join(str(row) for row in rows)
-        return (
-            f"{joint.name} went no {way} than {rounded(size, error)} {unit} (sd {error:.2g}"
-            f" {unit}): it stood at its stop in the rows {listed}"
-        )
-
-    return words
+    unit, way = "mm", "longer" if sign > 0.0 else "shorter"
+    if joint.unit == "rad":
+        unit, way = "deg", "further"
+    rows = given.session.rows(
+        np.flatnonzero(sign * _joint(given, k) > sign * amounts[0])
+    )
+    return (
+        f"{joint.name} went no {way} than {amount(amounts[0], sd[0], unit, with_sd=True)}:"
+        f" it stood at its stop in the rows {', '.join(str(row) for row in rows)}"
+    )
 
 
 def likely_orders(count: int) -> list[tuple[int, ...]]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,99 +14,105 @@ from oed.base.arrays import Array, Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import (
+    NO_AMOUNTS,
     MistakeTrial,
-    OnScope,
     PoseTable,
-    Words,
     in_scopes,
-    plain,
 )
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Series
+from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
+from oed.model.instrument import Setup
 
 #: a series as it was read; None where it cannot have been
 Moved = Callable[[Series], Series | None]
 
+#: what the name of a set-up ends in that some readings have anew
+AGAIN = " again"
 #: errors of poses that cannot be reached
 CANNOT_BE = (AssemblyError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
 
-def on_moved(
+@dataclasses.dataclass(frozen=True)
+class SoughtAmount:
+    """Where an amount is sought first, and its spread about there, SI.
+
+    basin  of amounts that lead to the same one
+    step   for differences
+    """
+
+    amount: float
+    spread: float
+    step: float
+    basin: str = ""
+
+
+def moved_trials(
     given: Given,
     kind: str,
     sentence: str,
     moved: Moved,
-    table: PoseTable,
     seldom: float = 0.0,
-) -> OnScope:
-    """Trials whose readings of a scope were taken at moved poses.
+    scopes: Sequence[Scope] | None = None,
+) -> Iterator[MistakeTrial]:
+    """Readings taken at moved poses, in the file, each set-up and run, or some scopes.
 
     sentence  in which `{of}` or `{within}` is the scope
     seldom    log prior in part of a file
     """
+    some = given.scopes if scopes is None else scopes
 
-    def on(scope: Scope) -> MistakeTrial:
-        return MistakeTrial(
-            kind=kind,
-            scope=scope,
-            words=plain(sentence.format(of=scope.of, within=scope.within)),
-            undo=lambda amounts: [with_moved(given.session, scope.readings, moved)],
-            log_prior=0.0 if scope.level == "file" else seldom,
-            table=table,
-            mask=scope.values(given.session),
-        )
+    def words(scope: Scope, amounts: Array, sd: Array) -> str:
+        return sentence.format(of=scope.of, within=scope.within)
 
-    return on
-
-
-def moved_trials(
-    given: Given, kind: str, sentence: str, moved: Moved, seldom: float = 0.0
-) -> Iterator[MistakeTrial]:
-    """The same in the file, each set-up and run; none where nothing is read otherwise."""
-    table = pose_table(given, moved)
-    if table is not None and not same(given, table):
-        on = on_moved(given, kind, sentence, moved, table, seldom)
-        yield from in_scopes(given.scopes, on)
+    yield from displaced_trials(
+        given, kind, words, lambda by: moved, None, scopes=some, seldom=seldom
+    )
 
 
 def displaced_trials(
     given: Given,
     kind: str,
-    words: Callable[[Scope], Words],
+    words: Callable[[Scope, Array, Array], str],
     moved: Callable[[float], Moved],
-    amounts: tuple[float, float, float],
-    family: str,
+    sought: SoughtAmount | None,
+    family: str = "",
     *,
     scopes: Sequence[Scope],
     is_blind: bool = False,
+    seldom: float = 0.0,
 ) -> Iterator[MistakeTrial]:
-    """Readings of some scopes taken at poses moved by an amount.
-
-    amounts  where the amount is sought, the step for differences over it, and its spread
-             about there, SI
+    """Readings of some scopes taken at poses moved by an amount, if there is one; none
+    where nothing is read otherwise.
     """
-    start, step, spread = amounts
-    table = pose_table(given, moved(start), moved(start + step), spread / step)
+    amounts, steps = NO_AMOUNTS, NO_AMOUNTS
+    if sought is None:
+        table = pose_table(given, moved(0.0))
+    else:
+        amounts, steps = np.array([sought.amount]), np.array([sought.step])
+        near = moved(sought.amount + sought.step)
+        spread = sought.spread / sought.step
+        table = pose_table(given, moved(sought.amount), near, spread)
+        family = f"{family} {sought.basin}"
     if table is None or same(given, table):
         return
 
     def on(scope: Scope) -> MistakeTrial:
         def undo(amounts: Array) -> list[SessionReadings]:
-            displaced = moved(float(amounts[0]))
+            displaced = moved(float(amounts.sum()))
             return [with_moved(given.session, scope.readings, displaced)]
 
         return MistakeTrial(
             kind=kind,
             scope=scope,
-            words=words(scope),
+            words=partial(words, scope),
             undo=undo,
-            amounts=np.array([start]),
-            steps=np.array([step]),
+            amounts=amounts,
+            steps=steps,
             is_blind=is_blind,
-            family=f"{family} {scope.name}",
+            log_prior=0.0 if scope.level == "file" else seldom,
+            family=f"{family} {scope.name}" if family else "",
             table=table,
-            mask=scope.values(given.session),
         )
 
     yield from in_scopes(scopes, on)
@@ -161,13 +169,14 @@ def pose_table(
     spread  of the amount, over the step
     """
     session, measurement = given.session, given.session.measurement
+    theta = measurement.nominal if given.at is None else given.at.theta
     predicted = np.full(len(session), np.nan)
     slopes = np.full(given.slopes.shape, np.nan)
     by_amount = np.zeros((len(session), 0 if near is None else 1))
     for series, span in zip(session.series, session.spans, strict=True):
         count = session.channel_count(series.setup)
         reached = moved_rows(series, moved)
-        values = None if reached is None else _nominal(given, reached[1])
+        values = None if reached is None else _linear(given, reached[1])
         if reached is None or values is None:
             continue
         rows = reached[0]
@@ -175,23 +184,32 @@ def pose_table(
         predicted[places], slopes[places] = values
         other = None if near is None else _try(series.take(rows), near)
         if other is not None:
-            y = measurement.try_readings([other], measurement.nominal)
-            change = np.nan_to_num(y - predicted[places])
-            by_amount[places, 0] = change * spread
-    if np.isnan(predicted).all():
-        return None
-    return PoseTable(predicted, slopes, by_amount)
+            both = [measurement.try_readings([s], theta) for s in (reached[1], other)]
+            by_amount[places, 0] = np.nan_to_num(both[1] - both[0]) * spread
+    return (
+        None if np.isnan(predicted).all() else PoseTable(predicted, slopes, by_amount)
+    )
 
 
-def _nominal(given: Given, series: Series) -> tuple[Array, Array] | None:
-    """Readings and slopes of the nominal machine, SI and in tolerances."""
-    measurement = given.session.measurement
+def _linear(given: Given, series: Series) -> tuple[Array, Array] | None:
+    """What the linear model reads of a series, and its slopes."""
     try:
-        y = measurement.readings([series], measurement.nominal)
-        jacobian = measurement.jacobian([series], measurement.nominal)
+        return given.linear([series])
     except CANNOT_BE:
         return None
-    return y, measurement.in_prior_units(jacobian)[:, measurement.free]
+
+
+def mounted_again(
+    measurement: Measurement,
+    setups: Iterable[str],
+    changed: Callable[[Setup], Mapping[str, Any]],
+) -> Measurement:
+    """The measurement with some set-ups once more, with another name and fields."""
+    again = []
+    for name in setups:
+        one = measurement.setups[name]
+        again.append(dataclasses.replace(one, name=name + AGAIN, **changed(one)))
+    return measurement.with_setups([*measurement.setups.values(), *again])
 
 
 def with_moved(

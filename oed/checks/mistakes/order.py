@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
-from scipy import optimize, special
 
 from oed.base.arrays import Array, Index
 from oed.checks.mistakes.driven import exchanged
@@ -35,7 +33,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     """Readings reversed and shifted, in each run, in one of them, and in the file."""
     for each in (True, False):
         scopes = [given.file] if each else given.scopes
-        for words, turn in {**BACKWARD, **_sortings(given)}.items():
+        for words, turn in {**BACKWARD, **_column_orders(given)}.items():
             on = partial(_turned_round, given, words, turn, each)
             yield from in_scopes(scopes, on)
         for shift in SHIFTS:
@@ -45,8 +43,7 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
         for scope in scopes:
             if scope.level != "set-up":
                 yield from filter(None, _turned(given, scope, each))
-    others = (_interleaved(given), _relabelled(given), _exchanged_setups(given))
-    yield from filter(None, itertools.chain(*others))
+    yield from filter(None, itertools.chain(_interleaved(given), _relabelled(given)))
 
 
 def _groups(given: Given, scope: Scope, *, each: bool) -> list[Index]:
@@ -67,18 +64,22 @@ def _subject(scope: Scope, *, each: bool) -> str:
     return f"the readings{scope.of}" if scope.name else "the readings of the file"
 
 
-def _sortings(given: Given) -> dict[str, Turn]:
-    """Orders of rows sorted by a column: as a directory or a spreadsheet has them."""
-    keys = {"number": given.session.values["order"].to_numpy()[given.session.firsts]}
-    for name, values in given.columns.items():
-        if np.isfinite(values).all():
-            keys[name] = np.round(values, 6)
+def _column_orders(given: Given) -> dict[str, Turn]:
+    """Orders of rows by a column: as a directory or a spreadsheet sorts them, and those
+    of a meander, whose lines are those in which a command stays.
+    """
+    number = given.session.values["order"].to_numpy()[given.session.firsts]
+    columns = {n: v for n, v in given.columns.items() if np.isfinite(v).all()}
     turns: dict[str, Turn] = {}
-    for name, key in keys.items():
+    for name, values in {"number": number, **columns}.items():
+        key = np.round(values, 6)
         as_text = np.array([f"{value:g}" for value in key])
         words = f"the order of their {name}"
         turns[f"{words} as text (1, 10, 2, ...)"] = partial(_unsorted, as_text)
         turns[words] = partial(_unsorted, key)
+        for place, first in enumerate(("first", "second")):
+            words = f"the order of a meander: every other line of one {name} backward"
+            turns[f"{words}, from the {first} on"] = partial(_to_and_fro, key, place)
     return turns
 
 
@@ -87,6 +88,16 @@ def _unsorted(key: Array, rows: Index) -> Index:
     sources = np.empty_like(rows)
     sources[np.argsort(key[rows], kind="stable")] = rows
     return sources
+
+
+def _to_and_fro(key: Array, first: int, rows: Index) -> Index:
+    """Rows with every other line of one key (n,) turned round, where there are several."""
+    lines = np.split(rows, np.flatnonzero(np.diff(key[rows])) + 1)
+    if len(lines) == 1:
+        return rows
+    return np.concatenate(
+        [line[:: -1 if k % 2 == first else 1] for k, line in enumerate(lines)]
+    )
 
 
 def _turned_round(
@@ -102,11 +113,9 @@ def _late(given: Given, shift: int, each: bool, scope: Scope) -> MistakeTrial | 
     groups = _groups(given, scope, each=each)
     if min((len(rows) for rows in groups), default=0) <= 2 * abs(shift):
         return None
-    order = _reordered(given, groups, _roll(-shift))
+    order = _reordered(given, groups, partial(np.roll, shift=-shift))
     lost = [rows[-shift:] if shift > 0 else rows[:-shift] for rows in groups]
-    sentence = (
-        f"{_stand(scope, shift, each=each)} too {'late' if shift > 0 else 'early'}"
-    )
+    sentence = _stand(scope, shift, each=each)
     return _reordering(given, scope, sentence, order, np.concatenate(lost))
 
 
@@ -115,7 +124,8 @@ def _stand(scope: Scope, shift: int, *, each: bool) -> str:
     where = "" if scope.name else "in the file "
     subject = "the readings" if each or where else _subject(scope, each=each)
     count = f"{abs(shift)} row{'s' if abs(shift) > 1 else ''}"
-    return f"{subject} stand {'in each run ' if each else where}{count}"
+    way = "late" if shift > 0 else "early"
+    return f"{subject} stand {'in each run ' if each else where}{count} too {way}"
 
 
 def _turned(given: Given, scope: Scope, each: bool) -> Iterator[MistakeTrial | None]:
@@ -125,120 +135,79 @@ def _turned(given: Given, scope: Scope, each: bool) -> Iterator[MistakeTrial | N
     if not sizes or max(sizes) > MOST_TURNED:
         return
     for shift in range(1, min(sizes)):
-        order = _reordered(given, groups, _roll(-shift))
-        late, way = min((shift, "late"), (max(sizes) - shift, "early"))
-        sentence = (
-            f"{_stand(scope, late, each=each)} too {way}, with those pushed out at the"
-            " other end"
-        )
-        yield _reordering(given, scope, sentence, order)
-
-
-def _roll(rows: int) -> Turn:
-    return lambda readings: np.roll(readings, rows)
+        order = _reordered(given, groups, partial(np.roll, shift=-shift))
+        least = min(shift, shift - max(sizes), key=abs)
+        sentence = _stand(scope, least, each=each)
+        pushed_out = f"{sentence}, with those pushed out at the other end"
+        yield _reordering(given, scope, pushed_out, order)
 
 
 def _interleaved(given: Given) -> Iterator[MistakeTrial | None]:
     """Readings taken point by point of several runs that stand run by run, or reversely."""
-    blocks = [(scope, _groups(given, scope, each=True)) for scope in given.scopes]
-    for one, other in itertools.pairwise(given.runs):
-        both = several_runs([one, other])
-        blocks.append((both, [one.readings, other.readings]))
-    known: set[bytes] = set()
-    for scope, groups in blocks:
+    pairs = [several_runs(two) for two in itertools.pairwise(given.runs)]
+    blocks = {scope.readings.tobytes(): scope for scope in [*pairs, *given.scopes]}
+    for scope in blocks.values():
+        groups = [run.readings for run in given.runs_in(scope)]
+        count = len(groups)
+        if count < 2 or len({len(rows) for rows in groups}) > 1:
+            continue
         places = np.concatenate(groups)
-        if len({len(rows) for rows in groups}) > 1 or len(groups) < 2:
-            continue
-        if places.tobytes() in known:
-            continue
-        known.add(places.tobytes())
-        for by_point in (True, False):
-            shape = (-1, len(groups)) if by_point else (len(groups), -1)
+        for taken, stand, shape in (
+            ("point by point", "run by run", (-1, count)),
+            ("run by run", "point by point", (count, -1)),
+        ):
             order = _every(given)
             order[places] = places.reshape(shape).T.ravel()
-            ways = ("point by point", "run by run")
-            taken, stand = ways if by_point else ways[::-1]
             sentence = (
-                f"the readings{scope.of} are interleaved: taken {taken} of"
-                f" {len(groups)} runs, they stand {stand}"
+                f"the readings{scope.of} are interleaved: taken {taken} of {count} runs,"
+                f" they stand {stand}"
             )
             yield _reordering(given, scope, sentence, order)
 
 
 def _relabelled(given: Given) -> Iterator[MistakeTrial | None]:
-    """Readings of runs of one length under the names of others: two, or any."""
-    by_size: dict[int, list[Scope]] = {}
-    for run in given.runs:
-        by_size.setdefault(len(run.readings), []).append(run)
+    """Readings of runs, or set-ups, of one length under the names of others: two, or any."""
+    by_size: dict[tuple[str, int], list[Scope]] = {}
+    setups = [scope for scope in given.scopes if scope.level == "set-up"]
+    for part in [*given.runs, *setups]:
+        by_size.setdefault((part.level, len(part.readings)), []).append(part)
     for runs in by_size.values():
         count = len(runs)
         pairs = [
             exchanged(count, *two) for two in itertools.combinations(range(count), 2)
         ]
-        others = [
-            (*range(1, count), 0),
-            (count - 1, *range(count - 1)),
-            _expected(given, runs),
-        ]
+        others = [(*range(1, count), 0), (count - 1, *range(count - 1))]
         if count <= MOST_PERMUTED:
             others = list(itertools.permutations(range(count)))
         for sources in dict.fromkeys([*pairs, *others]):
             yield _with_runs_of(given, runs, sources)
 
 
-def _expected(given: Given, runs: Sequence[Scope]) -> tuple[int, ...]:
-    """The run whose readings each run should have, as the nominal machine expects."""
-    cost = np.zeros((len(runs), len(runs)))
-    for i, run in enumerate(runs):
-        at = members(given.session, run.readings)
-        noise = np.diag(given.sigma[at] ** 2)
-        covariance = given.slopes[at] @ given.slopes[at].T + noise
-        for j, other in enumerate(runs):
-            away = given.session.y[members(given.session, other.readings)]
-            if len(away) != len(at):
-                return tuple(range(len(runs)))
-            away = away - given.predicted[at]
-            cost[i, j] = away @ np.linalg.solve(covariance, away)
-    return tuple(optimize.linear_sum_assignment(cost)[1].tolist())
-
-
 def _with_runs_of(
-    given: Given, runs: Sequence[Scope], sources: Sequence[int]
+    given: Given, parts: Sequence[Scope], sources: Sequence[int]
 ) -> MistakeTrial | None:
-    """Each run with the readings that stand under another one."""
-    count = len(runs)
+    """Each run, or set-up, with the readings that stand under another one."""
+    count, level = len(parts), parts[0].level
     moved = [k for k in range(count) if sources[k] != k]
     if not moved:
         return None
     order = _every(given)
-    for run, source in zip(runs, sources, strict=True):
-        order[run.readings] = runs[source].readings
-    names = [run.name.removeprefix("run ") for run in runs]
-    sentence = "the readings of the runs stand under other names: " + ", ".join(
+    for part, source in zip(parts, sources, strict=True):
+        order[part.readings] = parts[source].readings
+    names = [part.name.removeprefix(f"{level} ") for part in parts]
+    sentence = f"the readings of the {level}s stand under other names: " + ", ".join(
         f"those of {names[k]} under {names[sources[k]]}" for k in moved
     )
     steps = {(sources[k] - k) % count for k in range(count)}
     if len(moved) == 2:
-        sentence = f"the readings of the runs {names[moved[0]]} and {names[moved[1]]} are exchanged"
+        both = " and ".join(names[k] for k in moved)
+        sentence = f"the readings of the {level}s {both} are exchanged"
     elif steps == {1} or steps == {count - 1}:
         way = "next" if steps == {1} else "previous"
-        sentence = f"the readings of each run stand under the {way} run"
-    scope = several_runs([runs[k] for k in moved])
-    log_prior = -float(special.gammaln(1.0 + count)) if count > MOST_PERMUTED else 0.0
-    trial = _reordering(given, scope, sentence, order)
-    return None if trial is None else dataclasses.replace(trial, log_prior=log_prior)
-
-
-def _exchanged_setups(given: Given) -> Iterator[MistakeTrial | None]:
-    setups = [scope for scope in given.scopes if scope.level == "set-up"]
-    for one, other in itertools.combinations(setups, 2):
-        if len(one.readings) != len(other.readings):
-            continue
-        order = _every(given)
-        order[one.readings], order[other.readings] = other.readings, one.readings
-        names = " and ".join(s.name.removeprefix("set-up ") for s in (one, other))
-        sentence = f"the readings of the set-ups {names} are exchanged"
-        yield _reordering(given, one, sentence, order)
+        sentence = f"the readings of each {level} stand under the {way} {level}"
+    runs = several_runs([parts[k] for k in moved])
+    scope = runs if level == "run" else parts[moved[0]]
+    return _reordering(given, scope, sentence, order)
 
 
 def _every(given: Given) -> Index:

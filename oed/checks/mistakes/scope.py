@@ -106,7 +106,7 @@ def part_scopes(
             )
             if is_near and tuple(readings) not in known:
                 known.add(tuple(readings))
-                scopes.append(_rows_scope(session, readings))
+                scopes.append(rows_scope(session, readings))
     return scopes
 
 
@@ -135,6 +135,7 @@ def _ends_near(one: Index, other: Index, step: int) -> bool:
     return max(ends) < step
 
 
-def _rows_scope(session: SessionReadings, readings: Index) -> Scope:
+def rows_scope(session: SessionReadings, readings: Index) -> Scope:
+    """Some rows, by their first and last one."""
     rows = session.rows(readings)
     return Scope("rows", f"rows {min(rows)} to {max(rows)}", readings)

@@ -1,52 +1,58 @@
-"""Readings of another set-up of the study than the one that their rows name."""
+"""Readings of another set-up than the one that their rows name, or differences from another
+pose of their run than its first.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
+from oed.base.arrays import Index
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import Moved, on_moved, pose_table
+from oed.checks.mistakes.moved import Moved, by_run, moved_trials
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable, in_scopes
+from oed.checks.mistakes.trial import MistakeTrial
 from oed.measurement.measurement import Measurement, Series
+
+#: readings of a run whose pose may be the reference, of so many
+PLACES: dict[str, Callable[[int], int]] = {
+    "last": lambda count: count - 1,
+    "middle": lambda count: (count - 1) // 2,
+    "second": lambda count: 0,
+}
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
-    """Each set-up, or run, taken for each other one with the same channels."""
+    """Each set-up, or run, taken for each other one with the same channels, and the last,
+    middle and second pose of each run as its reference.
+    """
     measurement = given.session.measurement
     used = list(dict.fromkeys(s.setup for s in given.session.series))
     for name, other in itertools.product(used, measurement.setups):
-        if name == other or not _alike(measurement, name, other):
-            continue
-        moved = in_other_setup(measurement, {name: other})
-        table = pose_table(given, moved)
-        if table is not None:
-            yield from in_scopes(
-                given.scopes, partial(_renamed, given, name, other, moved, table)
-            )
+        if name != other and _alike(measurement, name, other):
+            moved = in_other_setup(measurement, {name: other})
+            scopes = [scope for scope in given.scopes if _is_of(given, scope, name)]
+            sentence = f"the readings{{of}} are of set-up {other}"
+            yield from moved_trials(given, "setups", sentence, moved, scopes=scopes)
     for name, other in itertools.combinations(used, 2):
         if _alike(measurement, name, other):
             sentence = f"the set-ups {name} and {other} are exchanged"
             moved = in_other_setup(measurement, {name: other, other: name})
-            table = pose_table(given, moved)
-            if table is not None:
-                on = on_moved(given, "setups", sentence, moved, table)
-                yield from in_scopes([given.file], on)
+            yield from moved_trials(
+                given, "setups", sentence, moved, scopes=[given.file]
+            )
 
-
-def _renamed(
-    given: Given, name: str, other: str, moved: Moved, table: PoseTable, scope: Scope
-) -> MistakeTrial | None:
-    if not _is_of(given, scope, name):
-        return None
-    whose = scope.of if scope.is_part else f" of {name}"
-    sentence = f"the readings{whose} are of set-up {other}"
-    return on_moved(given, "setups", sentence, moved, table)(scope)
+    setups = measurement.setups
+    if any(setups[name].instrument.reference == "run" for name in used):
+        for name, place in PLACES.items():
+            moved = _differences_from(given, place)
+            sentence = (
+                f"the readings{{of}} are differences from the {name} pose of each run"
+            )
+            yield from moved_trials(given, "reference", sentence, moved)
 
 
 def _is_of(given: Given, scope: Scope, setup: str) -> bool:
@@ -81,5 +87,21 @@ def in_other_setup(measurement: Measurement, names: Mapping[str, str]) -> Moved:
         tool = np.array(mounted.tool)
         x, q = measurement.kinematics.sent(command, tool)
         return dataclasses.replace(series, setup=other, q=q, start=x, command=command)
+
+    return moved
+
+
+def _differences_from(given: Given, place: Callable[[int], int]) -> Moved:
+    setups = given.session.measurement.setups
+
+    def moved(series: Series) -> Series | None:
+        if setups[series.setup].instrument.reference != "run":
+            return series
+        index: Index = series.index.copy()
+        for rows in by_run(series):
+            index[rows, 1] = series.index[rows[place(len(rows))], 0]
+        if np.array_equal(index, series.index):
+            return None
+        return dataclasses.replace(series, index=index)
 
     return moved

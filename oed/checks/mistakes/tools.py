@@ -1,7 +1,8 @@
 """Tool points other than stated: of what is read, of what the controller drives, of both.
 
-A tool point from another drawing, a reflector beside the axis, a controller that turns
-about another pivot, and a study with another tool than the machine had.
+A tool point from another drawing, a reflector beside the axis or on another nest, another
+ball, a controller that turns about another pivot, and a study with another tool than the
+machine had.
 """
 
 from __future__ import annotations
@@ -14,25 +15,27 @@ from functools import partial
 
 import numpy as np
 
-from oed.base import units
 from oed.base.arrays import Array
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import CANNOT_BE
+from oed.checks.mistakes.moved import (
+    AGAIN,
+    CANNOT_BE,
+    Moved,
+    mounted_again,
+    with_moved,
+)
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import MistakeTrial, PoseTable
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable, amount, in_scopes
 from oed.checks.session import SessionReadings
-from oed.checks.words import rounded
 from oed.measurement.measurement import Measurement, Series
-from oed.model.machine import Tool
 
 #: step of the tool's length for differences, m
 STEP = 1e-4
-#: the measurement with the tool points of some set-ups moved by a vector, m
-Measured = Callable[[tuple[str, ...], tuple[float, ...]], Measurement]
+#: standard deviations from zero, and share of the largest one, from which on an amount is
+#: named beside others
+SURE, MINOR = 3.0, 0.01
 #: the axis of the tool alone, those beside it, and all three together
 AXES = ((2,), (0,), (1,), (0, 1, 2))
-
-
 READ = "the point that is read"
 #: what has another tool point than stated, and whether it is read, driven to the
 #: commands, or driven so that home stays where it is
@@ -45,49 +48,55 @@ POINTS = {
 
 
 def trials(given: Given) -> Iterator[MistakeTrial]:
-    """Each set-up with another tool point, and all of them."""
+    """Each tool point elsewhere in the file and each set-up; that which is read in runs."""
     session = given.session
     if not any(c.unit == "rad" for c in session.measurement.machine.command):
         return  # without rotation, the tool moves every reading alike
-    setups = [scope for scope in given.scopes if scope.level == "set-up"]
-    names = list(dict.fromkeys(s.setup for s in session.series))
-    choices = [(given.file, names, "")]
-    choices += [(s, [n], f" of {n}") for s, n in zip(setups, names, strict=False)]
-    measured = _measured(session.measurement)
-    for scope, members, of in choices:
-        tool = session.measurement.setups[members[0]].tool
-        for (words, uses), axes in itertools.product(POINTS.items(), AXES):
-            shift = _with_tool(session, measured, members, uses, axes)
-            yield from _elsewhere(given, scope, shift, words.format(of=of), axes, tool)
+    tools = {session.measurement.setups[s.setup].tool for s in session.series}
+    wholes = [scope for scope in given.scopes if not scope.is_part]
+    for (words, uses), axes in itertools.product(POINTS.items(), AXES):
+        scopes = given.scopes if uses == {"read"} else wholes
+        shift = _shifts(session, uses, axes)
+        starts = {0.0, *(-2.0 * tool[axes[0]] for tool in tools if len(axes) == 1)}
+        for start in sorted(starts, key=abs):
+            amounts = np.full(len(axes), start)
+            table = _table(given, partial(shift, given.file), amounts)
+            if table is not None:
+                on = partial(_elsewhere, given, shift, words, axes, amounts, table)
+                yield from in_scopes(scopes, on)
+
+
+#: the session with the tool point of a scope moved by amounts, m
+Shift = Callable[[Scope, Array], list[SessionReadings]]
 
 
 def _elsewhere(
     given: Given,
-    scope: Scope,
-    shift: Callable[[Array], list[SessionReadings]],
-    what: str,
+    shift: Shift,
+    words: str,
     axes: Sequence[int],
-    tool: Tool,
-) -> Iterator[MistakeTrial]:
+    start: Array,
+    table: PoseTable,
+    scope: Scope,
+) -> MistakeTrial | None:
     """A tool point elsewhere: near the stated one, or where it has the other sign."""
-    starts = [np.zeros(len(axes))]
-    if len(axes) == 1 and tool[axes[0]]:
-        starts.append(np.array([-2.0 * tool[axes[0]]]))
-    for start in starts:
-        table = _table(given, shift, start)
-        if table is not None and np.abs(table.by_amount).max() > 0.0:
-            yield MistakeTrial(
-                kind="tool",
-                scope=scope,
-                words=partial(_words, what, axes),
-                undo=shift,
-                amounts=start,
-                steps=np.full(len(axes), STEP),
-                family=f"{what} {axes} {scope.name} {start}",
-                table=table if start.any() else None,
-                mask=scope.values(given.session),
-                columns=None if start.any() else table.by_amount,
-            )
+    at = scope.values(given.session)
+    columns = np.where(at[:, None], table.by_amount, 0.0)
+    if not columns.any():
+        return None
+    of = scope.within if scope.is_part else scope.of.replace(" set-up ", " ")
+    what = words.format(of=of)
+    return MistakeTrial(
+        kind="tool",
+        scope=scope,
+        words=partial(_words, what, axes),
+        undo=partial(shift, scope),
+        amounts=start,
+        steps=np.full(len(axes), STEP),
+        family=f"{what} {axes} {start}",
+        table=table if start.any() else None,
+        columns=None if start.any() else columns,
+    )
 
 
 def _table(
@@ -106,66 +115,62 @@ def _table(
     except CANNOT_BE:
         return None
     spread = np.maximum(0.1 * np.abs(start), STEP) if start.any() else 1.0
+    first = first + given.predicted - given.nominal
     return PoseTable(first, given.slopes, slopes * spread)
 
 
-def _measured(measurement: Measurement) -> Measured:
-    """Measurements with tool points of some set-ups moved, each made once."""
-
-    @functools.cache
-    def measured(names: tuple[str, ...], away: tuple[float, ...]) -> Measurement:
-        setups = dict(measurement.setups)
-        for name in names:
-            x, y, z = (t + a for t, a in zip(setups[name].tool, away, strict=True))
-            setups[name] = dataclasses.replace(setups[name], tool=(x, y, z))
-        return measurement.with_setups(list(setups.values()))
-
-    return measured
-
-
-def _with_tool(
-    session: SessionReadings,
-    measured: Measured,
-    names: Sequence[str],
-    uses: set[str],
-    axes: Sequence[int],
-) -> Callable[[Array], list[SessionReadings]]:
-    """The session with the tool point of these set-ups moved by amounts, m."""
+def _shifts(session: SessionReadings, uses: set[str], axes: Sequence[int]) -> Shift:
     measurement = session.measurement
 
-    def driven(series: Series, away: Array) -> Series:
-        if series.setup not in names or "driven" not in uses:
-            return series
-        if not np.isfinite(series.command).all():
-            raise ValueError("recorded joints have no command")
-        tool = np.array(measurement.setups[series.setup].tool) + away
-        command = series.command
-        if "home" in uses:
-            command = measurement.machine.with_tool(command, away)
-        x, q = measurement.kinematics.sent(command, tool)
-        return dataclasses.replace(series, q=q, start=x)
+    @functools.cache
+    def measured(away: tuple[float, ...]) -> Measurement:
+        read = np.array(away) if "read" in uses else np.zeros(3)
+        return mounted_again(
+            measurement,
+            dict.fromkeys(s.setup for s in session.series),
+            lambda s: {"station": s.owner, "tool": tuple((s.tool + read).tolist())},
+        )
 
-    def shift(amounts: Array) -> list[SessionReadings]:
+    def moved_by(away: Array) -> Moved:
+        def moved(series: Series) -> Series:
+            again = series.setup + AGAIN
+            if "driven" not in uses:
+                return dataclasses.replace(series, setup=again)
+            if not np.isfinite(series.command).all():
+                raise ValueError("recorded joints have no command")
+            tool = np.array(measurement.setups[series.setup].tool) + away
+            command = series.command
+            if "home" in uses:
+                command = measurement.machine.with_tool(command, away)
+            x, q = measurement.kinematics.sent(command, tool)
+            return dataclasses.replace(series, setup=again, q=q, start=x)
+
+        return moved
+
+    def shift(scope: Scope, amounts: Array) -> list[SessionReadings]:
         away = np.zeros(3)
         away[list(axes)] = amounts
-        series = tuple(driven(s, away) for s in session.series)
-        other = measurement
-        if "read" in uses:
-            other = measured(tuple(names), tuple(away.tolist()))
-        return [dataclasses.replace(session, measurement=other, series=series)]
+        other = dataclasses.replace(session, measurement=measured(tuple(away.tolist())))
+        return [with_moved(other, scope.readings, moved_by(away))]
 
     return shift
 
 
 def _words(what: str, axes: Sequence[int], amounts: Array, sd: Array) -> str:
-    sizes, errors = ([units.number(float(a), "mm") for a in v] for v in (amounts, sd))
-    if what.startswith(READ) and axes == (2,):
-        way = "longer" if sizes[0] > 0.0 else "shorter"
+    """A tool point elsewhere, along the axes that matter."""
+    sizes = dict(zip(axes, zip(amounts, sd, strict=True), strict=True))
+    least = MINOR * float(np.abs(amounts).max())
+    sizes = {
+        k: (a, e) for k, (a, e) in sizes.items() if abs(a) >= max(SURE * e, least)
+    } or sizes
+    if what.startswith(READ) and list(sizes) == [2]:
+        value, error = sizes[2]
+        way = "longer" if value > 0.0 else "shorter"
         of = what.removeprefix(READ).removesuffix(" is")
-        size = f"{abs(sizes[0]):.4g} mm (sd {errors[0]:.2g} mm)"
+        size = amount(abs(value), error, "mm", with_sd=True)
         return f"the tool{of} is {size} {way} than stated"
     parts = [
-        f"{rounded(size, error)} mm (sd {error:.2g} mm) in {'xyz'[axis]}"
-        for axis, size, error in zip(axes, sizes, errors, strict=True)
+        f"{amount(value, error, 'mm', with_sd=True)} in {'xyz'[axis]}"
+        for axis, (value, error) in sizes.items()
     ]
     return f"{what} {', '.join(parts)} from the stated tool point"

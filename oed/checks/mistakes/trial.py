@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
+from oed.base import units
 from oed.base.arrays import Array, Index, Mask
+from oed.checks.copies import resolution
 from oed.checks.fit import Fit
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.session import SessionReadings
+from oed.checks.words import rounded
 from oed.measurement.measurement import Measurement
 
 #: sessions without a mistake of some amounts (k,): one, or several of machines apart
@@ -20,6 +24,8 @@ Undo = Callable[[Array], Sequence[SessionReadings]]
 Words = Callable[[Array, Array], str]
 
 NO_AMOUNTS: Array = np.zeros(0)
+#: step of readings with more digits than are looked at, in their noise
+FINEST = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +68,6 @@ class MistakeTrial:
     log_scale  sum over the values of the log of the factor on them: readings that a trial
                makes small fit easily, and their density pays for it
     scaling    the same of amounts, where it follows from them
-    linear_scaling  the same of amounts in the linear model
     log_prior  of the trial among those of its kind and level, beyond an equal share
     family     trials of which the likeliest alone is fitted
     missing    values, by mask (N,), of which the trial does not say where they belong
@@ -72,7 +77,7 @@ class MistakeTrial:
 
     y          (N,) values
     mistaken   (N,) values with the mistake in them, where it is not its own inverse
-    table      readings at other poses, for the values `mask`
+    table      readings at other poses, for the values of the scope
     columns    (N, k) slopes of the values over the amounts; those whose size is not
                known are scaled to what they explain
     parts      values, by mask (N,), that a machine of their own gives
@@ -91,7 +96,6 @@ class MistakeTrial:
     is_blind: bool = False
     log_scale: float = 0.0
     scaling: Callable[[Array], float] = lambda amounts: 0.0
-    linear_scaling: Callable[[Array], float] = lambda amounts: 0.0
     log_prior: float = 0.0
     family: str = ""
     missing: Mask | None = None
@@ -99,7 +103,6 @@ class MistakeTrial:
     y: Array | None = None
     mistaken: Array | None = None
     table: PoseTable | None = None
-    mask: Mask | None = None
     columns: Array | None = None
     parts: Mask | None = None
     noise: Array | None = None
@@ -147,6 +150,13 @@ def plain(sentence: str) -> Words:
     return lambda amounts, sd: sentence
 
 
+def amount(value: float, sd: float, unit: str, *, with_sd: bool = False) -> str:
+    """An SI value in a unit, to the first digit of its standard deviation."""
+    size, error = (units.number(float(v), unit) for v in (value, sd))
+    text = f"{rounded(size, error)} {unit}"
+    return f"{text} (sd {error:.2g} {unit})" if with_sd else text
+
+
 def value_trial(
     session: SessionReadings,
     kind: str,
@@ -166,6 +176,59 @@ def value_trial(
         y=y,
         mistaken=mistaken,
     )
+
+
+def dropped_trial(
+    given: Given, kind: str, scope: Scope, sentence: str, missing: Mask, **more: Any
+) -> MistakeTrial:
+    """A trial without the readings that have some values (N,)."""
+    session = given.session
+    dropped = np.unique(session.reading_of_value[missing]).tolist()
+    is_all = len(dropped) == 1 + int(session.reading_of_value[-1])
+    return MistakeTrial(
+        kind=kind,
+        scope=scope,
+        words=plain(sentence),
+        undo=lambda amounts: [] if is_all else [session.without(dropped)],
+        missing=missing,
+        **more,
+    )
+
+
+def noise_trial(
+    given: Given,
+    kind: str,
+    scope: Scope,
+    sentence: str,
+    factor: Array,
+    log_prior: float,
+) -> MistakeTrial:
+    """A trial with factors (N,) on the stated noise."""
+    session = given.session
+
+    def undo(amounts: Array) -> list[SessionReadings]:
+        sigma = factor * given.sigma
+        series = tuple(
+            dataclasses.replace(s, sigma=sigma[span].reshape(len(s), -1))
+            for s, span in zip(session.series, session.spans, strict=True)
+        )
+        return [dataclasses.replace(session, series=series)]
+
+    return MistakeTrial(
+        kind=kind,
+        scope=scope,
+        words=plain(sentence),
+        undo=undo,
+        log_prior=log_prior,
+        noise=factor,
+    )
+
+
+def log_density_of_known(given: Given, values: Mask, digits: Mask) -> float:
+    """Log density, SI, of some values (N,) that are certain to the last digit of others."""
+    step = resolution(given.session, np.flatnonzero(digits))
+    size = np.maximum(step, FINEST * given.sigma[values])
+    return -float(np.log(size).sum())
 
 
 def members(session: SessionReadings, readings: Index) -> Index:

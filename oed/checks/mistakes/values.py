@@ -19,6 +19,8 @@ OTHERS = {"m": {"inch": units.INCH}}
 #: fine units in which deviations are written, by SI unit
 FINE = {si: (units.FINE[si], units.factor(units.FINE[si])) for si in ("m", "rad")}
 DIVISIONS = {"m": ("divisions of 0.01 mm", 1e-5)}
+#: an angle, rad, by which a notation says what its last digits are
+SMALL_ANGLE = np.array([1e-5 * units.DEG])
 #: standard deviations of a prediction from zero from which on its sign is known
 SURE = 3.0
 #: what readings, or deviations, are of what they should be
@@ -34,6 +36,8 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     for si in dict.fromkeys(given.unit[given.shown]):
         for name, factor in _unit_factors(si).items():
             yield from in_values(given, partial(_in_unit, given, si, name, factor))
+    for words, meant in notations.SEXAGESIMAL.items():
+        yield from in_values(given, partial(_sexagesimal, given, words, meant))
     for origin in ORIGINS[1:]:
         for fine in ({}, FINE, DIVISIONS):
             for sign in (1.0, -1.0):
@@ -42,9 +46,16 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
         yield from in_values(given, partial(_added_twice, given, origin))
     yield from in_values(given, partial(_lost, given))
     for origin in ORIGINS:
-        yield from in_values(given, partial(_reversed, given, origin))
+        reversed_sign = "the sign of {} is reversed"
+        yield from in_values(
+            given, partial(_about, given, origin, "sign", reversed_sign, -1.0)
+        )
         for words, factor in (FACTORS | (THOUSANDS if origin else POINT_LOST)).items():
-            yield from in_values(given, partial(_scaled, given, origin, words, factor))
+            why = ": the decimal point is lost" if words in POINT_LOST else ""
+            sentence = f"{{}} are {words} what they should be{why}"
+            yield from in_values(
+                given, partial(_about, given, origin, "scale", sentence, 1.0 / factor)
+            )
 
 
 def _base(given: Given, values: Mask, origin: str) -> Array | None:
@@ -104,6 +115,20 @@ def _in_unit(
     zero = np.zeros(len(values))
     ratio = factor / stated.factor
     return _changed(given, "unit", scope, sentence, values, zero, ratio)
+
+
+def _sexagesimal(
+    given: Given, words: str, meant: notations.Notation, scope: Scope, values: Mask
+) -> MistakeTrial | None:
+    """Angles whose decimals are minutes, or minutes and seconds, of them."""
+    y = given.session.y.copy()
+    y[values] = meant(y[values])
+    if set(given.unit[values]) != {"rad"} or not np.isfinite(y).all():
+        return None
+    subject = _readings(given, scope, values)
+    sentence = f"{subject} have {words} after their decimal point"
+    log_scale = float(values.sum() * np.log(meant(SMALL_ANGLE) / SMALL_ANGLE)[0])
+    return value_trial(given.session, "unit", scope, sentence, y, log_scale)
 
 
 def _unit_factors(si: str) -> Mapping[str, float]:
@@ -176,31 +201,24 @@ def _lost(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
     return value_trial(given.session, "sign", scope, sentence, changed)
 
 
-def _reversed(
-    given: Given, origin: str, scope: Scope, values: Mask
+def _about(
+    given: Given,
+    origin: str,
+    kind: str,
+    sentence: str,
+    factor: float,
+    scope: Scope,
+    values: Mask,
 ) -> MistakeTrial | None:
-    base = _base(given, values, origin)
-    if base is None:
-        return None
-    of = _where(given, scope, values)
-    if scope.level == "instrument":
-        of = f"the readings{scope.of}"
-    elif len(set(given.channel[values])) > 1 and given.is_all(scope, values):
-        of = f"all readings{scope.of}"
-    what = f"the deviations of {of} from {origin}" if origin else of
-    sentence = f"the sign of {what} is reversed"
-    return _changed(given, "sign", scope, sentence, values, base, -1.0, base)
-
-
-def _scaled(
-    given: Given, origin: str, words: str, factor: float, scope: Scope, values: Mask
-) -> MistakeTrial | None:
+    """Readings whose deviations from an origin have another sign or size."""
     base = _base(given, values, origin)
     if base is None:
         return None
     what = _readings(given, scope, values)
+    if kind == "sign" and scope.level != "instrument":
+        is_all = given.is_all(scope, values) and len(set(given.channel[values])) > 1
+        what = f"all readings{scope.of}" if is_all else _where(given, scope, values)
     if origin:
         what = f"the deviations of {what} from {origin}"
-    why = ": the decimal point is lost" if words in POINT_LOST else ""
-    sentence = f"{what} are {words} what they should be{why}"
-    return _changed(given, "scale", scope, sentence, values, base, 1.0 / factor, base)
+    words = sentence.format(what)
+    return _changed(given, kind, scope, words, values, base, factor, base)

@@ -11,8 +11,8 @@ from oed.checks.mistakes.driven import (
     in_file,
     inside,
     jointed,
+    of_column,
     permuted,
-    scaled,
     shifted,
     turns_freely,
     wrapped,
@@ -20,11 +20,10 @@ from oed.checks.mistakes.driven import (
 from oed.checks.mistakes.moved import (
     by_run,
     moved_rows,
-    on_moved,
+    moved_trials,
     pose_table,
     with_moved,
 )
-from oed.checks.mistakes.scope import Scope
 from oed.checks.session import SessionReadings
 from oed.measurement.measurement import Series
 from oed.mechanism.kinematics import AssemblyError
@@ -38,11 +37,13 @@ def session() -> SessionReadings:
     return machines.session("a3", machines.readings("a3", 2))
 
 
-def test_columns_are_scaled_shifted_and_permuted() -> None:
+def test_columns_are_changed_shifted_and_permuted() -> None:
     values = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
-    assert scaled(1, 10.0)(values).tolist() == [[1, 20, 3], [4, 50, 6]]
+    assert of_column(1, lambda v: 10.0 * v)(values).tolist() == [[1, 20, 3], [4, 50, 6]]
     assert shifted(2, -1.0)(values).tolist() == [[1, 2, 2], [4, 5, 5]]
     assert permuted((2, 0, 1))(values).tolist() == [[3, 1, 2], [6, 4, 5]]
+    turned = permuted((1, 0, 2), (1.0, -1.0, 1.0))
+    assert turned(values).tolist() == [[2, -1, 3], [5, -4, 6]]
 
 
 def test_angles_that_turn_freely_come_into_their_range() -> None:
@@ -145,9 +146,8 @@ def test_a_table_has_what_the_nominal_machine_reads(session: SessionReadings) ->
     moved = commanded(session.measurement, shifted(1, 0.2))
     table = pose_table(given, moved)
     assert table is not None
-    every = np.arange(1 + session.reading_of_value[-1])
-    scope = Scope("file", "", every)
-    trial = on_moved(given, "sign", "psi is off", moved, table)(scope)
+    trial = next(moved_trials(given, "sign", "psi is off", moved))
+    assert trial.scope.level == "file"
     (other,) = trial.undo(trial.amounts)
     predicted = []
     for series in other.series:

@@ -13,9 +13,9 @@ import pandas as pd
 import pytest
 
 from oed.checks import candidates, copies, outlier_sets
-from oed.checks.evidence import rivals
+from oed.checks.evidence import linear_readings, log_evidence, rivals
 from oed.checks.far_reading import FarReading, alike_readings
-from oed.checks.fit import LeaveOneOut
+from oed.checks.fit import LeaveOneOut, fit
 from oed.checks.judgement import probability_of_strain
 from oed.checks.large_misfit import fit_of_any_misfit
 from oed.checks.outlier_search import far_readings
@@ -176,8 +176,28 @@ def test_rivals_of_a_mistake_have_a_drift_and_a_size(session: SessionReadings) -
     m = session.measurement
     slopes = m.in_prior_units(m.jacobian(session.series, m.nominal))
     effects = rivals(session, slopes)
-    assert [r.columns is None for r in effects] == [False, False, True]
-    assert effects[2].slopes(slopes, 3.0, None) == pytest.approx(3.0 * slopes)  # type: ignore[arg-type]
+    assert [r.columns is None for r in effects[:3]] == [False, False, True]
+    assert effects[2].slopes(slopes, 3.0) == pytest.approx(3.0 * slopes)
+
+
+def test_one_channel_of_several_may_have_more_noise() -> None:
+    """With thirty times the noise in one of six channels, by the exact law of its size."""
+    rows = machines.readings("hexapod", 0)
+    clean = fit(machines.session("hexapod", rows))
+    rng = np.random.default_rng(3)
+    rows["read_x_mm"] += 0.3 * rng.standard_normal(len(rows))
+    spoiled = fit(machines.session("hexapod", rows))
+    assert clean is not None
+    assert spoiled is not None
+    gain = []
+    for solution in (clean, spoiled):
+        linear = linear_readings(solution)
+        gain.append(
+            log_evidence(linear, solution.session, with_effects=True)
+            - log_evidence(linear, solution.session, with_effects=False)
+        )
+    assert gain[0] < 1.0
+    assert gain[1] > 100.0
 
 
 def test_kinds_share_the_prior_evenly() -> None:

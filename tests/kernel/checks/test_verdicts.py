@@ -66,11 +66,11 @@ def test_readings_in_doubt_are_in_no_figure() -> None:
 
 def test_one_far_reading_is_no_misfit_of_the_others() -> None:
     rows = machines.readings("a3", 3)
-    clean = explain.as_given(Given(machines.session("a3", rows)), 1.0)
+    clean = explain.as_given(fit(machines.session("a3", rows)))
     rows.loc[17, "length_mm"] += 50.0 * SIGMA
-    spoiled = explain.as_given(Given(machines.session("a3", rows)), 1.0)
+    spoiled = explain.as_given(fit(machines.session("a3", rows)))
     rows["length_mm"] += 50.0 * SIGMA * (np.arange(len(rows)) % 2)
-    many = explain.as_given(Given(machines.session("a3", rows)), 1.0)
+    many = explain.as_given(fit(machines.session("a3", rows)))
     assert clean is not None
     assert spoiled is not None
     assert many is not None

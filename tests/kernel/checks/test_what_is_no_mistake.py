@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from oed.checks.explain import _log_of_poses_read
-from oed.checks.mistakes.limits import _trend_p_value
+from oed.checks.mistakes.noise import _trend_p_value
 
 
 def test_residuals_that_follow_the_pose_are_no_noise(

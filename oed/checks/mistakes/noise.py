@@ -1,0 +1,157 @@
+"""Another noise than stated: it is stated in another unit, or commands are rounded in the
+file while the machine stood where finer numbers said.
+
+Of rounding, each reading has an error more, its slope over the coordinate times a number
+that is uniform over the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+from scipy import special
+
+from oed.base.arrays import Array, Mask
+from oed.checks.mistakes.driven import commanded, shifted
+from oed.checks.mistakes.given import Given
+from oed.checks.mistakes.moved import pose_table
+from oed.checks.mistakes.pose import SLACK
+from oed.checks.mistakes.scope import Scope
+from oed.checks.mistakes.trial import (
+    MistakeTrial,
+    in_scopes,
+    in_values,
+    noise_trial,
+)
+from oed.dataset.columns import parse_column
+
+#: decimals that a column has where it is rounded, from tens on
+DECIMALS = range(-1, 4)
+#: values of which a rounded column has more than so many
+LEAST_VALUES = 4
+#: share of a rounding step that is looked at for slopes
+STEP = 1e-3
+#: error of rounding, over the noise, from which on it matters
+MATTERS = 3.0
+#: log prior: most columns of whole numbers were driven so
+SELDOM = -2.0
+#: noise over that which is stated: another unit, by SI unit
+OTHER_NOISE = {"m": (1e3, 1e-3, 1e6, 1e-6), "rad": (3600.0, 1.0 / 3600.0, 1e3, 1e-3)}
+#: level at which residuals depend on the pose, so that they are no noise
+TREND = 1e-4
+#: log prior of another unit: misfits of an effect look like noise as well
+SELDOM_OTHER = -3.0
+
+
+def trials(given: Given) -> Iterator[MistakeTrial]:
+    """Each column of whole numbers, or of few decimals, whose decimals were lost, and noise
+    in another unit.
+    """
+    yield from noise_trials(given)
+    measurement = given.session.measurement
+    for k, (name, values) in enumerate(given.columns.items()):
+        decimals = _decimals(values)
+        if decimals is None:
+            continue
+        step = 10.0**-decimals
+        change = shifted(k, STEP * step * parse_column(name).factor)
+        table = pose_table(given, commanded(measurement, change, slack=SLACK))
+        if table is None:
+            continue
+        slope = np.nan_to_num(table.predicted - given.predicted) / STEP
+        error = np.abs(slope) / np.sqrt(12.0)
+        if (error > MATTERS * given.sigma).any():
+            words = f"{name}{{}} is rounded to {step:g}: finer numbers were driven"
+            on = partial(_rounded, given, words, error)
+            yield from in_scopes(given.scopes, on)
+
+
+def noise_trials(given: Given) -> Iterator[MistakeTrial]:
+    """Noise that is stated in another unit."""
+    for si, factors in OTHER_NOISE.items():
+        for factor in factors:
+            yield from in_values(given, partial(_other_noise, given, si, factor))
+
+
+def _decimals(values: Array) -> int | None:
+    """Decimals of a column (n,) in its unit; None where it has many, or few values."""
+    if not np.isfinite(values).all() or len(np.unique(values)) <= LEAST_VALUES:
+        return None
+    for decimals in DECIMALS:
+        if np.allclose(values, np.round(values, decimals), rtol=0.0, atol=1e-9):
+            return decimals
+    return None
+
+
+def _rounded(given: Given, words: str, error: Array, scope: Scope) -> MistakeTrial:
+    at = scope.values(given.session)
+    factor = np.where(at, np.hypot(1.0, error / given.sigma), 1.0)
+    sentence = words.format(scope.within)
+    return noise_trial(given, "rounded", scope, sentence, factor, SELDOM)
+
+
+# -- noise -----------------------------------------------------------------------------
+
+
+def _other_noise(
+    given: Given, si: str, factor: float, scope: Scope, values: Mask
+) -> MistakeTrial | None:
+    """All readings of a unit with another noise than stated."""
+    session = given.session
+    of_unit = given.shown & (given.unit == si)
+    if scope.level != "file" or not np.array_equal(values, of_unit):
+        return None
+    if factor > 1.0 and _depends_on_pose(given, values, factor):
+        return None
+    channel = str(given.channel[values][0])
+    stated = float(np.median(given.sigma[values]))
+    sentence = (
+        f"the noise of {given.names(values)} is stated in another unit: {factor:g} times"
+        f" the {session.fine(channel, stated)} that are stated explain the readings"
+    )
+    factors = np.where(values, factor, 1.0)
+    return noise_trial(given, "noise", scope, sentence, factors, SELDOM_OTHER)
+
+
+def _depends_on_pose(given: Given, values: Mask, factor: float) -> bool:
+    """Whether what a fit with more noise leaves is a smooth function of the commands.
+
+    An F test of second-order polynomials, channel by channel: noise has no such part.
+    """
+    base = given.bases(values).get("the nominal machine")
+    if base is None:
+        return False
+    sigma = factor * given.sigma[values]
+    white = given.slopes[values] / sigma[:, None]
+    away = (given.session.y - base)[values] / sigma
+    precision = np.eye(white.shape[1]) + white.T @ white
+    residual = away - white @ np.linalg.solve(precision, white.T @ away)
+    channels = given.channel[values]
+    commands = given.command[given.session.reading_of_value[values]]
+    return any(
+        _trend_p_value(commands[at], residual[at]) < TREND
+        for at in (channels == name for name in dict.fromkeys(channels))
+    )
+
+
+def _trend_p_value(commands: Array, residual: Array) -> float:
+    """Probability of a polynomial as large as that in residuals (n,), were they noise.
+
+    commands  (n, n_dof) of the values
+    """
+    varied = commands[:, np.ptp(commands, axis=0) > 0.0]
+    scaled = (varied - varied.mean(axis=0)) / np.maximum(varied.std(axis=0), 1e-300)
+    i, j = np.triu_indices(scaled.shape[1])
+    terms = np.column_stack([np.ones(len(scaled)), scaled, scaled[:, i] * scaled[:, j]])
+    basis = np.linalg.svd(terms, full_matrices=False)[0][
+        :, : np.linalg.matrix_rank(terms)
+    ]
+    freedom = len(residual) - basis.shape[1]
+    if freedom < basis.shape[1]:
+        return 1.0
+    explained = float(np.sum((basis.T @ residual) ** 2))
+    rest = float(residual @ residual) - explained
+    ratio = explained / basis.shape[1] / max(rest / freedom, 1e-300)
+    return float(special.fdtrc(basis.shape[1], freedom, ratio))
