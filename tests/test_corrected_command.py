@@ -4,6 +4,7 @@ import contextlib
 import csv
 import io
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -329,8 +330,14 @@ def test_a_good_machine_passes_and_a_bad_one_fails(
     planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = planned.parent
-    good = fill_in(planned, tmp_path / "good.csv", 0.5)
-    assert run("verify", out, "--readings", good) == 0
+    unsure = fill_in(planned, tmp_path / "unsure.csv", 0.5)
+    assert run("verify", out, "--readings", unsure) == 1
+    assert "this test cannot tell" in capsys.readouterr().out
+    more = Path(shutil.copytree(out, tmp_path / "more"))
+    exact = ["--uncertainty", "y_um=0.01,z_um=0.01"]
+    assert run("verify", more, "--poses", "60", *exact) == 0
+    good = fill_in(more / "acceptance.csv", tmp_path / "good.csv", 0.5)
+    assert run("verify", more, "--readings", good) == 0
     bad = fill_in(planned, tmp_path / "bad.csv", 1.5)
     assert run("verify", out, "--readings", bad) == 1
     assert "does not meet" in capsys.readouterr().out

@@ -120,6 +120,7 @@ def accuracy_sentences(result: StudyResult) -> list[str]:
 def detail_sentences(result: StudyResult) -> list[str]:
     """Sentences that change no decision: search, sampler, each held-out channel."""
     return [
+        *_beside_no_gap(result),
         *bound_sentences(result.plan),
         *_held_out([s for s in result.held_out if s.verdict in FITTING]),
         *gain_sentences(result.design),
@@ -127,6 +128,13 @@ def detail_sentences(result: StudyResult) -> list[str]:
         *_posterior(result.posterior),
         *_indices(result.identifiability),
     ]
+
+
+def _beside_no_gap(result: StudyResult) -> list[str]:
+    """What a diagnosis says beside its verdict, where an identification finds no gap."""
+    if result.gap is None or result.prediction is None or result.gap.verdict != "none":
+        return []
+    return result.gap.findings[2:]
 
 
 def fit_sentences(result: StudyResult) -> list[str]:
