@@ -20,7 +20,8 @@ from pkm_studies.commands import cli
 def run(folder: Path, lines: str) -> dict[str, Any]:
     """Result of a fit of two ball bars on an independent head."""
     folder.mkdir()
-    text = test_bad_fit.WITHOUT_REPORT + lines
+    rigid = '[identify]\neffects = "none"\n'
+    text = sample.changed(test_bad_fit.WITHOUT_REPORT, (rigid, "")) + lines
     study, readings = test_bad_fit.write(folder, bar_readings.a3_readings(0), text)
     return identified(study, readings)[0]
 
@@ -47,7 +48,12 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, Any
     return {name: run(folder / name, text) for name, text in lines.items()}
 
 
-def test_without_effects_nothing_changes(results: dict[str, dict[str, Any]]) -> None:
+def test_the_fit_is_of_the_geometry_by_default(
+    results: dict[str, dict[str, Any]],
+) -> None:
+    """The readings are asked which effects act, unless the study keeps them out."""
+    assert results["none"]["gap"] is None
+    assert results["default"]["gap"]["mixture"] is not None
     for section in ("estimate", "prediction", "goodness"):
         assert results["none"][section] == results["default"][section]
 
@@ -92,7 +98,8 @@ def test_an_unknown_effect_is_refused_by_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study, readings = test_bad_fit.write(tmp_path, bar_readings.a3_readings(0))
-    study.write_text(study.read_text() + '\n[identify]\neffects = ["backlsh"]\n')
+    text = study.read_text().replace('effects = "none"', 'effects = ["backlsh"]')
+    study.write_text(text)
     code = cli.main(
         [
             "identify",

@@ -87,7 +87,7 @@ def usual_laws() -> list[Law]:
             level_is_free=True,
         )
         for run, share, reach in zip(
-            drawn.level, drawn.carried[:, 0], drawn.reach, strict=True
+            drawn.level, drawn.carried, drawn.reach, strict=True
         )
     ]
 

@@ -56,7 +56,6 @@ MOST_ERRORS = 12_000_000
 #: ends of the interval that holds 95 % of the machines
 INTERVAL = (0.025, 0.975)
 
-
 #: lower and upper end
 Interval = tuple[float, float]
 UNKNOWN_INTERVAL: Interval = (np.nan, np.nan)

@@ -24,6 +24,7 @@ from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.process import stated_laws
+from oed.result.verdict import SURE
 from pkm_studies.resolve.planned_effects import (
     NONE,
     UNKNOWNS,
@@ -79,6 +80,17 @@ class Outlook:
             spread = np.linalg.eigvalsh(root.T @ weight @ root)
             columns.append(squares @ np.maximum(spread, 0.0) + other)
         return np.asarray(np.sqrt(np.column_stack(columns)))
+
+    def within(self, wanted: Array) -> tuple[Array, Array]:
+        """Probabilities (K,) that wanted rms errors (K,) are met; NaN where none is.
+
+        The second result is the expected rms errors (K,) with which they pass: a pass
+        needs a high quantile of the error within what is wanted.
+        """
+        drawn = self.drawn_rms()
+        share = np.where(np.isfinite(wanted), (drawn <= wanted).mean(axis=0), np.nan)
+        upper = np.maximum(np.quantile(drawn, SURE, axis=0), np.finfo(float).tiny)
+        return share, wanted * self.accuracy(self.now) / upper
 
     def limits(self, wanted: Array) -> Array:
         """Wanted rms (K,) of what readings can reduce; NaN where none is wanted.

@@ -20,7 +20,6 @@ from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
 from oed.result import trust
-from oed.result.verdict import SURE
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.progress import Silent
 from pkm_studies.resolve import quantities, roles
@@ -247,13 +246,8 @@ class Adviser:
         table = self.base.study.design
         planned = None if table is None else table.size
         remaining = 1 if planned is None else max(planned - count, 1)
-        known, drawn = outlook.accuracy(outlook.now), outlook.drawn_rms()
-        is_wanted = np.isfinite(self.limits)
-        within = np.where(is_wanted, (drawn <= self.limits).mean(axis=0), np.nan)
-        limits = outlook.limits(self.limits)
-        if not self.plan:  # a pass needs a quantile of the error within what is wanted
-            upper = np.quantile(drawn, SURE, axis=0)
-            limits = outlook.limits(self.limits * known / np.maximum(upper, 1e-300))
+        within, passing = outlook.within(self.limits)
+        limits = outlook.limits(self.limits if self.plan else passing)
         pool, blocks = outlook.pool, outlook.blocks
         use = allowed(pool, outlook.taken, skipped, self.everything)
         places = np.flatnonzero(use)
@@ -264,7 +258,7 @@ class Adviser:
         return Advice(
             names=self.maps.names,
             readings=count,
-            known=known,
+            known=outlook.accuracy(outlook.now),
             after=outlook.accuracy(after),
             limits=self.limits,
             within=within,
@@ -391,10 +385,7 @@ def reading_of(pool: Candidates, index: int) -> tuple[Series, int]:
 
 
 def watch(adviser: Adviser, readings: Path) -> Iterator[list[str]]:
-    """Lines of advice, now and after each change of the file; without end.
-
-    A file that is being written and cannot be read is looked at again.
-    """
+    """Lines of advice, now and after each readable change of the file; without end."""
     last: tuple[int, int] | None = None
     while True:
         status = readings.stat()

@@ -164,7 +164,7 @@ def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block
     for name in _ordered(components, judged):
         larger = [text.number(missing.entry(v, name)) for v in effects.values()]
         row = _row(name, components[name])
-        limits = _limit_cells(judged.get(name)) if judged else []
+        limits = _limit_cells(name, judged)
         rows.append([*row[:2], *larger, row[2], *limits, row[3]])
         marks.append(text.MARKS[judged[name].judgement] if name in judged else "")
     table = Table(columns, rows, _caption(prediction, judged), marks)
@@ -193,12 +193,15 @@ def _row(name: str, component: ComponentAccuracy) -> list[str]:
     return [f"{name} [{unit}]", *(text.number(spread.rms) for spread in spreads)]
 
 
-def _limit_cells(judged: WantedVerdict | None) -> list[str]:
+def _limit_cells(name: str, judged: Mapping[str, WantedVerdict]) -> list[str]:
     """What is wanted, the probability that it is met, and the verdict."""
-    if judged is None:
+    if not judged:
+        return []
+    if name not in judged:
         return [text.MISSING] * len(LIMIT_COLUMNS)
-    within = percent(judged.probability)
-    return [text.number(judged.wanted), within, text.VERDICTS[judged.judgement]]
+    stated = judged[name]
+    within = percent(stated.probability)
+    return [text.number(stated.wanted), within, text.VERDICTS[stated.judgement]]
 
 
 def _caption(prediction: PredictionSection, judged: Mapping[str, WantedVerdict]) -> str:

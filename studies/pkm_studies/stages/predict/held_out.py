@@ -141,8 +141,7 @@ def _noise_draws(
             kind = _channel_kind(measurement, name)
             if kind in kinds:
                 scale[:, k] = law.scale[:, kinds.index(kind)]
-        # all groups have one share
-        laws = dataclasses.replace(law, scale=scale, carried=law.carried[:, 0])
+        laws = dataclasses.replace(law, scale=scale)
     errors = Whitening(structure, laws).draw(
         rng, structure.statement, estimated=fitted is not None
     )
