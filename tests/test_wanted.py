@@ -62,7 +62,7 @@ def test_verdicts_stand_beside_the_predicted(
     (table, *_) = accuracy.blocks(result)
     assert isinstance(table, Table)
     verdicts = {row[0].split()[0]: row[-2] for row in table.rows}
-    assert verdicts["z"] == "✓ pass"
+    assert verdicts["z"] == "✓ pass, predicted"
     assert verdicts["x"] == "? cannot tell"
     assert verdicts["theta"] == "✗ fail"
 

@@ -200,8 +200,10 @@ def _limit_cells(name: str, judged: Mapping[str, WantedVerdict]) -> list[str]:
     if name not in judged:
         return [text.MISSING] * len(LIMIT_COLUMNS)
     stated = judged[name]
-    within = percent(stated.probability)
-    return [text.number(stated.wanted), within, text.VERDICTS[stated.judgement]]
+    words = text.VERDICTS[stated.judgement]
+    if stated.judgement == "pass":
+        words += ", confirmed" if stated.confirmed else ", predicted"
+    return [text.number(stated.wanted), percent(stated.probability), words]
 
 
 def _caption(prediction: PredictionSection, judged: Mapping[str, WantedVerdict]) -> str:
