@@ -74,6 +74,11 @@ def overall(judgements: Iterable[Judgement]) -> Judgement | None:
     return next((judgement for judgement in ordered if judgement in stated), None)
 
 
+def all_pass(judgements: Iterable[Judgement]) -> bool:
+    """Whether every verdict is a pass; true of none, for nothing was wanted."""
+    return overall(judgements) in (None, "pass")
+
+
 def accuracy_verdicts(
     result: StudyResult,
     wanted: Mapping[str, float] | None = None,
@@ -97,7 +102,7 @@ def accuracy_verdicts(
         return {}
     scope, effects = _scope(result, section), _usual_effects(section)
     raised = {**effects, **(larger or {})}
-    verdicts = {}
+    objection, verdicts = _objection(result), {}
     for name, limit in (section.wanted if wanted is None else wanted).items():
         spread = section.components[name].judged
         factor = 1.0
@@ -106,7 +111,9 @@ def accuracy_verdicts(
         is_bare = section.mode == "plan" and name not in effects
         holds = GEOMETRY_ALONE if is_bare else scope
         probability = spread.probability_within(limit / factor)
-        doubt = _doubt(result, holds)
+        doubt = objection
+        if not doubt and holds == GEOMETRY_ALONE:
+            doubt = "the errors are of the geometry alone"
         judgement = judge(probability, can_pass=not doubt)
         verdicts[name] = WantedVerdict(
             judgement=judgement,
@@ -157,8 +164,8 @@ def _usual_effects(section: PredictionSection) -> dict[str, float]:
     return {} if usual is None else usual.unmodelled
 
 
-def _doubt(result: StudyResult, scope: str) -> str:
-    """Why no pass can be stated; empty where one can."""
+def _objection(result: StudyResult) -> str:
+    """Why no component can pass; empty where nothing speaks against it."""
     from oed.result import trust
 
     objections = trust.objections(result)
@@ -168,7 +175,7 @@ def _doubt(result: StudyResult, scope: str) -> str:
         return "held-out readings contradict the fit"
     if result.verification is not None and result.verification.judgement == "fail":
         return "the acceptance test failed"
-    return "the errors are of the geometry alone" if scope == GEOMETRY_ALONE else ""
+    return ""
 
 
 def _is_confirmed(result: StudyResult, name: str, wanted: float) -> bool:

@@ -57,12 +57,14 @@ def _row(
     unit = next(iter(sizes.values()))[1]
     cells = [text.number(sizes[n][0]) if n in sizes else text.MISSING for n in results]
     goal = missing.entry(goals, f"{component}_{unit}")
-    passing = [
-        name
-        for name in sizes
-        if accuracy_verdicts(results[name], {component: goal})[component].judgement
-        == "pass"
-    ]
-    stated = text.MISSING if math.isnan(goal) else text.listing(passing) or "none"
+    stated = text.MISSING
+    if math.isfinite(goal):
+        passing = [
+            name
+            for name in sizes
+            if accuracy_verdicts(results[name], {component: goal})[component].judgement
+            == "pass"
+        ]
+        stated = text.listing(passing) or "none"
     title = f"{component} [{text.unit_symbol(unit)}]"
     return [title, *cells, text.number(goal), stated]

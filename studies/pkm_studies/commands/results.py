@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from oed.result.verdict import overall
+from oed.result.verdict import all_pass
 from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import (
     AllowCode,
@@ -129,8 +129,8 @@ def certificate(
         folder, head_file=head, study_file=study, consent=given
     )
     _print_written(certify.sentences(written), paths)
-    stated = overall(v for v in written.verdicts if v is not None)
-    return DONE if stated in (None, "pass") else FAILED
+    stated = (v for v in written.verdicts if v is not None)
+    return DONE if all_pass(stated) else FAILED
 
 
 def _print_written(sentences: Iterable[str], paths: Sequence[Path]) -> int:

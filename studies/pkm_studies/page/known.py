@@ -53,7 +53,7 @@ def accuracies(session: MachineSession, state: SessionState) -> list[ComponentRo
         return []
     machine = session.adviser.base.resolved.machine
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
-    low, high = np.quantile(advice.outlook.drawn_rms(), [TAIL, 1.0 - TAIL], axis=0)
+    low, high = np.quantile(advice.outlook.drawn_rms, [TAIL, 1.0 - TAIL], axis=0)
     course = _course(session.adviser, state.fitted, advice)
     rows = []
     for k, name in enumerate(advice.names):

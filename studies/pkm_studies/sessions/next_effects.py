@@ -8,6 +8,7 @@ counts as in a plan: not recorded, for the order of the readings to come is not 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -66,6 +67,7 @@ class Outlook:
         """Rms (K,) of a belief."""
         return np.asarray(np.sqrt(belief.variances + self.others))
 
+    @functools.cached_property
     def drawn_rms(self) -> Array:
         """Rms errors (machines, K) that this machine may have, SI.
 
@@ -87,7 +89,7 @@ class Outlook:
         The second result is the expected rms errors (K,) with which they pass: a pass
         needs a high quantile of the error within what is wanted.
         """
-        drawn = self.drawn_rms()
+        drawn = self.drawn_rms
         share = np.where(np.isfinite(wanted), (drawn <= wanted).mean(axis=0), np.nan)
         upper = np.maximum(np.quantile(drawn, SURE, axis=0), np.finfo(float).tiny)
         return share, wanted * self.accuracy(self.now) / upper

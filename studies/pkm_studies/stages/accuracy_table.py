@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from pkm_studies.base import console
+from pkm_studies.resolve.earlier_result import corrects_effects
 from pkm_studies.stages.headline import REFERENCES, without_drive
 from pkm_studies.stages.predict.budget import improvements
 from pkm_studies.stages.rounding import format_number
@@ -60,11 +61,9 @@ def rows(result: StudyResult, prediction: PredictionSection) -> list[AccuracyRow
     if corrected is not None:
         alone = {n: s.rms for n, s in corrected.parameters_only.items()}
         lines.append(AccuracyRow("parameters compensated alone", alone))
-    mixture = None if result.gap is None else result.gap.mixture
-    is_bare = mixture is not None and mixture.with_effects is None
-    after = "effects compensated too"
-    if corrected is None or is_bare:
-        after = "after compensation"
+    after = "after compensation"
+    if corrects_effects(result):
+        after = "effects compensated too"
     lines.append(AccuracyRow(after, {n: c.after.rms for n, c in components.items()}))
     budget = prediction.budget
     if budget is None and corrected is None and result.prediction is not None:

@@ -31,7 +31,7 @@ def report_outcome(
 
         print(*summary.lines(result, folder, verbose, above), sep="\n")
     from oed.result import trust
-    from oed.result.verdict import overall
+    from oed.result.verdict import all_pass
 
     failing = [claim for claim in result.claims if not claim.met]
     for claim in failing:
@@ -41,9 +41,8 @@ def report_outcome(
         console.print_error(
             f"{objection}: do not rely on its parameters, nor on what they predict"
         )
-    stated = overall(v.judgement for v in result.verdicts.values())
-    failing_verdict = stated is not None and stated != "pass"
-    return FAILED if failing or objections or failing_verdict else DONE
+    passes = all_pass(v.judgement for v in result.verdicts.values())
+    return DONE if passes and not failing and not objections else FAILED
 
 
 def verdict(claim: Claim) -> str:

@@ -139,8 +139,9 @@ def verdicts(
     result: StudyResult, components: Mapping[str, ComponentAccuracy]
 ) -> dict[str, WantedVerdict]:
     """The verdict on all that the study asks for, by predicted component."""
+    goals = wanted(result)
     limits = {
-        name: missing.entry(wanted(result), f"{name}_{c.after.unit}")
+        name: missing.entry(goals, f"{name}_{c.after.unit}")
         for name, c in components.items()
     }
     stated = {name: limit for name, limit in limits.items() if math.isfinite(limit)}

@@ -46,8 +46,8 @@ def judge_file(section: AcceptanceSection, path: Path) -> VerificationSection:
             figures[name] = of_component
     components = judge(errors, section.components)
     further = _further(section, table, target)
-    judged = [c.verdict for c in (*components.values(), *further.values()) if c.verdict]
-    worst = verdict.overall(judged)
+    every = (*components.values(), *further.values())
+    worst = verdict.overall(c.judgement for c in every)
     return VerificationSection(
         passed=worst == "pass",
         verdict=worst,

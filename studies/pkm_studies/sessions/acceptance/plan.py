@@ -18,6 +18,7 @@ from oed.base.arrays import Array, Index
 from oed.dataset.dialect import commented
 from oed.model.machine import Component, Machine
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult
+from oed.result.record import finite_or_none
 from pkm_studies.base.errors import InputError
 from pkm_studies.resolve import conventions
 from pkm_studies.sessions.acceptance.promise import FurtherPromise, PromisedAccuracy
@@ -72,16 +73,12 @@ def _demands(
         demands[component.name] = PromiseRecord(
             promised=units.number(promise.rms[k], unit),
             limit=units.number(plan.limits[k], unit),
-            confirms=_or_none(units.number(plan.confirms[k], unit)),
+            confirms=finite_or_none(units.number(plan.confirms[k], unit)),
             power=float(plan.power[k]),
             uncertainty=units.number(promise.uncertainty[k], unit),
             unit=unit,
         )
     return demands
-
-
-def _or_none(value: float) -> float | None:
-    return value if np.isfinite(value) else None
 
 
 def _further_demands(

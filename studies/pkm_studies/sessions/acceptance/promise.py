@@ -144,14 +144,15 @@ def _instrument_uncertainty(
     Zeroed at home, an error is the difference of two readings.
     """
     readings = 1.0 if reference == "absolute" else math.sqrt(2.0)
+    component_of = {READ.format(c.name): c.name for c in machine.components}
     sizes: dict[str, float] = {}
-    for component in machine.components:
-        for setup in result.setups:
-            for column, sigma in setup.sigma.items():
-                stem, unit = units.split(column)
-                if stem == READ.format(component.name):
-                    size = readings * float(units.to_si(sigma, unit))
-                    sizes[component.name] = min(size, sizes.get(component.name, size))
+    for setup in result.setups:
+        for column, sigma in setup.sigma.items():
+            stem, unit = units.split(column)
+            if stem in component_of:
+                name = component_of[stem]
+                size = readings * float(units.to_si(sigma, unit))
+                sizes[name] = min(size, sizes.get(name, size))
     return sizes
 
 

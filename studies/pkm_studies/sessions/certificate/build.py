@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -227,19 +228,20 @@ def _conformities(
         if name in parts:
             promise, k = parts[name]
             none = np.zeros(len(promise.maps))
-            p = _predicted_within(promise, k, none, largest, _rng(result, name))
+            alone = functools.partial(_by_geometry, result, promise, k, none)
             basis = "predicted from the calibration, over the workspace"
-            yield _predicted_conformity(result, name, basis, largest, known[name], p)
+            unit = known[name]
+            yield _predicted_conformity(result, name, basis, largest, unit, alone)
             yield from _measured_conformity(result, name, largest, known[name])
         elif name in section.parameters and _counts(name, section.parameters[name].sd):
             yield _of_parameter(section, name, largest, known[name])
         elif further is not None and name in undriven:
             k = undriven.index(name)
-            p = _predicted_within(
-                further.promise, k, further.known[:, k], largest, _rng(result, name)
-            )
+            error = further.known[:, k]
+            alone = functools.partial(_by_geometry, result, further.promise, k, error)
             basis = "predicted, no drive corrects it, over the workspace"
-            yield _predicted_conformity(result, name, basis, largest, known[name], p)
+            unit = known[name]
+            yield _predicted_conformity(result, name, basis, largest, unit, alone)
         else:
             raise place.error(
                 f"nothing is known of {name} that a tolerance could be compared with",
@@ -253,41 +255,36 @@ def _predicted_conformity(
     basis: str,
     largest: float,
     unit: str,
-    by_geometry: float,
+    by_geometry: Callable[[float], float],
 ) -> Conformity:
     """Conformity of a prediction: over the distribution that every verdict rests on.
 
-    by_geometry  probability by the geometry alone, where no such distribution is stored
+    by_geometry  probability of a largest error by the geometry alone, which is drawn where
+                 no such distribution is stored
     """
     prediction = result.judged_prediction
-    if prediction is None or not prediction.components[name].after.rms_quantiles:
-        basis = f"{basis}, {GEOMETRY_ALONE}"
-        quantity = f"rms error of {name}"
-        return Conformity(quantity, basis, largest, unit, by_geometry, can_pass=False)
-    spread = prediction.components[name].after
-    limit = units.number(largest, spread.unit)
-    verdict = accuracy_verdicts(result, {name: limit})[name]
-    basis = f"{basis}, {verdict.scope}"
-    if not verdict.confirmed:
-        basis += "; no measurement confirms it"
+    stored = None if prediction is None else prediction.components[name].after
+    if stored is None or not stored.rms_quantiles:
+        basis, can_pass = f"{basis}, {GEOMETRY_ALONE}", False
+        probability = by_geometry(largest)
+    else:
+        limit = units.number(largest, stored.unit)
+        probability = stored.probability_within(limit)
+        verdict = accuracy_verdicts(result, {name: limit})[name]
+        can_pass = verdict.confirmed and verdict.judgement == "pass"
+        basis = f"{basis}, {verdict.scope}"
+        if not verdict.confirmed:
+            basis += "; no measurement confirms it"
     return Conformity(
-        quantity=f"rms error of {name}",
-        basis=basis,
-        tolerance=largest,
-        unit=unit,
-        probability=spread.probability_within(limit),
-        can_pass=verdict.confirmed and verdict.judgement == "pass",
+        f"rms error of {name}", basis, largest, unit, probability, can_pass
     )
 
 
-def _rng(result: StudyResult, name: str) -> np.random.Generator:
-    return np.random.default_rng([result.seed, zlib.crc32(name.encode())])
-
-
-def _predicted_within(
-    promise: Promise, k: int, known: Array, largest: float, rng: np.random.Generator
+def _by_geometry(
+    result: StudyResult, promise: Promise, k: int, known: Array, largest: float
 ) -> float:
     """Probability of the rms error; fields have the predicted size, as for acceptance."""
+    rng = np.random.default_rng([result.seed, zlib.crc32(promise.names[k].encode())])
     root = covariance_root(promise.covariances[0])
     slopes = promise.maps[:, k]
     size = np.linalg.norm(slopes @ root) / np.sqrt(len(slopes))

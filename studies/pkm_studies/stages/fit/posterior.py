@@ -15,6 +15,7 @@ from oed.estimation.identification import Estimate
 from oed.measurement.measurement import Measurement
 from oed.posterior.posterior import MIXED_RHAT, Posterior
 from oed.result import IMPORTANCE, Marginal, PosteriorSection, PredictiveCheckRecord
+from oed.result.record import finite_or_none
 from pkm_studies.study.tables import PosteriorTable
 
 #: draws shown in the corner plot
@@ -53,12 +54,12 @@ def posterior_section(
     return PosteriorSection(
         marginals=marginals,
         sampler=posterior.sampler,
-        pareto_k=_finite(posterior.pareto_k),
+        pareto_k=finite_or_none(posterior.pareto_k),
         proposals=posterior.proposals,
-        acceptance=_finite(posterior.acceptance),
+        acceptance=finite_or_none(posterior.acceptance),
         draws=len(posterior.pooled),
         walkers=posterior.walkers,
-        autocorrelation=_finite(posterior.autocorrelation),
+        autocorrelation=finite_or_none(posterior.autocorrelation),
         directions=directions,
         corner=table,
     )
@@ -127,15 +128,10 @@ def marginal(values: Array, posterior: Posterior, k: int, unit: str) -> Marginal
         sd=float(values.std(ddof=1)),
         q025=float(low),
         q975=float(high),
-        rhat=_finite(posterior.rhat[k]),
+        rhat=finite_or_none(posterior.rhat[k]),
         ess=float(posterior.ess[k]),
         unit=unit,
     )
-
-
-def _finite(value: float) -> float | None:
-    """The value; None where the sampler has none."""
-    return float(value) if np.isfinite(value) else None
 
 
 def _widest(

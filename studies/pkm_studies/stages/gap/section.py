@@ -23,6 +23,7 @@ from oed.result.gap import (
     GapSection,
     SizeRecord,
 )
+from oed.result.record import finite_or_none
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.stages.gap import sentences, traces
 
@@ -86,11 +87,6 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         effective_laws=diagnosis.effective_laws,
     )
     return sentences.with_sentences(section)
-
-
-def finite_or_none(value: float) -> float | None:
-    """A number, or None where it is not finite."""
-    return float(value) if isfinite(value) else None
 
 
 def _selected(diagnosis: Diagnosis) -> list[str]:

@@ -77,10 +77,8 @@ def diagnose_gap(state: Fitted) -> Fitted:
     command names the effects; of those of a virtual machine where [gap] asks for it.
     """
     is_recorded = state.resolved.dataset is not None
-    names_effects = bool(state.with_effects)
-    is_asked = is_recorded and not names_effects
-    if state.study.identify.effects == NONE:
-        is_asked = False
+    allows_effects = state.study.identify.effects != NONE
+    is_asked = is_recorded and allows_effects and not state.with_effects
     if state.resolved.gap is None and not is_asked:
         return state
     return diagnose_always(state)
