@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import jinja2
 
+from pkm_reports.page import text
 from pkm_reports.view import scene
 from pkm_reports.view.scene import PageView
 from pkm_studies.page.guard import POLICY
@@ -79,6 +80,7 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals["MARKS"] = text.MARKS
     return environment
 
 
