@@ -11,11 +11,12 @@ import report_fixture
 import sample
 from report_fixture import result_of
 
-from oed.result import StudyResult, verdict
+from oed.result import StudyResult, VerdictRecord, VerificationSection, verdict
 from pkm_reports.page.blocks import Table
 from pkm_reports.sections.answer import accuracy
 from pkm_studies.commands import cli
 from pkm_studies.sessions import next_reading as advice
+from pkm_studies.stages import result_folder
 from pkm_studies.study import load
 
 WANTED = "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n"
@@ -70,6 +71,23 @@ def test_verdicts_stand_beside_the_predicted(
 def test_what_passes_exits_with_zero(tmp_path: Path) -> None:
     study = _study(tmp_path, "z_mm = 100")
     assert cli.main(["run", str(study), "--out", str(tmp_path / "o"), "--quiet"]) == 0
+
+
+@pytest.mark.parametrize(("rms", "stated"), [(2.0, "pass"), (9.0, "cannot tell")])
+def test_stored_verdicts_follow_an_acceptance_test(
+    tmp_path: Path, rms: float, stated: str
+) -> None:
+    """A test that meets 5 um confirms what is wanted; one that fails takes the pass."""
+    study, out = _study(tmp_path, "z_mm = 100"), tmp_path / "out"
+    assert cli.main(["run", str(study), "--out", str(out), "--quiet"]) == 0
+    result = _result(out)
+    assert not result.verdicts["z"].confirmed
+    meets = rms <= 5.0
+    tested = VerdictRecord(rms, rms, 6.0, 5.0, "um", meets)
+    section = VerificationSection(meets, 6, {"z": tested})
+    result_folder.rewrite(out, msgspec.structs.replace(result, verification=section))
+    again = _result(out).verdicts["z"]
+    assert (again.judgement, again.confirmed) == (stated, meets)
 
 
 def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:

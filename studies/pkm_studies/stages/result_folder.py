@@ -18,6 +18,7 @@ from oed.posterior import posterior
 from oed.posterior.checkpoint import Checkpoint
 from oed.posterior.posterior import Posterior
 from oed.result import StudyResult
+from oed.result.verdict import accuracy_verdicts
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.resolve import conventions
@@ -99,7 +100,11 @@ def add_forecast(folder: Path, result: StudyResult, state: RunState) -> StudyRes
 
 
 def rewrite(folder: Path, result: StudyResult) -> None:
-    """Write result.json of a folder again, and the reports that the folder has."""
+    """Write result.json of a folder again, and the reports that the folder has.
+
+    Its verdicts are those of the result as it is now: an acceptance test confirms them.
+    """
+    result = msgspec.structs.replace(result, verdicts=accuracy_verdicts(result))
     _set_aside(folder)
     _write_result(folder, result)
     html, pdf = ((folder / f"report.{kind}").is_file() for kind in ("html", "pdf"))
