@@ -51,6 +51,11 @@ class IdentifiableCoordinates:
         """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
         return self.origin + z @ self.basis.T
 
+    def widened(self, factor: float) -> IdentifiableCoordinates:
+        """The same with tolerances a factor as large, null directions apart."""
+        basis, dual = factor * self.basis, self.dual / factor
+        return dataclasses.replace(self, basis=basis, dual=dual)
+
 
 def identifiable_coordinates(
     measurement: Measurement,

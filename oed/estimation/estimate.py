@@ -58,7 +58,8 @@ class Estimate:
     law_check         whether the estimated law, without a course through the session,
                       explains the readings as noise; None where its course does, or where
                       the noise is as stated, or effects are allowed. Where it does not,
-                      `noise` is the stated one, wider, without a noise posterior
+                      the estimate is that of the stated weights, `widened`, without a
+                      noise posterior
 
     >>> import numpy as np
     >>> from oed import Measurement, mount
@@ -107,6 +108,29 @@ class Estimate:
         if self.law_check is None or not self.law_check.is_contradicted:
             return 1.0
         return float(np.sqrt(max(self.chi2 / max(self.dof, 1.0), 1.0)))
+
+    @property
+    def widening(self) -> float:
+        """Factor on noise and tolerances in the intervals."""
+        if self.law_check is None or not self.law_check.is_contradicted:
+            return 1.0
+        return self.law_check.widening
+
+    def widened(self, factor: float) -> Estimate:
+        """The same values, with noise and tolerances a factor as large.
+
+        Both alike, so that doubt of the noise moves no value. Directions that no reading
+        determines keep their tolerance: no residual tells of them.
+        """
+        null = self.coordinates.null_basis
+        lost = null @ null.T
+        return dataclasses.replace(
+            self,
+            covariance=factor**2 * (self.covariance - lost) + lost,
+            coordinates=self.coordinates.widened(factor),
+            z=self.z / factor,
+            noise=self.noise.scaled(factor),
+        )
 
     @property
     def shrinkage(self) -> Array:

@@ -64,8 +64,8 @@ def contradicted_law(estimate: Estimate) -> list[str]:
         f" parameters {np.sqrt(check.ratio):.1f} times as far as noise would (probability"
         f" {check.probability:.2g}): the model may lack an effect; `oed diagnose` looks"
         ' for it, and effects = "catalogue" in [identify] allows for it. The readings have'
-        " their stated weights, as in least squares, and all standard deviations are those of a"
-        f" noise {check.widening:.1f} times the stated one"
+        " their stated weights, as in least squares, and all standard deviations are those of"
+        f" noise and tolerances {check.widening:.1f} times the stated ones"
     ]
 
 

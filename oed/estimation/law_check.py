@@ -12,9 +12,10 @@ S = A^-1 (1 + H^T D^-1 C D^-1 H) A^-1. What the model lacks is no noise: the law
 channels that parameters can be bent to, and differences of neighbouring readings, and d is
 too large. Tested is the sum of squares that the law's estimate adds, d^T H^T D^-1 H d.
 
-Where it is too large, readings have their stated weights, as in least squares. Their noise
-is the stated one, T, times a factor w that makes the variances of the estimate what they are
-under the law, on average over its r directions (Pauli, Racugno and Ventura 2011):
+Where it is too large, readings have their stated weights, as in least squares. Noise and
+tolerances are the stated ones, T, times a factor w that makes the variances of the estimate
+what they are under the law, on average over its r directions (Pauli, Racugno and Ventura
+2011):
 
     w^2 = tr[(H^T T^-1 H)^-1 H^T T^-1 C T^-1 H] / r.
 """

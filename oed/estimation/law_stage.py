@@ -100,14 +100,14 @@ def _by_stated_weights(
     first: Estimate,
     check: LawCheck,
 ) -> Estimate:
-    """The fit with stated weights, of a noise that the readings' law makes wider.
+    """The fit with stated weights, its intervals as wide as the readings' law makes them.
 
     robust  the fit with readings far off replaced;  first  with the stated noise
     """
-    wider = stated.scaled(check.widening)
     (stage,) = first.stages
     before = first.residuals_before
-    estimate = last_stage(robust, wider, first.theta, before, stage.patterns)
+    by_stated = last_stage(robust, stated, first.theta, before, stage.patterns)
+    estimate = by_stated.widened(check.widening)
     residuals = fit.residuals(estimate.theta)
     white = stated.whiten(residuals)
     return dataclasses.replace(

@@ -68,7 +68,7 @@ def predict_runs(
     noise, common = estimate.noise.of_runs()
     white = noise.whiten(about_nominal)
     freed = estimate.prior_sd > 0.0
-    in_prior_units = measurement.in_prior_units(jacobian, freed)
+    in_prior_units = estimate.widening * measurement.in_prior_units(jacobian, freed)
     slopes = noise.whiten(np.hstack([in_prior_units, common]))
     gram = np.eye(slopes.shape[1]) + slopes.T @ slopes
     root = linalg.cholesky(gram, lower=True)
