@@ -59,13 +59,20 @@ def contradicted_law(estimate: Estimate) -> list[str]:
     check = estimate.law_check
     if check is None or not check.is_contradicted:
         return []
-    return [
+    reason = (
         "what single channels and neighbouring readings have in common moves the"
         f" parameters {np.sqrt(check.ratio):.1f} times as far as noise would (probability"
-        f" {check.probability:.2g}): the model may lack an effect; `oed diagnose` looks"
-        ' for it, and effects = "catalogue" in [identify] allows for it. The readings have'
-        " their stated weights, as in least squares, and all standard deviations are those of"
-        f" noise and tolerances {check.widening:.1f} times the stated ones"
+        f" {check.probability:.2g})"
+    )
+    if not check.is_noise:
+        reason = (
+            f"neighbouring readings share an error of {check.carried:.1f} times the stated"
+            " noise, which is more than a stated noise can be wrong by"
+        )
+    return [
+        f"{reason}: the model may lack an effect; `oed diagnose` looks for it. The readings"
+        " have their stated weights, as in least squares, and all standard deviations are"
+        f" those of noise and tolerances {check.widening:.1f} times the stated ones"
     ]
 
 

@@ -12,10 +12,10 @@ S = A^-1 (1 + H^T D^-1 C D^-1 H) A^-1. What the model lacks is no noise: the law
 channels that parameters can be bent to, and differences of neighbouring readings, and d is
 too large. Tested is the sum of squares that the law's estimate adds, d^T H^T D^-1 H d.
 
-Where it is too large, readings have their stated weights, as in least squares. Noise and
-tolerances are the stated ones, T, times a factor w that makes the variances of the estimate
-what they are under the law, on average over its r directions (Pauli, Racugno and Ventura
-2011):
+Where it is too large, or the law carries along more than a stated noise can be wrong by,
+readings have their stated weights, as in least squares. Noise and tolerances are the stated
+ones, T, times a factor w that makes the variances of the estimate what they are under the
+law, on average over its r directions (Pauli, Racugno and Ventura 2011):
 
     w^2 = tr[(H^T T^-1 H)^-1 H^T T^-1 C T^-1 H] / r.
 """
@@ -30,12 +30,16 @@ from scipy import special
 from oed.base.arrays import Array
 from oed.noise.factor import Errors, LinearFactor
 from oed.noise.law_noise import errors_of, factor_of
+from oed.noise.prior import KNOWN_TO
 from oed.noise.process import Laws, stated_laws
 from oed.noise.structure import ReadingStructure
 
 #: probability of a larger difference below which the law's weights are not used: the
 #: usual level of a test, as a wrong law costs far more than plain weights
 CONTRADICTED = 0.05
+#: error that is carried along, over the stated noise, from which it is none of the
+#: instrument's: two standard deviations of what a statement is good for
+NO_NOISE = KNOWN_TO**2
 #: share of a variance that is rounding
 ROUNDING = 1e-9
 
@@ -47,16 +51,24 @@ class LawCheck:
     ratio        of the sum of squares between them to what the law lets expect
     probability  of a larger one if what the law describes is noise
     widening     w: sd of an estimate by stated weights under the law, over the stated one
+    carried      standard deviation of what readings have in common with their neighbours,
+                 over the stated noise; 0 where that is an assumption
     """
 
     ratio: float
     probability: float
     widening: float
+    carried: float = 0.0
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether neighbouring readings have no more in common than noise can."""
+        return self.carried <= NO_NOISE
 
     @property
     def is_contradicted(self) -> bool:
         """Whether the readings speak against the law's weights."""
-        return self.probability < CONTRADICTED
+        return self.probability < CONTRADICTED or not self.is_noise
 
 
 def check_law(
@@ -82,7 +94,15 @@ def check_law(
     total = float(difference @ information @ difference)
     ratio, probability = _of_sum(total, expected)
     stated = factor_of(structure, stated_laws(structure))
-    return LawCheck(ratio, probability, _widening(slopes, stated, errors))
+    widening = _widening(slopes, stated, errors)
+    return LawCheck(ratio, probability, widening, _carried(structure, law))
+
+
+def _carried(structure: ReadingStructure, law: Laws) -> float:
+    """What the first law carries along, of the group in which it is largest."""
+    if structure.statement.is_assumed:
+        return 0.0
+    return float(law.scale[0].max() * np.sqrt(law.carried[0]))
 
 
 def _uncorrelated(law: Laws) -> Laws:
