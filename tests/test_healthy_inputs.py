@@ -46,9 +46,9 @@ def test_effects_that_do_not_act_cost_no_accuracy(
         pytest.skip(f"{folder} is not there")
     allowed = '[identify]\neffects = "catalogue"\n'
     found = result(folder, tmp_path / "case", "identify", "", allowed)
-    assert low < found["prediction"]["components"]["x"]["after"]["rms"] < high
-    sent = found["estimate"]["controller"]
-    for parameter, value in sent.items():
+    mixture = found["gap"]["mixture"]
+    assert low < mixture["prediction"]["components"]["x"]["after"]["rms"] < high
+    for parameter, value in mixture["controller"].items():
         estimate = found["estimate"]["parameters"][parameter]
         assert abs(value - estimate["value"]) < 2.0 * estimate["prior_sd"]
 

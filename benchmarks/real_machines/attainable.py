@@ -27,7 +27,7 @@ from oed.design import candidates
 from oed.design.blocks import information
 from oed.design.criterion.variance import Variance
 from oed.design.exchange import choose
-from oed.estimation.effect_sizes import healthy_size
+from oed.estimation.effect_sizes import HEALTHY
 from oed.identifiability.information import prior_information
 from pkm_studies.resolve.planned_effects import effects_of_planned, pose_error_slopes
 
@@ -118,7 +118,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             bench = world.draw(options.machine, 0, "healthy", seed, Path(folder))
         full = effects_of(bench, np.random.default_rng(seed))
-        sizes = (None, full.of_size(healthy_size()), full)
+        sizes = (None, full.of_size(HEALTHY), full)
         worlds = [problem(bench, effects) for effects in sizes]
         plans = [
             one.plan(options.readings, np.random.default_rng(seed)) for one in worlds

@@ -77,10 +77,6 @@ def goodness_of_estimate(
 
     doubtful  (N,) values that are fitted, and that the figures leave out
     """
-    if estimate.effects is not None:
-        p_low = float(special.chdtr(estimate.dof, estimate.chi2))
-        p_high = float(special.chdtrc(estimate.dof, estimate.chi2))
-        return Goodness(estimate.chi2, estimate.dof, p_low, p_high)
     noise = measurement.noise(series)
     jacobian = measurement.jacobian(series, estimate.theta)
     slopes = measurement.in_prior_units(jacobian, estimate.prior_sd > 0.0)

@@ -172,7 +172,7 @@ def goodness_of_delivered(
     """
     fitted = goodness_of_estimate(measurement, series, estimate, doubtful)
     posterior, robust = estimate.noise_posterior, estimate.robust_readings
-    if posterior is None or robust is None or estimate.effects is not None:
+    if posterior is None or robust is None:
         return fitted
     structure = posterior.structure
     jacobian = measurement.jacobian(series, estimate.theta)

@@ -2,9 +2,8 @@
 
 A reading is geometry + effects + noise (Kennedy and O'Hagan 2001, J. R. Stat. Soc. B 63,
 425-464; Brynjarsdottir and O'Hagan 2014, Inverse Problems 30, 114007). The effects change
-the readings by G b. The coefficients b of a group (an effect in one leg) have a common
-size t_g: b ~ N(0, t_g^2), in expected sizes of the effect. Sizes have a prior with heavy
-tails and are drawn with the coefficients (`oed.estimation.effect_sizes`).
+the readings by G b. All coefficients have a common size t: b ~ N(0, t^2), in expected sizes
+of their effects, which is drawn with them (`oed.estimation.effect_sizes`).
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
+from oed.estimation.effect_sizes import SMALL
 from oed.noise.covariance import Noise
 
 
@@ -25,16 +25,14 @@ class Discrepancy:
     group    (k,) number of the group of each coefficient
     names    (g,) of the groups, `effect` or `effect: block`
     unknown  (g,) which groups stand for effects of no known form
+    sizes    (t,) common sizes that are possible, in expected sizes
     """
 
     columns: Array
     group: Index
     names: tuple[str, ...]
     unknown: Mask
-
-    def members(self) -> list[Index]:
-        """Numbers of the coefficients of each group."""
-        return [np.flatnonzero(self.group == g) for g in range(len(self.names))]
+    sizes: Array = dataclasses.field(default_factory=lambda: SMALL)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -43,23 +41,17 @@ class SampledEffects:
 
     discrepancy   what was fitted
     coefficients  (m, k) draws, in expected sizes
-    sizes         (m, g) draws of the sizes of the groups, in expected sizes
+    size          (m,) draws of the common size, in expected sizes
     theta         (m, n) draws of the parameters, SI, that belong to them; directions that
                   no reading determines are nominal
-    faulty        probability that an effect is present, beyond those that are as small as
-                  all of this machine are
+    log_evidence  of the readings with effects, over that without
     """
 
     discrepancy: Discrepancy
     coefficients: Array
-    sizes: Array
+    size: Array
     theta: Array
-    faulty: float
-
-    @property
-    def rms_sizes(self) -> Array:
-        """Root mean square (g,) of the sizes of each group over the draws."""
-        return np.asarray(np.sqrt((self.sizes**2).mean(axis=0)))
+    log_evidence: float
 
     @property
     def changes(self) -> Array:

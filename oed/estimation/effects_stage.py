@@ -1,10 +1,10 @@
 """Parameters, effects and noise law together: the effects' draws.
 
 Residuals about nominal parameters are r = H z + G b + e, with z ~ N(0, I), the effects'
-coefficients b of uncertain sizes and e of a noise law. In turn, sizes and coefficients
-are drawn under a law (`oed.estimation.effect_sizes`), and the most probable law is found
-with the effects at the sizes drawn. A large error can pass for noise or for an effect:
-both the stated law and that of a fit without effects are starts, weighed by evidence.
+coefficients b of an uncertain common size and e of a noise law. In turn, size and
+coefficients are drawn under a law (`oed.estimation.effect_sizes`), and the most probable
+law is found with the effects at the sizes drawn. A large error can pass for noise or for an
+effect: both the stated law and that of a fit without effects are starts, weighed by evidence.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index, Mask
+from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import precision_root
 from oed.estimation import effect_sizes
 from oed.estimation.coordinates import IdentifiableCoordinates
@@ -29,8 +29,6 @@ from oed.noise.structure import ReadingStructure
 
 #: rounds of effects and law; draws in each, and at the end
 ROUNDS, PARTICLES, DRAWS = 3, 150, 400
-#: sweeps of the draws in each round
-SWEEPS = 4
 #: singular values of the effects' columns, in units of the noise, below which they are
 #: left out of the covariance
 FAINT = 0.1
@@ -104,21 +102,23 @@ def fit_effects(
         for start in starts
     ]
     weights = special.softmax([fit.log_evidence for fit in fits])
+    none = max(fit.log_evidence_without for fit in fits)
     number = rng.choice(len(fits), size=DRAWS, p=weights)
     best = fits[int(np.argmax(weights))]
     parts = [fit.taken(np.flatnonzero(number == k)) for k, fit in enumerate(fits)]
-    means = np.vstack([p[4] for p in parts])
+    means = np.vstack([p[3] for p in parts])
     theta = means.mean(axis=0)
     offsets = means - theta
     within = sum(w * fit.within() for w, fit in zip(weights, fits, strict=True))
     sampled = SampledEffects(
         discrepancy=discrepancy,
         coefficients=np.vstack([p[0] for p in parts]),
-        sizes=np.vstack([p[1] for p in parts]),
+        size=np.concatenate([p[1] for p in parts]),
         theta=np.vstack([p[2] for p in parts]),
-        faulty=float(np.concatenate([p[3] for p in parts]).mean()),
+        log_evidence=best.log_evidence - none,
     )
-    widened = _scaled_columns(columns, sampled.rms_sizes[discrepancy.group])
+    rms = float(np.sqrt((sampled.size**2).mean()))
+    widened = _principal_columns(rms * columns)
     return FittedEffects(
         sampled=sampled,
         structure=dataclasses.replace(structure, effects=widened),
@@ -134,6 +134,7 @@ class _Settled:
 
     z, means    (m, r) of the coordinates, drawn given each draw of the effects, and means
     root        (r, r) of the covariance of z given the effects
+    log_evidence_without  effects, under its own most probable law
     """
 
     linear: ReadingsAbout
@@ -143,15 +144,15 @@ class _Settled:
     root: Array
     mode: Array
     log_evidence: float
+    log_evidence_without: float
 
-    def taken(self, rows: Index) -> tuple[Array, Array, Array, Mask, Array]:
-        """Coefficients, sizes, parameters, faulty and mean parameters, of some draws."""
+    def taken(self, rows: Index) -> tuple[Array, Array, Array, Array]:
+        """Coefficients, sizes, parameters and mean parameters of some draws."""
         draws, to_theta = self.draws, self.linear.coordinates.to_theta
         return (
             draws.coefficients[rows],
-            draws.sizes[rows],
+            draws.size[rows],
             to_theta(self.z[rows]),
-            draws.faulty[rows],
             to_theta(self.means[rows]),
         )
 
@@ -180,29 +181,28 @@ class _Alternation:
             mode, law = start.mode, self.prior.laws(start.mode[None])
         linear = self.linearise(theta)
         gram = self._gram(law, linear, linear.residual)
-        draws = self._draw(gram, PARTICLES, SWEEPS)
+        draws = self._draw(gram, PARTICLES)
         for _ in range(ROUNDS):
             linear = self.linearise(theta)
             clean = self._clean(law, linear, draws)
-            draws = self._draw(self._gram(law, linear, clean), PARTICLES, SWEEPS)
-            mode = self._most_probable_law(linear, clean, draws, mode)
+            draws = self._draw(self._gram(law, linear, clean), PARTICLES)
+            slopes = np.hstack([linear.slopes, self._widened(draws)])
+            mode = self._most_probable_law(slopes, clean, mode)
             law = self.prior.laws(mode[None])
             gram = self._gram(law, linear, clean)
             means, _ = self._coordinates(gram, draws)
             theta = linear.coordinates.to_theta(means.mean(axis=0))
-        draws = self._draw(gram, DRAWS, 2 * SWEEPS)
+        draws = self._draw(gram, DRAWS)
         means, root = self._coordinates(gram, draws)
         z = means + self.rng.standard_normal(means.shape) @ root.T
-        centre = np.zeros(linear.slopes.shape[1])
-        alone = ResidualModel(self.structure, linear.residual, linear.slopes, centre)
-        evidence = float(alone.solve(law).log_marginal[0]) - 0.5 * float(mode @ mode)
-        evidence += draws.log_evidence
-        return _Settled(linear, draws, z, means, root, mode, evidence)
+        evidence = self._log_evidence(linear, clean, mode) + draws.log_evidence
+        without = self._most_probable_law(linear.slopes, clean, mode)
+        none = self._log_evidence(linear, clean, without)
+        return _Settled(linear, draws, z, means, root, mode, evidence, none)
 
     def _widened(self, draws: EffectDraws) -> Array:
         """Columns of the effects at the root mean square of their coefficients."""
-        sizes = np.sqrt((draws.sizes**2).mean(axis=0))
-        return _scaled_columns(self.columns, sizes[self.discrepancy.group])
+        return _principal_columns(draws.rms_size * self.columns)
 
     def _clean(self, law: Laws, linear: ReadingsAbout, draws: EffectDraws) -> Array:
         """Residuals (N,) about nominal, with those far off replaced."""
@@ -214,7 +214,7 @@ class _Alternation:
         values = np.column_stack([linear.slopes, clean, self.columns])
         return np.asarray(Whitening(self.structure, law).gram(values)[0])
 
-    def _draw(self, gram: Array, count: int, final: int) -> EffectDraws:
+    def _draw(self, gram: Array, count: int) -> EffectDraws:
         """Draws of the effects, with the parameters integrated out."""
         r = len(gram) - 1 - self.columns.shape[1]
         precision = gram[:r, :r] + np.eye(r)
@@ -222,23 +222,28 @@ class _Alternation:
         return effect_sizes.sample(
             0.5 * (reduced[1:, 1:] + reduced[1:, 1:].T),
             reduced[1:, 0],
-            self.discrepancy.members(),
-            self.discrepancy.unknown,
+            self.discrepancy.sizes,
             self.rng,
             count,
-            final,
         )
 
-    def _most_probable_law(
-        self, linear: ReadingsAbout, clean: Array, draws: EffectDraws, near: Array
-    ) -> Array:
-        """Coordinates (d,) of the most probable law with the effects integrated out."""
-        slopes = np.hstack([linear.slopes, self._widened(draws)])
+    def _most_probable_law(self, slopes: Array, clean: Array, near: Array) -> Array:
+        """Coordinates (d,) of the most probable law, unknowns of slopes integrated out."""
+        return most_probable(self._model(slopes, clean, near), self.prior, near)
+
+    def _log_evidence(self, linear: ReadingsAbout, clean: Array, mode: Array) -> float:
+        """Log evidence without effects under a law at coordinates (d,), with their prior."""
+        model = self._model(linear.slopes, clean, mode)
+        solved = model.solve(self.prior.laws(mode[None]))
+        return float(solved.log_marginal[0]) - 0.5 * float(mode @ mode)
+
+    def _model(self, slopes: Array, clean: Array, mode: Array) -> ResidualModel:
+        """Clean residuals as a linear model about its solution under a law."""
         middle = np.zeros(slopes.shape[1])
         model = ResidualModel(self.structure, clean, slopes, middle)
-        centre = model.solve(self.prior.laws(near[None])).mean[0]
-        about = ResidualModel(self.structure, clean - slopes @ centre, slopes, centre)
-        return most_probable(about, self.prior, near)
+        centre = model.solve(self.prior.laws(mode[None])).mean[0]
+        residual = clean - slopes @ centre
+        return ResidualModel(self.structure, residual, slopes, centre)
 
     def _coordinates(self, gram: Array, draws: EffectDraws) -> tuple[Array, Array]:
         """Means (m, r) of z given each draw of the effects, and root (r, r) of its
@@ -250,8 +255,7 @@ class _Alternation:
         return np.asarray((score.T @ root) @ root.T), root
 
 
-def _scaled_columns(columns: Array, sizes: Array) -> Array:
-    """Principal columns (N, k) of effects at their sizes (k,), those that count."""
-    scaled = columns * sizes
-    squares, axes = np.linalg.eigh(scaled.T @ scaled)
-    return np.asarray(scaled @ axes[:, squares > FAINT**2])
+def _principal_columns(columns: Array) -> Array:
+    """Principal columns (N, k) of effects at their size, those that count."""
+    squares, axes = np.linalg.eigh(columns.T @ columns)
+    return np.asarray(columns @ axes[:, squares > FAINT**2])

@@ -62,23 +62,6 @@ class HeldParameter(Record, frozen=True):
     tool_mm: float
 
 
-class EffectSizeRecord(Record, frozen=True):
-    """An effect beside the geometry, in the readings.
-
-    size     root mean square size over the draws, in expected sizes; `low` and `high`
-             are ends of its 95 % interval
-    change   root mean square change of the readings by it, in units of the stated noise
-    unknown  whether it stands for effects of no known form
-    """
-
-    name: str
-    size: float
-    low: float
-    high: float
-    change: float
-    unknown: bool
-
-
 class RunCurve(Record, frozen=True):
     """Readings along a run, as departures from those of the nominal machine, in `unit`.
 
@@ -125,12 +108,9 @@ class EstimateSection(Record, frozen=True):
     combinations: list[CombinationEstimate] = []
     # read, or read against, each once; none where only joints are recorded
     commands: list[dict[str, float]] = []
-    # effects beside the geometry, the largest first, and the probability that one is
-    # present; none where the study allows none
-    effects: list[EffectSizeRecord] = []
+    # of results of older versions, whose fit could allow effects beside the geometry
+    effects: list[dict[str, str | float | bool]] = []
     faulty: float | None = None
-    # what the controller is given, in the units of `parameters`; empty: the parameters
-    # themselves. `sent` names it: `mixture` takes up what is known of the effects
     controller: dict[str, float] = {}
     sent: str = MIXTURE
     # what the model holds exactly, and the readings contradict

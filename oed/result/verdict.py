@@ -30,7 +30,6 @@ SCOPES: Final = {
     "corrected": "with the effects that are corrected",
 }
 GEOMETRY_ALONE: Final = "geometry alone"
-WITH_FITTED_EFFECTS: Final = "with the effects that the fit allows"
 WITH_USUAL_EFFECTS: Final = "with usual effects at their expected sizes"
 
 
@@ -151,9 +150,7 @@ def _scope(result: StudyResult, section: PredictionSection) -> str:
         return WITH_USUAL_EFFECTS
     if section.mode in SCOPES:
         return SCOPES[section.mode]
-    estimate = result.estimate
-    with_effects = estimate is not None and bool(estimate.effects)
-    return WITH_FITTED_EFFECTS if with_effects else GEOMETRY_ALONE
+    return GEOMETRY_ALONE
 
 
 def _usual_effects(section: PredictionSection) -> dict[str, float]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
+from scipy import special
 
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.compensate.effects.fit import (
@@ -21,8 +23,10 @@ from oed.compensate.effects.mixture import (
     side_by_side,
 )
 from oed.estimation import identification
+from oed.estimation.effect_sizes import LARGE, SMALL
 from oed.estimation.estimate import Estimate
 from oed.estimation.identification import IdentificationError
+from oed.gap.cause.hypothesis import PRIOR
 from oed.gap.data.diagnosis import AnswerContent
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
@@ -35,23 +39,38 @@ from oed.result.gap import AnswerRecord
 LEAST_SHARE = 0.02
 #: draws of each answer at least
 LEAST_DRAWS = 300
+#: prior probability that small effects act, where nothing shows them
+SMALL_SHARE = PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
 
 
 @dataclasses.dataclass(frozen=True)
 class _Candidate:
-    """An answer, or what no reading shows of all answers.
+    """An answer, with what no reading shows.
 
     effects    as the diagnosis names them
     constants  {effect: its constants} of the effects of known form that act
-    unseen     whether effects act that are too small to be seen
     unknown    whether something of no known form acts
     """
 
     effects: tuple[str, ...]
     constants: Mapping[str, Mapping[str, float]]
-    unseen: bool
     unknown: bool
     probability: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _AnswerFit:
+    """A fit of an answer: geometry, effects of known form, and what acts beside them.
+
+    parameters  number of leading entries of theta that are no coefficients
+    columns     of the effects whose coefficients follow, and of those drawn beside
+    """
+
+    measurement: Measurement
+    series: Sequence[Series]
+    estimate: Estimate
+    parameters: int
+    columns: ExpectedColumns | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -102,76 +121,66 @@ class AnswerFits:
     def _posteriors(
         self, candidate: _Candidate, without_effects: Estimate
     ) -> Iterator[AnswerPosterior]:
-        """The posterior of an answer; none where it cannot be fitted."""
+        """The posterior of an answer without and with small effects; none without a fit.
+
+        Their evidence decides between the two.
+        """
         try:
-            if candidate.constants:
-                posterior = self._named(candidate, without_effects)
-            elif candidate.unseen or candidate.unknown:
-                posterior = self._unnamed(candidate)
-            else:
-                posterior = self._geometry(candidate, without_effects)
+            fit = self._known_form(candidate, without_effects)
+            beside = None if fit is None else self._with_others(candidate, fit)
         except (AssemblyError, IdentificationError, OutOfBoundsError):
             return
-        if posterior is not None:
-            yield posterior
+        if fit is None:
+            return
+        share = 0.0 if beside is None else _share_beside(candidate, beside.estimate)
+        for part, which, unseen in ((1.0 - share, fit, False), (share, beside, True)):
+            probability = part * candidate.probability
+            if which is not None and probability >= LEAST_SHARE:
+                named = dataclasses.replace(candidate, probability=probability)
+                with contextlib.suppress(AssemblyError, OutOfBoundsError):
+                    yield self._drawn(named, which, unseen and not candidate.unknown)
 
-    def _geometry(
+    def _known_form(
         self, candidate: _Candidate, without_effects: Estimate
-    ) -> AnswerPosterior:
-        """No gap: the geometry alone."""
+    ) -> _AnswerFit | None:
+        """Geometry and named effects."""
         readings = self.readings
-        return self._drawn(
-            candidate, readings.measurement, readings.series, without_effects
+        if not candidate.constants:
+            count = len(without_effects.theta)
+            return _AnswerFit(
+                readings.measurement, readings.series, without_effects, count
+            )
+        fitted = self._with_effects(candidate, without_effects)
+        if fitted is None:
+            return None
+        return _AnswerFit(
+            fitted.measurement,
+            fitted.series,
+            fitted.estimate,
+            fitted.parameters,
+            columns_of_forms(fitted.forms),
         )
 
-    def _unnamed(self, candidate: _Candidate) -> AnswerPosterior | None:
-        """Small effects, or something of no known form, beside the geometry."""
-        columns, readings = self._columns_beside(candidate), self.readings
+    def _with_others(self, candidate: _Candidate, fit: _AnswerFit) -> _AnswerFit | None:
+        """The same with what acts beside; None where nothing can."""
+        columns = self._columns_beside(candidate)
         if columns is None:
             return None
-        series = tuple(s.separate_poses() for s in readings.series)
+        series = fit.series
+        if fit.columns is None:  # with named effects they are apart
+            series = tuple(s.separate_poses() for s in series)
         estimate = identification.identify(
-            readings.measurement,
+            fit.measurement,
             series,
-            readings.y,
+            self.readings.y,
             estimate_noise=True,
+            start=fit.estimate.theta,
             discrepancy=columns.discrepancy,
             max_iterations=self.max_iterations,
             rng=self.rng,
         )
-        return self._drawn(candidate, readings.measurement, series, estimate, columns)
-
-    def _named(
-        self, candidate: _Candidate, without_effects: Estimate
-    ) -> AnswerPosterior | None:
-        """Named effects, and what acts beside them."""
-        fitted = self._with_effects(candidate, without_effects)
-        if fitted is None:
-            return None
-        columns = self._columns_beside(candidate)
-        estimate = fitted.estimate
-        if columns is not None:
-            estimate = identification.identify(
-                fitted.measurement,
-                fitted.series,
-                self.readings.y,
-                estimate_noise=True,
-                start=estimate.theta,
-                discrepancy=columns.discrepancy,
-                max_iterations=self.max_iterations,
-                rng=self.rng,
-            )
-        parts = [columns_of_forms(fitted.forms)]
-        if columns is not None:
-            parts.append(columns)
-        return self._drawn(
-            candidate,
-            fitted.measurement,
-            fitted.series,
-            estimate,
-            side_by_side(parts),
-            fitted.parameters,
-        )
+        every = columns if fit.columns is None else side_by_side([fit.columns, columns])
+        return dataclasses.replace(fit, series=series, estimate=estimate, columns=every)
 
     def _with_effects(
         self, candidate: _Candidate, without_effects: Estimate
@@ -198,55 +207,63 @@ class AnswerFits:
     def _columns_beside(self, candidate: _Candidate) -> ExpectedColumns | None:
         """Columns of what acts beside the geometry and the named effects."""
         allowed = self.allowed
-        if allowed is None or candidate.unseen:
-            return allowed
-        if not candidate.unknown:
+        if allowed is None:
             return None
-        unknown = allowed.discrepancy.unknown[allowed.discrepancy.group]
-        return allowed.take(unknown) if unknown.any() else None
+        group = allowed.discrepancy.group
+        if candidate.unknown:
+            chosen = allowed.discrepancy.unknown[group]
+            sizes = LARGE
+        else:
+            owners = [name.split(":")[0] for name in allowed.discrepancy.names]
+            chosen = ~np.isin(owners, list(candidate.constants))[group]
+            sizes = SMALL
+        return allowed.take(chosen).of_sizes(sizes) if chosen.any() else None
 
     def _drawn(
-        self,
-        candidate: _Candidate,
-        measurement: Measurement,
-        series: Sequence[Series],
-        estimate: Estimate,
-        columns: ExpectedColumns | None = None,
-        count: int | None = None,
+        self, candidate: _Candidate, fit: _AnswerFit, unseen: bool
     ) -> AnswerPosterior:
-        """The posterior of a fit; the first `count` entries of theta are parameters."""
+        """The posterior of a fit."""
+        estimate, count = fit.estimate, fit.parameters
         draws = max(round(DRAWS * candidate.probability), LEAST_DRAWS)
         drawn = laplace.draw_approximation(
-            measurement, series, self.readings.y, estimate, self.rng, draws
+            fit.measurement, fit.series, self.readings.y, estimate, self.rng, draws
         )
-        count = len(estimate.theta) if count is None else count
-        coefficients = np.hstack([drawn.theta[:, count:], drawn.effects])
         return AnswerPosterior(
             effects=candidate.effects,
-            unseen=candidate.unseen,
+            unseen=unseen,
             probability=candidate.probability,
             mean=estimate.theta[:count],
             covariance=estimate.covariance[:count, :count],
             theta=drawn.theta[:, :count],
-            columns=columns,
-            coefficients=coefficients,
+            estimate=estimate,
+            noise_law=drawn.noise_law,
+            columns=fit.columns,
+            coefficients=np.hstack([drawn.theta[:, count:], drawn.effects]),
         )
 
 
 def _candidates(
     answers: Sequence[AnswerRecord], contents: Sequence[AnswerContent]
 ) -> Iterator[_Candidate]:
-    """The answers at sizes that show; all that no reading shows is one of its own."""
+    """The answers at sizes that show; all that no reading shows is with no gap."""
+    unseen = sum(answer.unseen for answer in answers)
     for answer, content in zip(answers, contents, strict=True):
         if answer.visible > 0.0:
+            probability = answer.visible
+            if not answer.effects:
+                probability, unseen = probability + unseen, 0.0
             yield _Candidate(
-                answer.effects,
-                content.constants,
-                False,
-                content.unknown,
-                answer.visible,
+                answer.effects, content.constants, content.unknown, probability
             )
-    yield _Candidate((), {}, True, False, sum(answer.unseen for answer in answers))
+    yield _Candidate((), {}, False, unseen)
+
+
+def _share_beside(candidate: _Candidate, estimate: Estimate) -> float:
+    """Probability of a fit with what acts beside, against the one without."""
+    if candidate.unknown or estimate.effects is None:
+        return 1.0
+    log_odds = special.logit(SMALL_SHARE) + estimate.effects.log_evidence
+    return float(special.expit(log_odds))
 
 
 def with_constants(effect: Effect, constants: Mapping[str, float]) -> Effect:

@@ -69,7 +69,8 @@ class ExpectedColumns:
         acting = [block.any() for block in blocks]
         numbers, group = np.unique(self.discrepancy.group[chosen], return_inverse=True)
         return ExpectedColumns(
-            Discrepancy(
+            dataclasses.replace(
+                self.discrepancy,
                 columns=self.discrepancy.columns[:, chosen],
                 group=group.astype(np.intp),
                 names=tuple(self.discrepancy.names[g] for g in numbers),
@@ -78,6 +79,11 @@ class ExpectedColumns:
             tuple(f for f, acts in zip(self.forms, acting, strict=True) if acts),
             np.vstack([b for b, acts in zip(blocks, acting, strict=True) if acts]),
         )
+
+    def of_sizes(self, sizes: Array) -> ExpectedColumns:
+        """The same at some common sizes (t,), in expected sizes."""
+        discrepancy = dataclasses.replace(self.discrepancy, sizes=sizes)
+        return dataclasses.replace(self, discrepancy=discrepancy)
 
     def workspace_maps(
         self,

@@ -26,6 +26,7 @@ from oed.compensate.effects.effect_maps import ActingForm
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.compensate.effects.forms import ChosenForm
 from oed.estimation.discrepancy import Discrepancy
+from oed.estimation.estimate import Estimate
 
 #: draws of the mixture: each answer has as many as its share of them
 DRAWS = 2000
@@ -41,6 +42,8 @@ class AnswerPosterior:
     mean          (n,) parameters, SI
     covariance    (n, n) of the parameters
     theta         (m, n) draws of the parameters, SI
+    estimate      the fit; its theta has coefficients of named effects after the parameters
+    noise_law     (m, d) draws of the law's coordinates, one for each of the parameters
     columns       of what acts beside the parameters; None where nothing does
     coefficients  (m, k) draws of what acts, one for each draw of the parameters
     """
@@ -51,6 +54,8 @@ class AnswerPosterior:
     mean: Array
     covariance: Array
     theta: Array
+    estimate: Estimate
+    noise_law: Array
     columns: ExpectedColumns | None = None
     coefficients: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -103,14 +108,19 @@ class AnswerMixture:
             [np.interp(levels, reached[:, k], values[:, k]) for k in columns]
         )
 
-    def draw(self, rng: np.random.Generator, count: int = DRAWS) -> MixtureDraws:
-        """Draws of the machine: answers in their shares, each with its effects."""
+    def rows(self, rng: np.random.Generator, count: int = DRAWS) -> list[Index]:
+        """Numbers of draws of each answer: `count` in all, in the answers' shares."""
         edges = np.round(np.concatenate([[0.0], np.cumsum(self.shares)]) * count)
         counts = np.diff(edges).astype(int)
-        taken = [
+        return [
             rng.permutation(np.arange(max(n, len(a.theta))) % len(a.theta))[:n]
             for a, n in zip(self.answers, counts, strict=True)
         ]
+
+    def draw(self, rng: np.random.Generator, count: int = DRAWS) -> MixtureDraws:
+        """Draws of the machine: answers in their shares, each with its effects."""
+        taken = self.rows(rng, count)
+        counts = np.array([len(rows) for rows in taken])
         theta = [a.theta[rows] for a, rows in zip(self.answers, taken, strict=True)]
         acting = [
             (k, a.columns) for k, a in enumerate(self.answers) if a.columns is not None

@@ -63,7 +63,6 @@ def blocks(result: StudyResult) -> list[Block]:
         picture = Picture("parameters", lambda: parameters.draw(values), caption)
         chapter += [_table(values), picture]
     chapter += _combinations(estimate.combinations)
-    chapter += _effects(estimate)
     return chapter + _iterations(estimate.iterations)
 
 
@@ -216,40 +215,6 @@ def _combinations(combinations: Sequence[CombinationEstimate]) -> list[Block]:
         "Combinations whose parameters the readings do not determine one by one:"
         " departure from nominal."
     )
-    return [Table(columns, rows, caption)]
-
-
-def _effects(estimate: EstimateSection) -> list[Block]:
-    """The effects beside the geometry that change the readings most."""
-    shown = estimate.effects[:MOST_EFFECTS]
-    if not shown:
-        return []
-    columns = [
-        wide_column("Effect"),
-        *number_columns("Size", "from", "to", "Change of the readings"),
-    ]
-    rows = [
-        [
-            effect.name,
-            text.trimmed(effect.size, 2),
-            text.trimmed(effect.low, 2),
-            text.trimmed(effect.high, 2),
-            text.trimmed(effect.change, 2),
-        ]
-        for effect in shown
-    ]
-    others = len(estimate.effects) - len(shown)
-    rest = f" {others} more change the readings less." if others else ""
-    caption = (
-        "Effects beside the geometry: root mean square size over the expected one, with"
-        " ends of its 95 % interval, and root mean square change of the readings in units"
-        f" of the stated noise.{rest}"
-    )
-    if estimate.controller:
-        caption += (
-            " The controller gets the parameters of least expected error over the"
-            " workspace (oed compensate writes them); those above are the machine's."
-        )
     return [Table(columns, rows, caption)]
 
 

@@ -23,8 +23,8 @@ from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
 
-#: value of `effects` that allows none
-NONE = "none"
+#: values of `effects` that allow none, and all
+NONE, CATALOGUE = "none", "catalogue"
 #: combinations of effects that are unknowns of candidates, at most
 UNKNOWNS = 60
 #: courses of a session that are drawn

@@ -25,6 +25,7 @@ from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
 from pkm_studies.resolve.grids import Circles, ReferencePlan
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.plan import PlanRequest, plan_request
+from pkm_studies.resolve.planned_effects import CATALOGUE, named_effects
 from pkm_studies.resolve.prediction import (
     PredictionRequest,
     check_reach,
@@ -90,6 +91,17 @@ class ResolvedStudy:
     def gap_or_default(self) -> GapRequest:
         """What [gap] requests, or its defaults without the table. Raises InputError."""
         return self.gap or gap_request(self.study, self.machine)
+
+    @property
+    def diagnosed(self) -> GapRequest:
+        """The same for a diagnosis, with the effects that [identify] names alone, if any.
+
+        Raises InputError for a name that is no effect of the study.
+        """
+        request, names = self.gap_or_default, self.study.identify.effects
+        place = self.study.place.key("identify").key("effects")
+        named = named_effects(request, names or CATALOGUE, place)
+        return dataclasses.replace(request, effects=tuple(named))
 
     def with_dataset(self, dataset: Dataset | None) -> Self:
         """The study with these readings. Raises InputError where its prior has them."""

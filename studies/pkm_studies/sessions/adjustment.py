@@ -124,11 +124,6 @@ def _conditions(result: StudyResult) -> list[str]:
     """What the figures rest on, and what they leave out."""
     if result.corrected is not None:
         return list(result.corrected.conditions)
-    if result.estimate is not None and result.estimate.effects:
-        return [
-            "the geometry alone; effects beside it add to the errors before and after each"
-            " line"
-        ]
     return []
 
 

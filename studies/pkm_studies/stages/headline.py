@@ -20,7 +20,6 @@ from oed.result import (
     indices,
     verdict,
 )
-from oed.result.mixture import MIXTURE
 from oed.result.verdict import accuracy_verdicts
 from pkm_studies.stages.design.phrases import (
     design_sentences,
@@ -278,34 +277,7 @@ def _fit(section: EstimateSection | None, checked: GoodnessSection | None) -> li
     return [
         f"The fit of {section.readings} readings{_aside(checked)} changes their rms residual:"
         f" {'; '.join(changes)}.",
-        *_effects(section),
     ]
-
-
-def _effects(section: EstimateSection) -> list[str]:
-    """Effects beside the geometry: the largest, and whether one is present."""
-    if not section.effects or section.faulty is None:
-        return []
-    largest = section.effects[0]
-    sent = ""
-    if section.controller and section.sent == MIXTURE:
-        sent = ", and the controller's parameters take up what parameters can of them"
-    return [
-        f"The fit allows for {len(section.effects)} groups of effects beside the geometry;"
-        f" the prediction holds them{sent}. The readings are"
-        f" changed most by {largest.name}: by {largest.change:.2g} times the stated noise"
-        f" rms. It is {_probability(section.faulty)} that one group stands out from what"
-        " all machines have."
-    ]
-
-
-def _probability(share: float) -> str:
-    """A probability in words that draws can support."""
-    if share < 0.01:
-        return "improbable (below 1 %)"
-    if share > 0.99:
-        return "almost certain (above 99 %)"
-    return f"probable to {100 * share:.0f} %"
 
 
 def _aside(checked: GoodnessSection | None) -> str:

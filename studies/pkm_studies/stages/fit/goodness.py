@@ -21,7 +21,6 @@ from oed.dataset.file_rows import file_of
 from oed.estimation.run_prediction import RunPrediction
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 from pkm_studies.resolve.noise import noise_is_a_guess
-from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.run_state import Measured
 
@@ -69,10 +68,6 @@ def with_delivered(state: Measured, fitted: Goodness) -> Measured:
     checked = state.checked
     if checked is None:
         return state.with_sections(goodness=fit_figures(fitted))
-    if state.study.identify.fitted_effects != NONE:
-        # its sentences are on the geometry alone
-        figures = dataclasses.asdict(fitted)
-        return state.with_sections(goodness=replace(state.goodness, **figures))
     judged = checked.with_goodness(fitted, noise_is_a_guess=state.noise_is_a_guess)
     judged = _by_assumption(judged, is_assumed=state.study.noise.assumed)
     before = {finding.sentence for finding in checked.findings}

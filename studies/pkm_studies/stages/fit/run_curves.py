@@ -49,13 +49,12 @@ def fitted_curves(
     measurement: Measurement, series: Sequence[Series], estimate: Estimate
 ) -> list[RunCurve]:
     """A curve for each channel of each circle or line that was fitted."""
-    theta, effects = estimate.theta, estimate.effects
-    by_effects = 0.0 if effects is None else effects.changes
+    theta = estimate.theta
     nominal = nominal_readings(measurement, series)
     change = measurement.readings(series, theta) - nominal
     curves = ReadingCurves(
         measured=change + estimate.residuals,
-        predicted=change + by_effects,
+        predicted=change,
         sd=_reading_sd(measurement, series, estimate),
     )
     compensated = compensated_series(measurement, series, theta)
@@ -63,7 +62,7 @@ def fitted_curves(
         remaining = measurement.readings(compensated, theta) - nominal
         curves = dataclasses.replace(
             curves,
-            compensated=remaining + by_effects,
+            compensated=remaining,
             compensated_sd=_reading_sd(measurement, compensated, estimate),
         )
     return list(run_curves(measurement, series, curves))
@@ -102,14 +101,9 @@ def compensated_series(
 def _reading_sd(
     measurement: Measurement, series: Sequence[Series], estimate: Estimate
 ) -> Array:
-    """Standard deviation (N,) of a new reading: parameters, effects and noise."""
+    """Standard deviation (N,) of a new reading: parameters and noise."""
     jacobian = measurement.jacobian(series, estimate.theta)
-    effects = estimate.effects
-    if effects is None:
-        known = np.einsum("ij,jk,ik->i", jacobian, estimate.covariance, jacobian)
-    else:
-        changes = effects.coefficients @ effects.discrepancy.columns.T
-        known = (effects.theta @ jacobian.T + changes).var(axis=0)
+    known = np.einsum("ij,jk,ik->i", jacobian, estimate.covariance, jacobian)
     return np.asarray(np.sqrt(known + estimate.noise.sigma**2))
 
 

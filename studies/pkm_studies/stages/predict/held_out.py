@@ -20,44 +20,57 @@ from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_structure import reading_structure
 from oed.model.instrument import Channel
 from oed.noise.process import Whitening, stated_laws
-from oed.posterior.laplace import ApproximateDraws
 from oed.result import HeldOutSection
 from pkm_studies.stages.predict.hold_out_verdict import HeldOutComparison
 
-#: posterior draws used for predictive intervals
-PREDICTIVE_DRAWS = 2000
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DrawnMachines:
+    """Draws of the machine by one fit.
+
+    estimate  the fit
+    theta     (m, n) parameters, SI
+    law       (m, d) coordinates of the noise law
+    changes   (m, N) of the held-out readings by effects, SI; None without
+    """
+
+    estimate: Estimate
+    theta: Array
+    law: Array
+    changes: Array | None = None
+
+    def readings(self, measurement: Measurement, series: Series, start: int) -> Array:
+        """Readings (m, k) of a series, the held-out ones from `start` on, SI."""
+        predicted = measurement.readings([series], self.theta)
+        if self.changes is None:
+            return predicted
+        return predicted + self.changes[:, start : start + predicted.shape[1]]
 
 
 def held_out_sections(
     measurement: Measurement,
     series: Sequence[Series],
     y: Array,
-    estimate: Estimate,
-    known: ApproximateDraws,
+    drawn: Sequence[DrawnMachines],
     rng: np.random.Generator,
-    changes: Array | None = None,
 ) -> list[HeldOutSection]:
     """One section for each series and channel of the held-out readings y (N,), SI.
 
-    known    draws of the posterior, or of its approximation
-    changes  (m, N) of the readings by effects of these draws, SI; none by default
+    drawn  by each hypothesis, as many as its share
     """
-    count = min(PREDICTIVE_DRAWS, len(known.theta))
-    chosen = rng.choice(len(known.theta), size=count, replace=False)
-    theta, laws = known.theta[chosen], known.noise_law[chosen]
+    mean = np.vstack([machines.theta for machines in drawn]).mean(axis=0)
     sections, start = [], 0
     for s in series:
         channels = measurement.setups[s.setup].instrument.channels
         readings = y[start : start + len(s) * len(channels)]
-        predicted = measurement.readings([s], theta)
-        if changes is not None:
-            predicted = predicted + changes[chosen, start : start + len(readings)]
+        predicted = np.vstack([m.readings(measurement, s, start) for m in drawn])
         start += len(readings)
-        noise = _noise_draws(measurement, s, estimate, laws, rng)
+        noise = np.vstack([_noise_draws(measurement, s, m, rng) for m in drawn])
         centre = predicted.mean(axis=0)
-        adjust = _setup_adjustment(measurement, s, known.theta.mean(axis=0))
+        adjust = _setup_adjustment(measurement, s, mean)
         draws = (predicted + noise - centre) @ adjust.T
         low, high = np.quantile(draws, INTERVAL, axis=0)
         raw = readings - centre
@@ -125,18 +138,17 @@ def _setup_unknowns(measurement: Measurement, setup: str) -> Mask:
 def _noise_draws(
     measurement: Measurement,
     series: Series,
-    estimate: Estimate,
-    coordinates: Array,
+    drawn: DrawnMachines,
     rng: np.random.Generator,
 ) -> Array:
-    """Errors (m, N), SI, of new readings: one for each draw (m, d) of the noise law."""
-    structure = reading_structure(measurement, [series], estimate.theta)
-    laws = stated_laws(structure, len(coordinates), estimate.scatter)
-    fitted = estimate.noise_posterior
+    """Errors (m, N), SI, of new readings: one for each draw of the noise law."""
+    structure = reading_structure(measurement, [series], drawn.theta[0])
+    laws = stated_laws(structure, len(drawn.law), drawn.estimate.scatter)
+    fitted = drawn.estimate.noise_posterior
     if fitted is not None:
-        law = fitted.prior.laws(coordinates)
+        law = fitted.prior.laws(drawn.law)
         kinds = [_channel_kind(measurement, n) for n in fitted.structure.names]
-        scale = np.ones((len(coordinates), len(structure.names)))
+        scale = np.ones((len(drawn.law), len(structure.names)))
         for k, name in enumerate(structure.names):
             kind = _channel_kind(measurement, name)
             if kind in kinds:

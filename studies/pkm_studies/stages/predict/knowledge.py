@@ -138,7 +138,6 @@ def identified(
     series: Sequence[Series],
     estimate: Estimate,
     known: ApproximateDraws,
-    effects: ActingEffects | None = None,
 ) -> ParameterKnowledge:
     """After a fit: the estimate, and draws of what is known of the parameters."""
     count = len(measurement.machine.parameters)
@@ -155,7 +154,6 @@ def identified(
         draws=draws,
         worth=known.worth,
         estimated=estimated,
-        effects=effects,
     )
 
 

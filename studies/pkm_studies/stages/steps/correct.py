@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 def correct_for_effects(state: Fitted) -> Fitted:
     """Estimate the parameters together with the effects that are named or diagnosed."""
-    request, gap = state.resolved.gap_or_default, state.result.gap
+    request, gap = state.resolved.diagnosed, state.result.gap
     effects = _effects(state, request, gap)
     if not effects:
         return state
@@ -128,7 +128,7 @@ def _with_section(
     if len(command):
         theta = _approximate(corrected, rng) if draws is None else draws.pooled
         worth = None if draws is None else float(np.nanmin(draws.ess))
-        plain = state.plain.theta[: len(kinematics.machine.parameters)]
+        plain = state.estimate.theta[: len(kinematics.machine.parameters)]
         accuracy = predict_corrected(
             corrected, command, reference, rng, theta, worth, plain
         )

@@ -8,19 +8,12 @@ import msgspec
 
 from oed.base.arrays import Array
 from oed.checks.judgement import goodness_of_delivered
-from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.estimation import fit_warnings, identification, run_prediction
 from oed.estimation.held_parameters import contradicted_parameters
 from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import GoodnessSection
-from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.stages.fit import run_curves
-from pkm_studies.stages.fit.effects import (
-    expected_effects,
-    judged_with_effects,
-    with_effects,
-)
 from pkm_studies.stages.fit.estimate import (
     combination_estimates,
     estimate_section,
@@ -44,12 +37,6 @@ from pkm_studies.stages.fit.posterior import (
 )
 from pkm_studies.stages.run_state import Fitted, Measured, Stream, promote
 
-#: why there are no draws of the posterior after a fit with effects beside the geometry
-DRAWN = (
-    "the fit draws geometry and effects together, and its intervals hold both; with"
-    ' effects = "none" the posterior is that of the geometry alone'
-)
-
 
 def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     """Identify the parameters by least squares with tolerance priors.
@@ -58,12 +45,7 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     """
     readings, measurement = state.readings, state.measurement
     state.progress.stage("identification")
-    plain = estimate = _identify(state, start, None)
-    columns = None
-    if state.study.identify.fitted_effects != NONE:
-        columns = expected_effects(state, plain)
-    if columns is not None:
-        estimate = _identify(state, start, columns)
+    estimate = _identify(state, start)
     _refuse_mode_jump(state, estimate.theta)
     fitted_as = goodness_of_delivered(
         measurement, readings.series, readings.y, estimate, state.doubtful_values
@@ -86,20 +68,12 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     section = msgspec.structs.replace(section, runs=curves)
     runs = run_prediction.predict_runs(measurement, readings.series, estimate)
     goodness = with_left_out(_goodness(state, estimate), runs)
-    if columns is not None:
-        state, goodness = judged_with_effects(state, goodness, estimate)
-    if columns is not None:
-        section = with_effects(section, estimate, columns, measurement, readings.series)
-    fitted = promote(
-        Fitted, state, estimate=estimate, plain=plain, effect_columns=columns
-    )
+    fitted = promote(Fitted, state, estimate=estimate)
     fitted = fitted.with_sections(estimate=section, goodness=goodness)
     return fitted.with_warnings(*section.warnings, *surprises(runs))
 
 
-def _identify(
-    state: Measured, start: Array | None, columns: ExpectedColumns | None
-) -> identification.Estimate:
+def _identify(state: Measured, start: Array | None) -> identification.Estimate:
     """The fit; where it fails, the error opens with what the check of readings found."""
     try:
         return identification.identify(
@@ -110,8 +84,6 @@ def _identify(
             estimate_noise=state.estimates_noise,
             start=start,
             max_iterations=state.study.identify.max_iterations,
-            discrepancy=None if columns is None else columns.discrepancy,
-            rng=state.rng(Stream.SIZES),
         )
     except identification.IdentificationError as error:
         raise with_finding(state, error) from error
@@ -150,15 +122,10 @@ def _refuse_mode_jump(state: Measured, theta: Array) -> None:
 
 
 def sample_posterior(state: Fitted) -> Fitted:
-    """Sample the posterior about the estimate.
-
-    With effects beside the geometry the fit has drawn it already.
-    """
+    """Sample the posterior about the estimate."""
     table = state.study.posterior
     if not table.enabled:
         return state.without_section("posterior", "[posterior] enabled is false")
-    if state.estimate.effects is not None:
-        return state.without_section("posterior", DRAWN)
     posterior.import_samplers(table.sampler)
     state.progress.stage("posterior")
     draws = posterior.sample(

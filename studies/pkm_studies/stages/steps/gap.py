@@ -9,7 +9,7 @@ from oed.design.rules import Rules
 from oed.measurement.measurement import Measurement
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
-from pkm_studies.resolve.planned_effects import NONE
+from pkm_studies.resolve.planned_effects import CATALOGUE, NONE
 from pkm_studies.stages.gap import detectability, second_visit, section
 from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
 from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT, Stream
@@ -74,11 +74,13 @@ def diagnose_gap(state: Fitted) -> Fitted:
     """Find which effects cause what calibration leaves.
 
     Of readings of a machine always, unless the study allows the geometry alone or the
-    command names the effects; of those of a virtual machine where [gap] asks for it.
+    command names the effects; of those of a virtual machine where the study asks for it.
     """
     is_recorded = state.resolved.dataset is not None
-    allows_effects = state.study.identify.effects != NONE
-    is_asked = is_recorded and allows_effects and not state.with_effects
+    by_default = CATALOGUE if is_recorded else NONE
+    effects = state.study.identify.effects
+    is_asked = (by_default if effects is None else effects) not in (NONE, [])
+    is_asked = is_asked and not state.with_effects
     if state.resolved.gap is None and not is_asked:
         return state
     return diagnose_always(state)
@@ -86,7 +88,7 @@ def diagnose_gap(state: Fitted) -> Fitted:
 
 def diagnose_always(state: Fitted) -> Fitted:
     """Diagnose by [gap], or by its defaults where the study has none."""
-    return _diagnose(state, state.resolved.gap_or_default)
+    return _diagnose(state, state.resolved.diagnosed)
 
 
 def _diagnose(state: Fitted, request: GapRequest) -> Fitted:

@@ -25,23 +25,24 @@ def mix_answers(state: Fitted) -> Fitted:
     if state.fit_is_bad and state.corrected is None:
         return state
     state.progress.stage("parameters over all answers")
-    request = state.resolved.gap_or_default
+    request = state.resolved.diagnosed
     given = readings_with_covariates(state, request)
-    problem = given.problem(state.plain.theta)
+    problem = given.problem(state.estimate.theta)
     testable = [e for e in request.effects if untestable(e, problem.states) is None]
     rng = state.rng(Stream.MIXTURE)
     fits = AnswerFits(
         readings=given,
         effects=request.effects,
-        allowed=state.effect_columns or expected_columns(problem, testable),
+        allowed=expected_columns(problem, testable),
         estimate_noise=state.estimates_noise,
         rng=rng,
         max_iterations=state.study.identify.max_iterations,
         corrected=state.corrected,
     )
-    mixture = fits.fit(diagnosis.answers, diagnosis.contents, state.plain)
+    mixture = fits.fit(diagnosis.answers, diagnosis.contents, state.estimate)
     if mixture is None:
         return state
+    state = state.replace(mixture=mixture)
     corrected, table = state.corrected, state.study.prediction
     theta = state.estimate.theta
     if corrected is not None:
@@ -56,7 +57,7 @@ def mix_answers(state: Fitted) -> Fitted:
         state.measurement,
         given.series,
         mixture,
-        sections.BestAnswer(theta, corrected, state.plain.theta),
+        sections.BestAnswer(theta, corrected, state.estimate.theta),
         use,
         Stream.MIXTURE_ACCURACY.key(state.seed),
     )

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Any, get_args
+from typing import get_args
 
 import msgspec
 import numpy as np
 
 from oed.accuracy.budget import budget_model, budget_of
 from oed.accuracy.maps import ErrorMaps, Reference
-from oed.accuracy.prediction import Spread, least_error
+from oed.accuracy.prediction import Spread
 from oed.base.arrays import Array
 from oed.base.units import MM
 from oed.compensate.effects.effect_maps import SessionStates
@@ -21,32 +20,29 @@ from oed.measurement.measurement import Measurement, Series
 from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
-from oed.result.mixture import BEST, MIXTURE, NOTHING, PLAIN
 from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.stages.fit.effects import (
-    changes_by_effects,
-    states_in_use,
-    with_controller,
-)
-from pkm_studies.stages.fit.states import displayed_states
+from pkm_studies.stages.fit.effects import session_states
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
-from pkm_studies.stages.predict.held_out import held_out_sections
+from pkm_studies.stages.predict.held_out import DrawnMachines, held_out_sections
 from pkm_studies.stages.predict.knowledge import (
     Accuracy,
-    ActingEffects,
     ParameterKnowledge,
 )
 from pkm_studies.stages.predict.virtual_machines import realised_accuracy
 from pkm_studies.stages.run_state import (
     Fitted,
+    HeldOut,
     Measured,
     Scheduled,
     ScheduledT,
     Stream,
 )
 from pkm_studies.study.tables import PredictionTable
+
+#: draws used for predictive intervals
+PREDICTIVE_DRAWS = 2000
 
 
 def predict_accuracy(state: ScheduledT) -> ScheduledT:
@@ -65,56 +61,16 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     state.progress.stage("prediction")
     realised = _realised(state, table, command)
     rng = state.rng(Stream.PREDICT)
-    candidates = _candidates(state, command, table.reference, rng)
-    judged = knowledge.compared(candidates, command, table.reference, rng)
-    predicted = {name: result.prediction for name, result in judged.items()}
-    shown = sent = BEST
-    if len(candidates) > 1:
-        after = {name: p.after for name, p in predicted.items()}
-        driven = state.measurement.machine.driven
-        sent = least_error(predicted[BEST].before, after, driven)
-        shown = BEST if sent == NOTHING else sent
-    known, main = candidates[shown], judged[shown]
+    known = _knowledge(state)
+    main = knowledge.accuracy(known, command, [table.reference], rng)[table.reference]
     section = _section(state, known, main)
     section = msgspec.structs.replace(
         section,
         references=_references(state, known, main),
         tools=_tools(state, table, known, command),
-        **_states(known, table),
     )
     section = accuracy.with_wanted(section, state.resolved.wanted_accuracy)
-    if isinstance(state, Fitted) and len(candidates) > 1:
-        estimate = msgspec.structs.replace(state.estimate_section, sent=sent)
-        if known.sent is not None:
-            machine = state.measurement.machine
-            estimate = with_controller(estimate, machine, known.sent)
-        state = state.with_sections(estimate=estimate)
     return state.with_sections(prediction=accuracy.with_realised(section, realised))
-
-
-def _candidates(
-    state: Scheduled, command: Array, reference: Reference, rng: np.random.Generator
-) -> dict[str, ParameterKnowledge]:
-    """What a controller may be sent; beside the identified parameters where effects act.
-
-    Those that take up what is known of the effects, and those of a fit without effects.
-    """
-    known = _knowledge(state)
-    absorbed = knowledge.with_absorbed_effects(known, command, reference, rng)
-    if not isinstance(state, Fitted) or absorbed.sent is None:
-        return {BEST: known}
-    count = len(state.measurement.machine.parameters)
-    plain = dataclasses.replace(known, sent=state.plain.theta[:count])
-    return {BEST: known, MIXTURE: absorbed, PLAIN: plain}
-
-
-def _states(known: ParameterKnowledge, table: PredictionTable) -> dict[str, Any]:
-    """Fields of the section: the states in which effects act."""
-    used = {} if known.effects is None else known.effects.session.used
-    if not used:
-        return {}
-    source = "study" if table.states else "readings"
-    return {"states": displayed_states(used), "states_from": source}
 
 
 def _realised(
@@ -139,22 +95,7 @@ def _knowledge(state: Scheduled) -> ParameterKnowledge:
     if not isinstance(state, Fitted) or state.readings.truth is not None:
         return knowledge.planned(state.measurement, series)
     draws = _draws(state)
-    return knowledge.identified(
-        state.measurement, series, state.estimate, draws, _acting_effects(state, draws)
-    )
-
-
-def _acting_effects(state: Fitted, draws: ApproximateDraws) -> ActingEffects | None:
-    """Effects of the fit, in the states of use; None without effects."""
-    columns = state.effect_columns
-    if columns is None:
-        return None
-    return ActingEffects(
-        columns=columns,
-        session=states_in_use(state),
-        theta=state.estimate.theta,
-        draws=draws.effects,
-    )
+    return knowledge.identified(state.measurement, series, state.estimate, draws)
 
 
 def _draws(state: Fitted) -> ApproximateDraws:
@@ -263,25 +204,47 @@ def _withheld(state: Scheduled) -> str:
 
 
 def predict_held_out(state: Fitted) -> Fitted:
-    """Compare held-out readings with what posterior or approximation predicts."""
+    """Compare held-out readings with what the fit predicts, over all answers if any."""
     held_out = state.readings.held_out
     if held_out is None:
         return state
     state.progress.stage("held-out readings")
-    draws = _draws(state)
-    changes = changes_by_effects(
-        state, held_out.series, held_out.covariates, draws.effects
-    )
+    rng = state.rng(Stream.HELD_OUT)
+    drawn = _drawn_machines(state, held_out, rng)
     sections = held_out_sections(
-        state.measurement,
-        held_out.series,
-        held_out.y,
-        state.estimate,
-        draws,
-        state.rng(Stream.HELD_OUT),
-        changes,
+        state.measurement, held_out.series, held_out.y, drawn, rng
     )
     return state.with_sections(held_out=sections)
+
+
+def _drawn_machines(
+    state: Fitted, held_out: HeldOut, rng: np.random.Generator
+) -> list[DrawnMachines]:
+    """Draws by the fit, or by each answer of the diagnosis in its share."""
+    if state.mixture is None:
+        draws = _draws(state)
+        count = min(PREDICTIVE_DRAWS, len(draws.theta))
+        rows = rng.choice(len(draws.theta), size=count, replace=False)
+        return [DrawnMachines(state.estimate, draws.theta[rows], draws.noise_law[rows])]
+    problem = problems.assemble(
+        state.measurement,
+        held_out.series,
+        held_out.covariates,
+        state.estimate.theta,
+        gravity=state.resolved.gap_or_default.gravity,
+    )
+    session = session_states(state)
+    parts = []
+    taken = state.mixture.rows(rng, PREDICTIVE_DRAWS)
+    for answer, rows in zip(state.mixture.answers, taken, strict=True):
+        changes = None
+        if answer.columns is not None:
+            coefficients = answer.coefficients[rows]
+            changes = coefficients @ answer.columns.changes(problem, session).T
+        if len(rows):
+            theta, law = answer.theta[rows], answer.noise_law[rows]
+            parts.append(DrawnMachines(answer.estimate, theta, law, changes))
+    return parts
 
 
 # -- effects that no plan models -------------------------------------------------------

@@ -43,11 +43,11 @@ class IdentifyTable(StudyTable, frozen=True, kw_only=True):
 
     stages          patterns of the parameters freed in turn; by default all at once
     max_iterations  of each stage
-    effects         effects that the fit allows beside the geometry, by name, or
-                    "catalogue": all that the machine can have. They widen the result, and
-                    the prediction holds them. By default the geometry is fitted, and the
-                    readings of a machine are asked which effects act; "none": they are
-                    not asked, and what is said holds for the geometry alone
+    effects         effects beside the geometry that the readings are asked about, by name,
+                    or "catalogue": all that the machine can have, the default for readings
+                    of a machine. Parameters, accuracy and what a controller is sent are
+                    those over all answers; "none": what is said holds for the geometry
+                    alone, the default for readings of a virtual machine
     """
 
     stages: Annotated[list[list[str]], msgspec.Meta(min_length=1)] = msgspec.field(
