@@ -10,9 +10,11 @@ from oed.base.arrays import Array
 from oed.checks.judgement import goodness_of_delivered
 from oed.estimation import fit_warnings, identification, run_prediction
 from oed.estimation.held_parameters import contradicted_parameters
+from oed.estimation.tolerances import tolerance_factor, with_tolerances
 from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import GoodnessSection
+from oed.result.verdict import percent
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.estimate import (
     combination_estimates,
@@ -46,6 +48,11 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     readings, measurement = state.readings, state.measurement
     state.progress.stage("identification")
     estimate = _identify(state, start)
+    larger = _with_larger_tolerances(state, estimate)
+    if larger is not state:
+        state = larger
+        measurement = state.measurement
+        estimate = _identify(state, start)
     _refuse_mode_jump(state, estimate.theta)
     fitted_as = goodness_of_delivered(
         measurement, readings.series, readings.y, estimate, state.doubtful_values
@@ -87,6 +94,32 @@ def _identify(state: Measured, start: Array | None) -> identification.Estimate:
         )
     except identification.IdentificationError as error:
         raise with_finding(state, error) from error
+
+
+def _with_larger_tolerances(
+    state: Measured, estimate: identification.Estimate
+) -> Measured:
+    """The state with tolerances that the readings ask for, where stated ones are too small.
+
+    What an earlier session knows is no tolerance of a drawing, and stays; so do the
+    tolerances from which a virtual machine is drawn.
+    """
+    measurement = state.measurement
+    expected = any(p.expected is not None for p in measurement.parameters)
+    if expected or state.readings.truth is not None:
+        return state
+    judged = tolerance_factor(measurement, state.readings.series, estimate)
+    if not judged.is_sure:
+        return state
+    factor = judged.factor
+    warning = (
+        f"the parameters are some {factor:.2g} times as far from nominal as their"
+        " tolerances allow, all together (probability that these are right"
+        f" {percent(judged.probability)}): the fit takes all tolerances {factor:.2g} times"
+        " as large; correct [prior] or the nominal numbers"
+    )
+    larger = with_tolerances(measurement, factor)
+    return state.replace(measurement=larger).with_warnings(warning)
 
 
 def with_finding(
