@@ -27,8 +27,8 @@ from oed.model.size_prior import EFFECT_SIZES
 ALONE = 0.4
 #: expected difference between limbs built alike, against what they share
 DIFFER = 0.3
-#: norm of a signature over all readings, in units of the noise, below which an effect
-#: cannot be tested at all
+#: norm of a signature over all readings at the largest usual size, in units of the noise,
+#: below which an effect cannot be tested at all
 UNSEEN = 0.3
 #: limbs of a form beyond which it is not tried in all of them at once
 BLOCKS = 12
@@ -222,7 +222,8 @@ def _signatures(
     for point in points:
         form = problem.signature(effect, point, textbook=textbook)
         columns = problem.in_noise_units(form.columns)
-        if form.names and np.linalg.norm(columns) > UNSEEN:
+        largest = EFFECT_SIZES.usual[-1] * np.linalg.norm(columns)
+        if form.names and largest > UNSEEN:
             content = hashlib.sha1(form.columns.tobytes(), usedforsecurity=False)
             if content.digest() not in distinct:
                 distinct.add(content.digest())
