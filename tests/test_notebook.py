@@ -207,14 +207,13 @@ def test_options_of_a_fit_are_those_of_the_study(readings, estimate) -> None:
     assert staged.theta == pytest.approx(estimate.theta)
 
 
-def test_effects_may_be_allowed(readings, estimate) -> None:
-    assert estimate.state.estimate.effects is None
-    allowed = oed.identify(readings, effects="encoder_scale")
-    assert allowed.state.estimate.effects is not None
-    names = [effect.name for effect in allowed.section.effects]
-    assert any(name.startswith("encoder_scale") for name in names)
-    assert not any(name.startswith("backlash") for name in names)
-    assert oed.identify(readings, effects="none").state.estimate.effects is None
+def test_effects_may_be_asked_for(readings, estimate) -> None:
+    assert estimate.state.mixture is None
+    asked = oed.identify(readings, effects="encoder_scale")
+    assert asked.state.mixture is not None
+    named = {name for a in asked.state.mixture.answers for name in a.effects}
+    assert named <= {"encoder_scale", "unknown"}
+    assert oed.identify(readings, effects="none").state.mixture is None
     with pytest.raises(oed.InputError, match="no such effect"):
         oed.identify(readings, effects=["wind"])
 

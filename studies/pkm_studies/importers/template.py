@@ -56,9 +56,10 @@ READINGS = 30
 #: instruments to draft a study with, the most informative first
 DEFAULTS = ("pose_tracker", "pose_tracker_position", "redundancy")
 GAP = """\
-# Real machines have small effects beside their geometry. The fit may allow for them:
+# Real machines have small effects beside their geometry. `oed identify` asks its readings
+# about all that the machine can have. About some alone, or none:
 # [identify]
-# effects = "catalogue"
+# effects = ["backlash", "leg_thermal"]
 
 # What calibration leaves: `oed diagnose` looks for its causes in any readings.
 # With [gap], `oed run` does so too, and predicts which causes the readings could find.

@@ -169,8 +169,8 @@ def identify(
     start           parameters, SI, where the fit begins; the others begin at nominal
     stages          patterns of the parameters freed in turn (`[["dq*"], ["*"]]`); as
                     [identify] stages says by default
-    effects         what may act beside the geometry: "catalogue", "none", or names; as
-                    [identify] effects says by default
+    effects         what the readings are asked about beside the geometry: "catalogue", or
+                    names; by default the geometry alone is fitted, and `diagnose` asks
 
     Raises IdentificationError where the fit fails, and ValueError for a start that
     names no parameter.
@@ -189,7 +189,8 @@ def identify(
             state.study.identify, effects=_effects_value(effects)
         )
         study = msgspec.structs.replace(state.study, identify=table)
-        state = state.replace(study=study)
+        resolved = dataclasses.replace(state.resolved, study=study)
+        state = state.replace(study=study, resolved=resolved)
     if estimate_noise is not None:
         noise = msgspec.structs.replace(state.study.noise, estimate=estimate_noise)
         study = msgspec.structs.replace(state.study, noise=noise)
@@ -199,7 +200,10 @@ def identify(
         resolved = dataclasses.replace(state.resolved, identification_stages=patterns)
         state = state.replace(resolved=resolved)
     theta = None if start is None else _start_of(state.measurement, start)
-    return EstimateView(pipeline.fit_checked(state, theta))
+    fitted = pipeline.fit_checked(state, theta)
+    if effects is None or effects == "none":
+        return EstimateView(fitted)
+    return EstimateView(pipeline.with_diagnosis(fitted))
 
 
 def _effects_value(
@@ -230,7 +234,7 @@ def _start_of(measurement: Measurement, start: Mapping[str, float]) -> Array:
 def sample(estimate: EstimateView) -> PosteriorView:
     """Sample the posterior about an estimate, as [posterior] says.
 
-    Raises WithheldError where [posterior] is off, or the fit allows for effects.
+    Raises WithheldError where [posterior] is off.
 
     >>> import oed
     >>> study = oed.load_study("planar_step_calibration")

@@ -105,8 +105,7 @@ def remarks(result: StudyResult, prediction: PredictionSection) -> list[str]:
         sentences.append(
             f"The prediction is geometry alone, without {worst.effect}: calibration takes"
             f" some of it for geometry, and sizes vary by decades. Remedy:"
-            f' {worst.remedy}. With effects = "catalogue" in [identify] the fit takes in'
-            " what readings show of effects."
+            f" {worst.remedy}. Readings of the machine are asked which effects act."
         )
     return sentences
 

@@ -280,8 +280,7 @@ def _unmodelled(prediction: PredictionSection) -> list[Block]:
         Notice(
             f"'After' is geometry alone. 'With effects' adds {which} of such a machine,"
             " at expected sizes, which calibration takes in part for geometry;"
-            " 'Corrected' fits and corrects them as well (effects = \"catalogue\" in"
-            f" [identify]). The largest is {size}. {remedy}"
+            f" 'Corrected' fits and corrects them as well. The largest is {size}. {remedy}"
         )
     ]
 

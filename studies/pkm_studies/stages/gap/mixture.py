@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -29,6 +30,7 @@ from oed.result import (
 )
 from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE, NOTHING, PLAIN
 from pkm_studies.stages.fit.effects import with_controller
+from pkm_studies.stages.fit.states import displayed_states
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, with_wanted
@@ -59,12 +61,23 @@ class UseOfMachine:
     command   (n, n_dof) commands, SI
     session   states in which the readings were taken and the machine is used
     wanted    errors to reach by component, SI
+    source    where the states of use are from: the study, or the readings
     """
 
     command: Array
     reference: Reference
     session: SessionStates
     wanted: Mapping[str, float]
+    source: str = "readings"
+
+    def states(self) -> dict[str, Any]:
+        """Fields of a predicted accuracy: the states in which effects act."""
+        if not self.session.used:
+            return {}
+        return {
+            "states": displayed_states(self.session.used),
+            "states_from": self.source,
+        }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -177,6 +190,7 @@ def _with_accuracy(
     sections, choices = {}, []
     for name, prediction in predicted.items():
         record = accuracy_section(known.measurement.kinematics, prediction, "mixture")
+        record = msgspec.structs.replace(record, **use.states())
         sections[name] = with_wanted(record, use.wanted)
         rms = {n: c.after.rms for n, c in record.components.items()}
         choices.append(CompensationChoice(name, rms))

@@ -86,7 +86,7 @@ def unmodelled_sentence(
     if usual is not None:
         corrected = (
             ". Fitted with the geometry and corrected they would leave"
-            f' {quantities(usual.fitted, driven)} (effects = "catalogue" in [identify])'
+            f" {quantities(usual.fitted, driven)}"
         )
     return (
         f"{opening} {added} {cause}{corrected}. Sizes vary by decades. Remedy:"

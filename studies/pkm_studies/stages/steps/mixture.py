@@ -52,6 +52,7 @@ def mix_answers(state: Fitted) -> Fitted:
         reference="home" if table is None else table.reference,
         session=states_in_use(state),
         wanted=state.resolved.wanted_accuracy,
+        source="study" if table is not None and table.states else "readings",
     )
     section = sections.mixture_section(
         state.measurement,
