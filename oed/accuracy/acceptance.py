@@ -1,9 +1,10 @@
 """Chooses the poses of an acceptance test, states limits and power, judges the errors.
 
 The promise is an rms error S over the workspace for each pose component. A machine has
-the error field a S f(x), where f has an rms of 1 over the workspace; its shape is drawn
-from what calibration leaves, or from the tolerances where something else is wrong. The
-test measures n poses with uncertainty u and compares
+the error field a S f(x), where f has an rms of 1 over the workspace. Half of the shapes are
+what calibration leaves, or the tolerances allow where something else is wrong. The others are
+what no parameter makes, as a scale, a sag or a temperature do: linear and quadratic functions
+of the command, one of them or a sum. The test measures n poses with uncertainty u and compares
 
     T^2 = 1/n sum_i (a S f(x_i) + u e_i)^2
 
@@ -41,6 +42,8 @@ from oed.base.linear_algebra import covariance_root
 from oed.result.acceptance import PositioningRecord, PromiseRecord, VerdictRecord
 from oed.result.verdict import Judgement
 
+#: share of the shapes that no parameter makes
+SMOOTH = 0.5
 #: machines drawn to choose poses, and to state limits and power
 CHOOSING, STATING = 600, 8000
 #: power below which a test confirms nothing, whatever it reads
@@ -59,6 +62,7 @@ class Promise:
     rms          (k,) promised rms errors
     uncertainty  (k,) standard uncertainty of one measured error
     zeroed       whether errors are differences to one reading at home, which they share
+    smooth       (m, b) smooth functions of the command, shapes that no parameter makes
     """
 
     names: tuple[str, ...]
@@ -67,6 +71,7 @@ class Promise:
     rms: Array
     uncertainty: Array
     zeroed: bool = False
+    smooth: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
     def fields(self, count: int, rng: np.random.Generator) -> Array:
         """Error fields (count, m, k) of unit rms over the workspace."""
@@ -77,8 +82,41 @@ class Promise:
             normal = rng.standard_normal((len(members), len(covariance)))
             changes[members] = normal @ covariance_root(covariance).T
         fields = np.einsum("mkp,dp->dmk", self.maps, changes, optimize=True)
+        if self.smooth.size:
+            chosen = np.flatnonzero(rng.random(count) < SMOOTH)
+            fields[chosen] = self._smooth_fields(len(chosen), rng)
         rms = np.sqrt(np.mean(fields**2, axis=1, keepdims=True))
         return np.asarray(fields / np.where(rms > 0.0, rms, 1.0))
+
+    def _smooth_fields(self, count: int, rng: np.random.Generator) -> Array:
+        """Fields (count, m, k), each one smooth function or a sum of all."""
+        functions = self.smooth.shape[1]
+        number = rng.integers(functions + 1, size=count)
+        weights = rng.standard_normal((count, functions, len(self.names)))
+        single = np.arange(functions) == number[:, None]
+        is_sum = (number == functions)[:, None]
+        weights = weights * (single | is_sum)[:, :, None]
+        fields = np.einsum("mb,dbk->dmk", self.smooth, weights, optimize=True)
+        return np.asarray(fields)
+
+
+def smooth_functions(command: Array, home: Array | None) -> Array:
+    """Linear and quadratic functions (m, b) of commands (m, n_dof), over their ranges.
+
+    home  (n_dof,) where they are 0; None: where they have no mean
+    """
+    low, high = command.min(axis=0), command.max(axis=0)
+    varied = high > low
+    middle, half = 0.5 * (low + high)[varied], 0.5 * (high - low)[varied]
+
+    def functions(at: Array) -> Array:
+        x = (at[:, varied] - middle) / half
+        first, second = np.triu_indices(x.shape[1])
+        return np.hstack([x, x[:, first] * x[:, second]])
+
+    values = functions(command)
+    zero = values.mean(axis=0) if home is None else functions(home[None])[0]
+    return np.asarray(values - zero)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -112,6 +112,11 @@ def identify(
             f" {error.indices.size} poses do not close; give smaller tolerances, or free"
             " fewer parameters in a stage before"
         ) from error
+    except np.linalg.LinAlgError as error:
+        raise IdentificationError(
+            "the fit went where readings or their slopes are not finite; give smaller"
+            " tolerances, or free fewer parameters in a stage before"
+        ) from error
     estimate = dataclasses.replace(
         estimate,
         residuals_before=residuals_before,

@@ -12,6 +12,8 @@ from oed.accuracy.acceptance import (
     judge,
     plan_acceptance,
     positioning,
+    smooth_functions,
+    state_limits,
 )
 from oed.result.acceptance import PromiseRecord
 
@@ -90,6 +92,30 @@ def test_a_machine_that_misses_is_rarely_confirmed() -> None:
     assert (wrong.mean(axis=0) <= band(400, 0.05)[1]).all()
     right = measured_rms(accurate, plan, 0.8, 400, 22) <= plan.confirms
     assert (right.mean(axis=0) >= 0.8).all()
+
+
+def test_shapes_that_no_parameter_makes_are_rarely_confirmed() -> None:
+    """A scale, a sag, or both, of 1.2 times the promise: by 5 % of the tests on average."""
+    p = promise(np.random.default_rng(3))
+    at = np.linspace(-1.0, 1.0, POSES)
+    smooth = smooth_functions(at[:, None], np.array([0.2]))
+    assert np.allclose(smooth, np.column_stack([at - 0.2, at**2 - 0.04]))
+    known = dataclasses.replace(p, uncertainty=0.05 * p.rms, smooth=smooth)
+    confirmed = []
+    for promised in (known, dataclasses.replace(known, smooth=np.zeros((0, 0)))):
+        rng = np.random.default_rng(4)
+        plan = state_limits(promised, np.arange(0, POSES, 4), rng)
+        rng = np.random.default_rng(5)
+        weights = rng.standard_normal((600, 2)) * (
+            rng.integers(3, size=(600, 1)) != [1, 0]
+        )
+        field = weights @ smooth.T
+        field *= 1.2 * p.rms[0] / np.sqrt((field**2).mean(axis=1, keepdims=True))
+        noise = 0.05 * p.rms[0] * rng.standard_normal(field.shape)
+        rms = np.sqrt(((field + noise)[:, plan.poses] ** 2).mean(axis=1))
+        confirmed.append(np.mean(rms <= np.nan_to_num(plan.confirms[0])))
+    assert confirmed[0] <= band(600, 0.05)[1]
+    assert confirmed[1] > 2.0 * confirmed[0]
 
 
 def test_a_weak_test_confirms_nothing() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from oed.accuracy.acceptance import Promise
+from oed.accuracy.acceptance import Promise, smooth_functions
 from oed.accuracy.maps import ErrorMaps, Reference, driven_errors, error_maps
 from oed.base import units
 from oed.base.arrays import Array
@@ -101,6 +101,9 @@ def promised_accuracy(
     driven = [k for k in varying if machine.components[k].compensatable]
     read = _instrument_uncertainty(result, machine, reference)
 
+    home = np.array(machine.home_command) if reference == "home" else None
+    smooth = smooth_functions(command, home)
+
     def promise(chosen: list[int]) -> Promise:
         """The promise for some components."""
         names = tuple(machine.components[k].name for k in chosen)
@@ -113,12 +116,12 @@ def promised_accuracy(
         ]
         shapes = [covariance, tolerance]
         zeroed = reference == "home"
-        return Promise(names, slope, shapes, rms, np.array(given), zeroed)
+        return Promise(names, slope, shapes, rms, np.array(given), zeroed, smooth)
 
     others = [k for k in varying if k not in driven]
     corrected = result.corrected
     conditions = (
-        _states_of_use(result.prediction)
+        _states_of_use(result.judged_prediction)
         if corrected is None
         else (*corrected.conditions, *without_effects(result))
     )
