@@ -24,6 +24,7 @@ from oed.base.arrays import Array
 from oed.compensate.effects.absorbed import absorbing_shift
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.estimation import identify
+from oed.estimation.effect_sizes import LARGE, SMALL
 from oed.estimation.estimate import Estimate
 from oed.gap.data import problem as problems
 
@@ -75,20 +76,15 @@ def one(machine: str, level: str, size: float, seed: int) -> dict[str, Any]:
         problem.series,
         bench.y,
         estimate_noise=True,
-        discrepancy=columns.discrepancy,
+        discrepancy=columns.of_sizes(np.concatenate([SMALL, LARGE])).discrepancy,
         rng=rng,
     )
     record["seconds"] = time.process_time() - started
     shifts = tool_shifts(bench, problem, columns)
     sampled = estimate.effects
-    record["faulty"] = sampled.faulty
+    record["log_evidence"] = sampled.log_evidence
+    record["size"] = float(np.sqrt((sampled.size**2).mean()))
     record["columns"], record["readings"] = len(sampled.coefficients.T), len(bench.y)
-    large = sampled.rms_sizes
-    record["large"] = {
-        name: round(float(v), 2)
-        for name, v in zip(columns.discrepancy.names, large, strict=True)
-        if v > 1.0
-    }
     null = estimate.coordinates.null_basis
     lost = rng.standard_normal((len(sampled.theta), null.shape[1])) @ null.T
     drawn = np.einsum("pik,dk->dpi", shifts, sampled.coefficients)

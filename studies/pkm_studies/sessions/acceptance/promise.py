@@ -22,7 +22,7 @@ from oed.result import (
 )
 from pkm_studies.base.errors import InputError
 from pkm_studies.compensation import identified
-from pkm_studies.resolve.earlier_result import corrects_effects, mixture_of
+from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.study import Study
@@ -255,22 +255,13 @@ def promised_rms(
     chosen: list[int],
     covariance: Array,
 ) -> Array:
-    """Predicted rms (k,), SI: of the corrected model, or of the parameters to be sent.
-
-    After a diagnosis without a correction, these are those over all of its answers.
+    """Predicted rms (k,), SI: as it is judged, over all answers where there are any.
 
     Of what no drive corrects, the part that stays unknown. A prediction made before the
     measurement promises nothing of this machine.
     """
-    prediction, plain = None, result.prediction
-    mixture = mixture_of(result)
-    if result.corrected is not None and corrects_effects(result):
-        prediction = result.corrected.prediction
-    elif mixture is not None:
-        prediction = mixture.prediction
-    if prediction is None and plain is not None and plain.mode == "identified":
-        prediction = plain
-    if prediction is not None:
+    prediction = result.judged_prediction
+    if prediction is not None and prediction.mode != "plan":
         spreads = [
             prediction.components[machine.components[k].name].judged for k in chosen
         ]

@@ -102,7 +102,9 @@ def mixture_section(
     use: UseOfMachine,
     seed: Sequence[int],
 ) -> MixtureSection:
-    """The record of a mixture; without commands it has no accuracy.
+    """The record of a mixture.
+
+    Without commands it has no accuracy, and the controller is given the mean.
 
     seed  of all draws: every compensation is judged by the same ones
     """
@@ -114,7 +116,11 @@ def mixture_section(
         parameters=_parameters(measurement, mixture),
         covariance=_covariance(measurement, mixture),
     )
-    if len(use.command):
+    if not len(use.command):
+        machine = measurement.machine
+        count = len(machine.parameters)
+        section = with_controller(section, machine, mixture.mean[:count])
+    else:
         known = _knowledge(measurement, series, mixture, best, seed, use.session)
         section = _with_accuracy(section, known, best, use, seed)
     return msgspec.structs.replace(section, words=words(section))
