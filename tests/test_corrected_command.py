@@ -77,7 +77,7 @@ def test_corrected_parameters_are_within_their_deviations(
         assert abs(p.value - true) < 4.0 * p.sd, name
         plain = result.estimate.parameters[name]
         worst_plain = max(worst_plain, abs(plain.value - true) / plain.sd)
-    assert worst_plain > 10.0
+    assert worst_plain > 3.0
 
 
 def test_coefficients_have_a_readers_unit(result: StudyResult) -> None:
@@ -330,12 +330,15 @@ def test_a_good_machine_passes_and_a_bad_one_fails(
     planned: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = planned.parent
-    unsure = fill_in(planned, tmp_path / "unsure.csv", 0.5)
-    assert run("verify", out, "--readings", unsure) == 1
+    unsure = Path(shutil.copytree(out, tmp_path / "unsure"))
+    coarse = ["--uncertainty", "y_um=100,z_um=100"]
+    assert run("verify", unsure, "--poses", "4", *coarse) == 0
+    readings = fill_in(unsure / "acceptance.csv", tmp_path / "unsure.csv", 0.5)
+    assert run("verify", unsure, "--readings", readings) == 1
     assert "this test cannot tell" in capsys.readouterr().out
     more = Path(shutil.copytree(out, tmp_path / "more"))
     exact = ["--uncertainty", "y_um=0.01,z_um=0.01"]
-    assert run("verify", more, "--poses", "60", *exact) == 0
+    assert run("verify", more, "--poses", "30", *exact) == 0
     good = fill_in(more / "acceptance.csv", tmp_path / "good.csv", 0.5)
     assert run("verify", more, "--readings", good) == 0
     bad = fill_in(planned, tmp_path / "bad.csv", 1.5)

@@ -54,7 +54,7 @@ FALSE_CONFIRMATION = 0.05
 
 @dataclasses.dataclass(frozen=True)
 class Promise:
-    """What was promised of k pose components over m workspace poses; SI.
+    """What was promised of k pose components, and m poses that may be measured; SI.
 
     names        (k,) of the components
     maps         (m, k, p) pose errors per parameter
@@ -63,6 +63,7 @@ class Promise:
     uncertainty  (k,) standard uncertainty of one measured error
     zeroed       whether errors are differences to one reading at home, which they share
     smooth       (m, b) smooth functions of the command, shapes that no parameter makes
+    workspace    number of the leading poses over which the rms is promised; all by default
     """
 
     names: tuple[str, ...]
@@ -72,6 +73,7 @@ class Promise:
     uncertainty: Array
     zeroed: bool = False
     smooth: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+    workspace: int | None = None
 
     def fields(self, count: int, rng: np.random.Generator) -> Array:
         """Error fields (count, m, k) of unit rms over the workspace."""
@@ -85,7 +87,8 @@ class Promise:
         if self.smooth.size:
             chosen = np.flatnonzero(rng.random(count) < SMOOTH)
             fields[chosen] = self._smooth_fields(len(chosen), rng)
-        rms = np.sqrt(np.mean(fields**2, axis=1, keepdims=True))
+        promised = fields[:, : self.workspace]
+        rms = np.sqrt(np.mean(promised**2, axis=1, keepdims=True))
         return np.asarray(fields / np.where(rms > 0.0, rms, 1.0))
 
     def _smooth_fields(self, count: int, rng: np.random.Generator) -> Array:

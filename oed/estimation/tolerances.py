@@ -91,12 +91,12 @@ def _most_probable(slopes: Array, residual: Array) -> ToleranceFactor:
     """The factor for whitened slopes (N, n) and residuals (N,) about nominal."""
     directions, singular, _ = np.linalg.svd(slopes, full_matrices=False)
     along = (directions.T @ residual) ** 2
-    beside = max(float(residual @ residual - along.sum()), 0.0)
+    outside = max(float(residual @ residual - along.sum()), 0.0)
     freedom = len(residual) - len(singular)
     noise = LEVELS[None, :, None] ** 2
     variance = noise + (FACTORS[:, None] * singular)[:, None, :] ** 2
     misfit = (np.log(variance) + along / variance).sum(axis=2)
-    misfit = misfit + freedom * np.log(LEVELS**2) + beside / LEVELS**2
+    misfit = misfit + freedom * np.log(LEVELS**2) + outside / LEVELS**2
     log_density = -0.5 * misfit - np.log1p((np.log(LEVELS) / LEVEL_SCALE) ** 2)
     others = (1.0 - AS_STATED) / (len(FACTORS) - 1)
     prior = np.where(FACTORS == 1.0, AS_STATED, others)

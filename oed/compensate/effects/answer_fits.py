@@ -127,13 +127,20 @@ class AnswerFits:
         """
         try:
             fit = self._known_form(candidate, without_effects)
-            beside = None if fit is None else self._with_others(candidate, fit)
+            with_others = None if fit is None else self._with_others(candidate, fit)
         except (AssemblyError, IdentificationError, OutOfBoundsError):
             return
         if fit is None:
             return
-        share = 0.0 if beside is None else _share_beside(candidate, beside.estimate)
-        for part, which, unseen in ((1.0 - share, fit, False), (share, beside, True)):
+        share = (
+            0.0
+            if with_others is None
+            else _share_beside(candidate, with_others.estimate)
+        )
+        for part, which, unseen in (
+            (1.0 - share, fit, False),
+            (share, with_others, True),
+        ):
             probability = part * candidate.probability
             if which is not None and probability >= LEAST_SHARE:
                 named = dataclasses.replace(candidate, probability=probability)
@@ -259,7 +266,7 @@ def _candidates(
 
 
 def _share_beside(candidate: _Candidate, estimate: Estimate) -> float:
-    """Probability of a fit with what acts beside, against the one without."""
+    """Probability of a fit with what else acts, against the one without."""
     if candidate.unknown or estimate.effects is None:
         return 1.0
     log_odds = special.logit(SMALL_SHARE) + estimate.effects.log_evidence

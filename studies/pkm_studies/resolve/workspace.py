@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import spatial
+from scipy.stats import qmc
 
 from oed.base.arrays import Array
 from oed.compensate.command_grid import GridAxis, box_axes
@@ -59,6 +61,30 @@ def regular(kinematics: Kinematics, command: Array) -> Array:
     slopes = kinematics.error_components_jacobian(command)
     is_regular = np.isfinite(slopes).all(axis=(1, 2))
     return command[is_regular]
+
+
+def between(kinematics: Kinematics, command: Array, count: int) -> Array:
+    """At most `count` further commands (m, n_dof), spread evenly between some (n, n_dof).
+
+    They are within half a diagonal of the grid from one of these, so that they stay in
+    the workspace whatever its shape.
+    """
+    low, size = command.min(axis=0), np.ptp(command, axis=0)
+    varied = size > 0.0
+    dimensions = int(varied.sum())
+    if not dimensions or len(command) < 2:
+        return command[:0]
+    grid = (command - low)[:, varied] / size[varied]
+    tree = spatial.KDTree(grid)
+    spacing = float(tree.query(grid, k=2)[0][:, 1].max())
+    # without its first point, which is a corner
+    points = qmc.Halton(dimensions, scramble=False).random(count + 1)[1:]
+    near = tree.query(points)[0] <= 0.5 * np.sqrt(dimensions) * spacing
+    if not near.any():
+        return command[:0]
+    further = np.repeat(command[:1], int(near.sum()), axis=0)
+    further[:, varied] = low[varied] + size[varied] * points[near]
+    return regular(kinematics, _reachable(kinematics, further))
 
 
 def _reachable(kinematics: Kinematics, command: Array) -> Array:

@@ -24,12 +24,14 @@ from pkm_studies.base.errors import InputError
 from pkm_studies.compensation import identified
 from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.resolve.machine import study_kinematics
-from pkm_studies.resolve.workspace import regular_commands
+from pkm_studies.resolve.workspace import between, regular_commands
 from pkm_studies.study import Study
 
 #: standard uncertainty of the acceptance measurement, as a share of the promise, where
 #: none is given and no set-up of the study reads the component
 UNCERTAINTY_SHARE = 0.2
+#: poses between those of the workspace that may be measured, at most
+BETWEEN = 200
 #: channel that reads a component of the pose
 READ = "read_{}"
 
@@ -50,7 +52,8 @@ class FurtherPromise:
     @property
     def without(self) -> Array:
         """Rms errors (k,) without the axes."""
-        return np.hypot(np.sqrt(np.mean(self.known**2, axis=0)), self.promise.rms)
+        known = self.known[: self.promise.workspace]
+        return np.hypot(np.sqrt(np.mean(known**2, axis=0)), self.promise.rms)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,51 +95,69 @@ def promised_accuracy(
         )
     kinematics = study_kinematics(study)
     machine = kinematics.machine
-    command = regular_commands(study, kinematics)
+    workspace = regular_commands(study, kinematics)
     table = study.prediction
     reference: Reference = "home" if table is None else table.reference
+    command = _with_poses_between(kinematics, workspace, reference)
     maps = error_maps(kinematics, command, reference)
     covariance, tolerance = covariances(machine, section)
     varying = _varying(maps, covariance)
     driven = [k for k in varying if machine.components[k].compensatable]
-    read = _instrument_uncertainty(result, machine, reference)
-
-    home = np.array(machine.home_command) if reference == "home" else None
-    smooth = smooth_functions(command, home)
+    known = {**_instrument_uncertainty(result, machine, reference), **uncertainty}
+    zeroed = reference == "home"
+    smooth = smooth_functions(command, machine.home_command if zeroed else None)
 
     def promise(chosen: list[int]) -> Promise:
         """The promise for some components."""
         names = tuple(machine.components[k].name for k in chosen)
         slope = maps.raw[:, chosen]
-        rms = promised_rms(result, machine, slope, chosen, covariance)
+        rms = promised_rms(result, machine, slope[: len(workspace)], chosen, covariance)
         rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
-        known = {**read, **uncertainty}
-        given = [
-            known.get(n, UNCERTAINTY_SHARE * r) for n, r in zip(names, rms, strict=True)
-        ]
-        shapes = [covariance, tolerance]
-        zeroed = reference == "home"
-        return Promise(names, slope, shapes, rms, np.array(given), zeroed, smooth)
+        shares = zip(names, UNCERTAINTY_SHARE * rms, strict=True)
+        given = [known.get(name, share) for name, share in shares]
+        return Promise(
+            names,
+            slope,
+            [covariance, tolerance],
+            rms,
+            np.array(given),
+            zeroed,
+            smooth,
+            len(workspace),
+        )
 
     others = [k for k in varying if k not in driven]
-    corrected = result.corrected
-    conditions = (
-        _states_of_use(result.judged_prediction)
-        if corrected is None
-        else (*corrected.conditions, *without_effects(result))
-    )
     components = tuple(machine.components[k] for k in driven)
     every = [machine.components[k].name for k in varying]
-    assumed = [name for name in every if name not in {**read, **uncertainty}]
+    assumed = [name for name in every if name not in known]
     return PromisedAccuracy(
         machine=machine,
         command=command,
         promise=promise(driven),
         components=components,
         reference=reference,
-        conditions=(*conditions, *_assumed_uncertainty(assumed)),
+        conditions=(*_conditions(result), *_assumed_uncertainty(assumed)),
         further=_further(result, kinematics, maps, reference, others, promise),
     )
+
+
+def _with_poses_between(
+    kinematics: Kinematics, workspace: Array, reference: Reference
+) -> Array:
+    """The workspace's commands (n, n_dof), and some between them, which no readings took.
+
+    Errors of a best fit are those of the workspace alone.
+    """
+    if reference == "best_fit":
+        return workspace
+    return np.vstack([workspace, between(kinematics, workspace, BETWEEN)])
+
+
+def _conditions(result: StudyResult) -> tuple[str, ...]:
+    """What the promise rests on."""
+    if result.corrected is None:
+        return _states_of_use(result.judged_prediction)
+    return (*result.corrected.conditions, *without_effects(result))
 
 
 def _instrument_uncertainty(

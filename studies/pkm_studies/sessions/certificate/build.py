@@ -88,7 +88,7 @@ def certificate(
         parameters=[_parameter(machine, section, name) for name in names],
         covariance=covariance.tolist(),
         readings=0 if estimate is None else estimate.readings,
-        poses=len(promised.command),
+        poses=promised.promise.workspace or len(promised.command),
         reference=promised.reference,
         predicted=list(_predicted(result, promised)),
         verified_poses=_measured_poses(result),

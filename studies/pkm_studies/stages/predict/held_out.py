@@ -28,7 +28,7 @@ INTERVAL = (0.025, 0.975)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class DrawnMachines:
+class HypothesisDraws:
     """Draws of the machine by one fit.
 
     estimate  the fit
@@ -54,7 +54,7 @@ def held_out_sections(
     measurement: Measurement,
     series: Sequence[Series],
     y: Array,
-    drawn: Sequence[DrawnMachines],
+    drawn: Sequence[HypothesisDraws],
     rng: np.random.Generator,
 ) -> list[HeldOutSection]:
     """One section for each series and channel of the held-out readings y (N,), SI.
@@ -138,7 +138,7 @@ def _setup_unknowns(measurement: Measurement, setup: str) -> Mask:
 def _noise_draws(
     measurement: Measurement,
     series: Series,
-    drawn: DrawnMachines,
+    drawn: HypothesisDraws,
     rng: np.random.Generator,
 ) -> Array:
     """Errors (m, N), SI, of new readings: one for each draw of the noise law."""

@@ -25,7 +25,7 @@ from pkm_studies.stages.fit.effects import session_states
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
 from pkm_studies.stages.predict.budget import budget_section
-from pkm_studies.stages.predict.held_out import DrawnMachines, held_out_sections
+from pkm_studies.stages.predict.held_out import HypothesisDraws, held_out_sections
 from pkm_studies.stages.predict.knowledge import (
     Accuracy,
     ParameterKnowledge,
@@ -210,22 +210,24 @@ def predict_held_out(state: Fitted) -> Fitted:
         return state
     state.progress.stage("held-out readings")
     rng = state.rng(Stream.HELD_OUT)
-    drawn = _drawn_machines(state, held_out, rng)
+    drawn = _hypothesis_draws(state, held_out, rng)
     sections = held_out_sections(
         state.measurement, held_out.series, held_out.y, drawn, rng
     )
     return state.with_sections(held_out=sections)
 
 
-def _drawn_machines(
+def _hypothesis_draws(
     state: Fitted, held_out: HeldOut, rng: np.random.Generator
-) -> list[DrawnMachines]:
+) -> list[HypothesisDraws]:
     """Draws by the fit, or by each answer of the diagnosis in its share."""
     if state.mixture is None:
         draws = _draws(state)
         count = min(PREDICTIVE_DRAWS, len(draws.theta))
         rows = rng.choice(len(draws.theta), size=count, replace=False)
-        return [DrawnMachines(state.estimate, draws.theta[rows], draws.noise_law[rows])]
+        return [
+            HypothesisDraws(state.estimate, draws.theta[rows], draws.noise_law[rows])
+        ]
     problem = problems.assemble(
         state.measurement,
         held_out.series,
@@ -243,7 +245,7 @@ def _drawn_machines(
             changes = coefficients @ answer.columns.changes(problem, session).T
         if len(rows):
             theta, law = answer.theta[rows], answer.noise_law[rows]
-            parts.append(DrawnMachines(answer.estimate, theta, law, changes))
+            parts.append(HypothesisDraws(answer.estimate, theta, law, changes))
     return parts
 
 
