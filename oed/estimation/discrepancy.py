@@ -34,6 +34,11 @@ class Discrepancy:
     unknown: Mask
     sizes: Array = dataclasses.field(default_factory=lambda: SMALL)
 
+    @property
+    def is_small(self) -> bool:
+        """Whether the effects are those of a machine in order."""
+        return bool(self.sizes.max() <= SMALL[-1])
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SampledEffects:

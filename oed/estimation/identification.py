@@ -139,10 +139,9 @@ def _stage_with_effects(
     structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
     settled = settle_law(fit, stated, exact, structure, prior)
     without = integrate_settled(fit, exact, settled)
-    starts = [
-        EffectsStart(exact.theta, None),
-        EffectsStart(without.theta, settled.mode),
-    ]
+    starts = [EffectsStart(without.theta, settled.mode)]
+    if not discrepancy.is_small:  # what is large can pass for noise
+        starts.insert(0, EffectsStart(exact.theta, None))
 
     def linearise(about: Array) -> ReadingsAbout:
         about = fit.closing(exact.theta, about)

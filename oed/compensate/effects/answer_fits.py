@@ -39,6 +39,8 @@ from oed.result.gap import AnswerRecord
 LEAST_SHARE = 0.02
 #: draws of each answer at least
 LEAST_DRAWS = 300
+#: probability from which an answer is fitted with small effects as well
+LEAST_SPLIT = 0.1
 #: prior probability that small effects act, where nothing shows them
 SMALL_SHARE = PRIOR["unseen"] / (PRIOR["unseen"] + PRIOR["none"])
 
@@ -214,7 +216,8 @@ class AnswerFits:
     def _columns_beside(self, candidate: _Candidate) -> ExpectedColumns | None:
         """Columns of what acts beside the geometry and the named effects."""
         allowed = self.allowed
-        if allowed is None:
+        is_minor = candidate.probability < LEAST_SPLIT and not candidate.unknown
+        if allowed is None or is_minor:
             return None
         group = allowed.discrepancy.group
         if candidate.unknown:

@@ -48,19 +48,34 @@ def effect_rival(
     least = remaining.min(axis=1)
     hardest = int(np.argmin(least))
     nearest = int(np.argmin(remaining[hardest]))
-    angles = [np.array([90.0])]
-    for form in forms:
-        angles += [_principal_angles(gram, form, r)[0] for r in rivals]
     return RivalRecord(
         name=rivals[0].signature.effect,
         separation=max(float(least.mean()), 0.0) ** 0.5,
-        angle_deg=float(np.concatenate(angles).min()),
+        angle_deg=_smallest_angle(gram, forms, rivals),
         shared=_shared(gram, forms[hardest], rivals[nearest]),
     )
 
 
 def _left(gram: Array, form: Form, rival: Form) -> Array:
     return separated(gram, form.at, rival.at, rival.precision)
+
+
+def _smallest_angle(
+    gram: Array, forms: Sequence[Form], rivals: Sequence[Form]
+) -> float:
+    """Smallest principal angle, deg, of any form with any rival; 90 without any."""
+    at, rival_at = (
+        [form.at[form.textbook] for form in several] for several in (forms, rivals)
+    )
+    roots = [_visible_root(gram, columns) for columns in at]
+    rival_roots = [_visible_root(gram, columns) for columns in rival_at]
+    largest = 0.0
+    for columns, root in zip(at, roots, strict=True):
+        for others, other in zip(rival_at, rival_roots, strict=True):
+            cross = root.T @ gram[np.ix_(columns, others)] @ other
+            cosine = np.linalg.svd(cross, compute_uv=False)
+            largest = max(largest, float(cosine.max(initial=0.0)))
+    return float(np.rad2deg(np.arccos(min(largest, 1.0))))
 
 
 def _principal_angles(gram: Array, form: Form, rival: Form) -> tuple[Array, Array]:
