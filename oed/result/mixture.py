@@ -19,7 +19,7 @@ class MixedAnswer(Record, frozen=True):
     """An answer that the mixture holds, with its probability by the diagnosis.
 
     effects  that act, `unknown` for something of no known form; none: no gap
-    unseen   whether effects act that are too small to be seen
+    unseen   whether small effects of one common size act as well
     """
 
     effects: tuple[str, ...]

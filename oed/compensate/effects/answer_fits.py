@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 from scipy import special
@@ -127,27 +127,23 @@ class AnswerFits:
 
         Their evidence decides between the two.
         """
-        try:
-            fit = self._known_form(candidate, without_effects)
-            with_others = None if fit is None else self._with_others(candidate, fit)
-        except (AssemblyError, IdentificationError, OutOfBoundsError):
-            return
+        fit = _fitted(lambda: self._known_form(candidate, without_effects))
         if fit is None:
             return
-        share = (
-            0.0
-            if with_others is None
-            else _share_beside(candidate, with_others.estimate)
-        )
-        for part, which, unseen in (
+        with_others = _fitted(lambda: self._with_others(candidate, fit))
+        share = 0.0
+        if with_others is not None:
+            share = _share_beside(candidate, with_others.estimate)
+        parts = (
             (1.0 - share, fit, False),
-            (share, with_others, True),
-        ):
+            (share, with_others, not candidate.unknown),
+        )
+        for part, which, unseen in parts:
             probability = part * candidate.probability
             if which is not None and probability >= LEAST_SHARE:
                 named = dataclasses.replace(candidate, probability=probability)
                 with contextlib.suppress(AssemblyError, OutOfBoundsError):
-                    yield self._drawn(named, which, unseen and not candidate.unknown)
+                    yield self._drawn(named, which, unseen)
 
     def _known_form(
         self, candidate: _Candidate, without_effects: Estimate
@@ -266,6 +262,14 @@ def _candidates(
                 answer.effects, content.constants, content.unknown, probability
             )
     yield _Candidate((), {}, False, unseen)
+
+
+def _fitted(fit: Callable[[], _AnswerFit | None]) -> _AnswerFit | None:
+    """What a fit gives; None where it fails."""
+    try:
+        return fit()
+    except (AssemblyError, IdentificationError, OutOfBoundsError):
+        return None
 
 
 def _share_beside(candidate: _Candidate, estimate: Estimate) -> float:

@@ -1,6 +1,6 @@
 """Parameters after a diagnosis: the mixture over its answers.
 
-With P_a the probability of answer a (no gap, effects too small to be seen, each set of
+With P_a the probability of answer a (no gap, each set of effects, these beside small
 effects, something of no known form) and p(theta, b | a) the posterior of parameters and
 coefficients if it is right, what is known of the machine is
 
@@ -37,7 +37,7 @@ class AnswerPosterior:
     """What is known of the machine if one answer of a diagnosis is right.
 
     effects       as the diagnosis names them; none: no gap
-    unseen        whether effects act that are too small to be seen
+    unseen        whether small effects of one common size act as well
     probability   of the answer, by the diagnosis
     mean          (n,) parameters, SI
     covariance    (n, n) of the parameters

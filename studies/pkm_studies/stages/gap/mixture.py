@@ -273,9 +273,10 @@ def _of_answers(section: MixtureSection) -> str:
 
 
 def _name(answer: MixedAnswer) -> str:
+    named = join_words([plain_name(name) for name in answer.effects])
     if answer.unseen:
-        return "effects too small to be seen"
-    return join_words([plain_name(name) for name in answer.effects]) or "no gap"
+        return f"{named} beside small effects" if named else "small effects alone"
+    return named or "no gap"
 
 
 def _of_parameters(section: MixtureSection) -> list[str]:
