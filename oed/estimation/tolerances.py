@@ -9,7 +9,9 @@ and e ~ N(0, w^2 I) in the stated noise. With H = U D V^T and a = U^T r, of r di
 Tolerances of a drawing may be too small by a decade, all of them alike where a unit or a class
 of fit is wrong: they then hold the parameters at nominal, and what that leaves looks like
 noise, or like an effect. s = 1 is given up where it is improbable, and where another s leaves
-no more than noise can. Tolerances that are too large are left: they cost little, and smaller
+no more than noise can. Where few combinations of parameters are far from nominal and the
+others are not, nominal numbers are wrong and no tolerances: each is then of s = 1 with the
+probability 0.8. Tolerances that are too large are left: they cost little, and smaller
 ones would make what no reading determines too sure.
 """
 
@@ -31,6 +33,8 @@ from oed.model.parameter import Parameter
 FACTORS = 10.0 ** (np.arange(7) / 4.0)
 #: prior probability that the tolerances are as stated, and that below which they are not
 AS_STATED, IMPROBABLE = 0.95, 0.05
+#: share of the combinations that are far where few nominal numbers are wrong
+FEW = 0.2
 #: noise over the stated one: 20 a decade; scale of the log of what a statement is good for,
 #: with the tails of a Cauchy density
 LEVELS, LEVEL_SCALE = 10.0 ** (np.arange(-20, 81) / 20.0), 0.4
@@ -41,7 +45,7 @@ class ToleranceFactor:
     """What readings say of all tolerances together.
 
     factor       the most probable one, of `FACTORS`
-    probability  that they are as stated
+    probability  that they are as stated, but for few parameters
     level        noise over the stated one with that factor
     """
 
@@ -95,16 +99,21 @@ def _most_probable(slopes: Array, residual: Array) -> ToleranceFactor:
     freedom = len(residual) - len(singular)
     noise = LEVELS[None, :, None] ** 2
     variance = noise + (FACTORS[:, None] * singular)[:, None, :] ** 2
-    misfit = (np.log(variance) + along / variance).sum(axis=2)
-    misfit = misfit + freedom * np.log(LEVELS**2) + outside / LEVELS**2
-    log_density = -0.5 * misfit - np.log1p((np.log(LEVELS) / LEVEL_SCALE) ** 2)
-    others = (1.0 - AS_STATED) / (len(FACTORS) - 1)
-    prior = np.where(FACTORS == 1.0, AS_STATED, others)
-    log_factor = special.logsumexp(log_density, axis=1) + np.log(prior)
-    best = int(np.argmax(log_factor))
-    shares = special.softmax(log_factor)
+    each = -0.5 * (np.log(variance) + along / variance)
+    further = -0.5 * (freedom * np.log(LEVELS**2) + outside / LEVELS**2)
+    further = further - np.log1p((np.log(LEVELS) / LEVEL_SCALE) ** 2)
+    all_alike = each.sum(axis=2) + further
+    few = np.logaddexp(np.log(1.0 - FEW) + each[:1], np.log(FEW) + each[1:])
+    few_far = few.sum(axis=2) + further
+    others = np.log((1.0 - AS_STATED) / len(few))
+    prior = np.full(len(FACTORS), others - np.log(2.0))
+    prior[0] = np.log(AS_STATED)
+    of_all = special.logsumexp(all_alike, axis=1) + prior
+    of_few = special.logsumexp(few_far, axis=1) + prior[1:]
+    best = int(np.argmax(of_all))
+    total = special.logsumexp(np.concatenate([of_all, of_few]))
     return ToleranceFactor(
         factor=float(FACTORS[best]),
-        probability=float(shares[0]),
-        level=float(LEVELS[int(np.argmax(log_density[best]))]),
+        probability=float(-np.expm1(special.logsumexp(of_all[1:]) - total)),
+        level=float(LEVELS[int(np.argmax(all_alike[best]))]),
     )

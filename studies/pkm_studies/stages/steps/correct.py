@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.checks.goodness import goodness_of_estimate
+from oed.checks.judgement import goodness_of_delivered
 from oed.compensate.effects.answer_fits import with_constants
 from oed.compensate.effects.fit import (
     CorrectedEstimate,
@@ -137,9 +137,10 @@ def _with_section(
         axes=workspace_axes(study, kinematics.machine),
         wanted=state.resolved.wanted_accuracy,
     )
-    goodness = goodness_of_estimate(
+    goodness = goodness_of_delivered(
         corrected.measurement,
         corrected.series,
+        corrected.readings.y,
         corrected.estimate,
         state.doubtful_values,
     )
