@@ -142,9 +142,11 @@ def with_least_error(
     return section if sent == BEST_WITH_EFFECTS else without_tables(section)
 
 
-def without_tables(section: CorrectedSection) -> CorrectedSection:
-    """The section whose effects no controller corrects: that is not expected to help."""
-    reasons = {table.effect: NO_HELP for table in section.tables}
+def without_tables(
+    section: CorrectedSection, reason: str = NO_HELP
+) -> CorrectedSection:
+    """The section whose effects no controller corrects, for a reason."""
+    reasons = {table.effect: reason for table in section.tables}
     return msgspec.structs.replace(
         section, tables=[], not_tabled={**section.not_tabled, **reasons}
     )

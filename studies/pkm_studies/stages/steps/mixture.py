@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 
 from oed.compensate.effects.answer_fits import AnswerFits
 from oed.compensate.effects.expected_columns import expected_columns
 from oed.gap.data.signature import untestable
+from oed.result import CorrectedSection, PredictionSection
 from pkm_studies.resolve.workspace import regular_commands
-from pkm_studies.stages.corrected.section import without_tables
+from pkm_studies.stages.corrected.section import NO_HELP, without_tables
 from pkm_studies.stages.fit.effects import readings_with_covariates, states_in_use
 from pkm_studies.stages.gap import mixture as sections
 from pkm_studies.stages.run_state import Fitted, Stream
+
+#: why no table holds an effect that varies faster than its commands
+COARSE = "it varies faster over the workspace than a table can follow"
 
 
 def mix_answers(state: Fitted) -> Fitted:
@@ -62,7 +67,24 @@ def mix_answers(state: Fitted) -> Fitted:
         use,
         Stream.MIXTURE_ACCURACY.key(state.seed),
     )
+    tabled, reason = state.result.corrected, NO_HELP
+    if tabled is not None and _is_too_coarse(tabled, section.with_effects):
+        section, reason = msgspec.structs.replace(section, with_effects=None), COARSE
     state = state.with_sections(gap=msgspec.structs.replace(gap, mixture=section))
-    if state.result.corrected is None or section.with_effects is not None:
+    if tabled is None or section.with_effects is not None:
         return state
-    return state.with_sections(corrected=without_tables(state.result.corrected))
+    return state.with_sections(corrected=without_tables(tabled, reason))
+
+
+def _is_too_coarse(
+    section: CorrectedSection, predicted: PredictionSection | None
+) -> bool:
+    """Whether straight lines between a table's commands cost more than what stays."""
+    if predicted is None:
+        return False
+    after = {name: c.after.rms for name, c in predicted.components.items()}
+    return any(
+        cost > after.get(name, np.inf)
+        for table in section.tables
+        for name, cost in table.interpolation.items()
+    )
