@@ -42,11 +42,6 @@ class EffectDraws:
     size: Array
     log_evidence: float
 
-    @property
-    def rms_size(self) -> float:
-        """Root mean square of the sizes."""
-        return float(np.sqrt((self.size**2).mean()))
-
 
 def sample(
     information: Array,

@@ -95,14 +95,9 @@ def fit_effects(
     stated     the stated law, one of some laws
     """
     columns = structure.standardise(discrepancy.columns)
-    fits = [
-        _Alternation(linearise, structure, prior, discrepancy, columns, rng).run(
-            start, stated
-        )
-        for start in starts
-    ]
+    alternation = _Alternation(linearise, structure, prior, discrepancy, columns, rng)
+    fits = [alternation.run(start, stated) for start in starts]
     weights = special.softmax([fit.log_evidence for fit in fits])
-    none = max(fit.log_evidence_without for fit in fits)
     number = rng.choice(len(fits), size=DRAWS, p=weights)
     best = fits[int(np.argmax(weights))]
     parts = [fit.taken(np.flatnonzero(number == k)) for k, fit in enumerate(fits)]
@@ -115,10 +110,9 @@ def fit_effects(
         coefficients=np.vstack([p[0] for p in parts]),
         size=np.concatenate([p[1] for p in parts]),
         theta=np.vstack([p[2] for p in parts]),
-        log_evidence=best.log_evidence - none,
+        log_evidence=best.log_evidence - alternation.log_evidence_without(best),
     )
-    rms = float(np.sqrt((sampled.size**2).mean()))
-    widened = _principal_columns(rms * columns)
+    widened = alternation.widened(sampled.size)
     return FittedEffects(
         sampled=sampled,
         structure=dataclasses.replace(structure, effects=widened),
@@ -132,19 +126,19 @@ def fit_effects(
 class _Settled:
     """Draws of effects under a most probable law, and their evidence.
 
+    clean       (N,) residuals about nominal, with those far off replaced
     z, means    (m, r) of the coordinates, drawn given each draw of the effects, and means
     root        (r, r) of the covariance of z given the effects
-    log_evidence_without  effects, under its own most probable law
     """
 
     linear: ReadingsAbout
+    clean: Array
     draws: EffectDraws
     z: Array
     means: Array
     root: Array
     mode: Array
     log_evidence: float
-    log_evidence_without: float
 
     def taken(self, rows: Index) -> tuple[Array, Array, Array, Array]:
         """Coefficients, sizes, parameters and mean parameters of some draws."""
@@ -186,7 +180,7 @@ class _Alternation:
             linear = self.linearise(theta)
             clean = self._clean(law, linear, draws)
             draws = self._draw(self._gram(law, linear, clean), PARTICLES)
-            slopes = np.hstack([linear.slopes, self._widened(draws)])
+            slopes = np.hstack([linear.slopes, self.widened(draws.size)])
             mode = self._most_probable_law(slopes, clean, mode)
             law = self.prior.laws(mode[None])
             gram = self._gram(law, linear, clean)
@@ -196,17 +190,24 @@ class _Alternation:
         means, root = self._coordinates(gram, draws)
         z = means + self.rng.standard_normal(means.shape) @ root.T
         evidence = self._log_evidence(linear, clean, mode) + draws.log_evidence
-        without = self._most_probable_law(linear.slopes, clean, mode)
-        none = self._log_evidence(linear, clean, without)
-        return _Settled(linear, draws, z, means, root, mode, evidence, none)
+        return _Settled(linear, clean, draws, z, means, root, mode, evidence)
 
-    def _widened(self, draws: EffectDraws) -> Array:
-        """Columns of the effects at the root mean square of their coefficients."""
-        return _principal_columns(draws.rms_size * self.columns)
+    def log_evidence_without(self, fit: _Settled) -> float:
+        """Log evidence without effects, under its own most probable law."""
+        mode = self._most_probable_law(fit.linear.slopes, fit.clean, fit.mode)
+        return self._log_evidence(fit.linear, fit.clean, mode)
+
+    def widened(self, size: Array) -> Array:
+        """Principal columns (N, k) that count, at the root mean square of sizes (m,)."""
+        scaled = np.sqrt((size**2).mean()) * self.columns
+        squares, axes = np.linalg.eigh(scaled.T @ scaled)
+        return np.asarray(scaled @ axes[:, squares > FAINT**2])
 
     def _clean(self, law: Laws, linear: ReadingsAbout, draws: EffectDraws) -> Array:
         """Residuals (N,) about nominal, with those far off replaced."""
-        structure = dataclasses.replace(self.structure, effects=self._widened(draws))
+        structure = dataclasses.replace(
+            self.structure, effects=self.widened(draws.size)
+        )
         return robust_residuals(structure, law, linear.residual, linear.slopes)
 
     def _gram(self, law: Laws, linear: ReadingsAbout, clean: Array) -> Array:
@@ -253,9 +254,3 @@ class _Alternation:
         root = precision_root(gram[:r, :r] + np.eye(r))
         score = gram[:r, r, None] - gram[:r, r + 1 :] @ draws.coefficients.T
         return np.asarray((score.T @ root) @ root.T), root
-
-
-def _principal_columns(columns: Array) -> Array:
-    """Principal columns (N, k) of effects at their size, those that count."""
-    squares, axes = np.linalg.eigh(columns.T @ columns)
-    return np.asarray(columns @ axes[:, squares > FAINT**2])

@@ -103,18 +103,22 @@ class Estimate:
         return np.sqrt(np.diag(self.covariance))
 
     @property
+    def contradicted(self) -> LawCheck | None:
+        """The check of the noise law, where the readings contradict it."""
+        check = self.law_check
+        return check if check is not None and check.is_contradicted else None
+
+    @property
     def scatter(self) -> float:
         """Scatter of readings over the stated noise, where the noise law is rejected."""
-        if self.law_check is None or not self.law_check.is_contradicted:
+        if self.contradicted is None:
             return 1.0
         return float(np.sqrt(max(self.chi2 / max(self.dof, 1.0), 1.0)))
 
     @property
     def widening(self) -> float:
         """Factor on noise and tolerances in the intervals."""
-        if self.law_check is None or not self.law_check.is_contradicted:
-            return 1.0
-        return self.law_check.widening
+        return 1.0 if self.contradicted is None else self.contradicted.widening
 
     def widened(self, factor: float) -> Estimate:
         """The same values, with noise and tolerances a factor as large.

@@ -56,8 +56,8 @@ def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
 
 def contradicted_law(estimate: Estimate) -> list[str]:
     """A sentence on an error that readings share and that is no noise."""
-    check = estimate.law_check
-    if check is None or not check.is_contradicted:
+    check = estimate.contradicted
+    if check is None:
         return []
     reason = (
         "what single channels and neighbouring readings have in common moves the"

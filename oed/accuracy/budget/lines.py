@@ -40,10 +40,7 @@ LINEARISATION = "linearisation"
 #: name of what is not known of the noise
 NOISE_LAW = "estimated noise"
 
-#: name of what effects that the model lacks add
-UNMODELLED = "effects beside the geometry"
-
-LineKind = Kind | Literal["linearisation", "unmodelled"]
+LineKind = Kind | Literal["linearisation"]
 #: machines drawn
 MACHINES = 48
 
@@ -98,7 +95,6 @@ def budget_of(
     *,
     estimated: Array | None = None,
     predicted: Array | None = None,
-    unmodelled: Array | None = None,
 ) -> Budget:
     """The budget of errors `maps.raw` (n, k, p) @ delta.
 
@@ -106,7 +102,6 @@ def budget_of(
                over; that of the model by default
     predicted  (k,) variance that is predicted with what is not linear, mean over the
                workspace, SI
-    unmodelled (k,) part of it that effects which the model lacks add
     """
     products = mean_products(maps.raw)
     lines = [_line(model, products, part) for part in model.parts()]
@@ -115,9 +110,6 @@ def budget_of(
         of_estimate = mean_variance(products, estimated)
         lines.append(Line(NOISE_LAW, "noise law", of_estimate - variance))
         variance = of_estimate
-    if unmodelled is not None:
-        lines.append(Line(UNMODELLED, "unmodelled", unmodelled))
-        variance = variance + unmodelled
     if predicted is not None:
         lines.append(Line(LINEARISATION, "linearisation", predicted - variance))
         variance = predicted

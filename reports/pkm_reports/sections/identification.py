@@ -38,10 +38,6 @@ MARKS: Final = {"weak": "chosen", "prior": "bad"}
 TERMS: Final = 5
 
 
-#: effects beside the geometry that are listed
-MOST_EFFECTS: Final = 10
-
-
 def blocks(result: StudyResult) -> list[Block]:
     """Fit, residuals, parameters as table and figure, iterations."""
     estimate = result.estimate

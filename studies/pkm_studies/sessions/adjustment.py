@@ -121,10 +121,8 @@ def adjustable_machine(
 
 
 def _conditions(result: StudyResult) -> list[str]:
-    """What the figures rest on, and what they leave out."""
-    if result.corrected is not None:
-        return list(result.corrected.conditions)
-    return []
+    """What the figures rest on."""
+    return [] if result.corrected is None else list(result.corrected.conditions)
 
 
 def _identifiable(

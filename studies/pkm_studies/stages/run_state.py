@@ -70,7 +70,6 @@ class Stream(enum.IntEnum):
     REFERENCES = 18
     TOOLS = 19
     LAPLACE = 20
-    SIZES = 21
     FORECAST = 22
     MIXTURE = 23
     VISIT = 24

@@ -121,9 +121,9 @@ def promised_accuracy(
             [covariance, tolerance],
             rms,
             np.array(given),
-            zeroed,
-            smooth,
-            len(workspace),
+            zeroed=zeroed,
+            smooth=smooth,
+            workspace=len(workspace),
         )
 
     others = [k for k in varying if k not in driven]

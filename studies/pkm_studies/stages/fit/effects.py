@@ -1,8 +1,8 @@
-"""Effects that a study allows beside the geometry: their columns, and what was found."""
+"""Readings with what effects are functions of, states in which they act, what is sent."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import msgspec
 
@@ -12,29 +12,14 @@ from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.fit import EffectReadings
 from oed.gap.data.problem import GapProblem
 from oed.model.machine import Machine
-from oed.result import (
-    CorrectedSection,
-    EstimateSection,
-    MixtureSection,
-)
+from oed.result import CorrectedSection, MixtureSection
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.prediction import check_states
 from pkm_studies.stages.fit.states import recorded_states
 from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured
 
-if TYPE_CHECKING:
-    pass
-
-Section = TypeVar("Section", EstimateSection, CorrectedSection, MixtureSection)
-
-#: mean square of readings left out, over that of the fit without effects, up to which
-#: effects explain the misfit
-PREDICTED = 0.25
-#: numbers from which a fit cannot follow single readings
-MOST_LEFT_OUT = 3000
-#: ends of a 95 % interval
-INTERVAL = (0.025, 0.975)
+Section = TypeVar("Section", CorrectedSection, MixtureSection)
 
 
 def readings_with_covariates(state: Measured, request: GapRequest) -> EffectReadings:

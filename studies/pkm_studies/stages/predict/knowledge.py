@@ -10,7 +10,6 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.accuracy.budget import BudgetModel, budget_model, variance_over_machines
-from oed.accuracy.budget.lines import mean_products, mean_variance
 from oed.accuracy.maps import (
     ErrorMaps,
     Reference,
@@ -109,15 +108,11 @@ class ActingEffects:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Accuracy:
-    """A prediction, the maps that it rests on, and its mean variances (k,), SI.
-
-    unmodelled  (k,) part of the variances by effects beside the parameters; None without
-    """
+    """A prediction, the maps that it rests on, and its mean variances (k,), SI."""
 
     prediction: Prediction
     maps: ErrorMaps
     variance: Array
-    unmodelled: Array | None = None
 
 
 def planned(measurement: Measurement, series: Sequence[Series]) -> ParameterKnowledge:
@@ -210,12 +205,7 @@ def accuracy(
             )
         spreads = predicted.fully_corrected
         variance = np.array([spreads[n].rms ** 2 for n in predicted.names])
-        unmodelled = None
-        if known.effects is not None:
-            products = mean_products(maps[reference].raw)
-            geometry = mean_variance(products, known.covariance)
-            unmodelled = variance - geometry
-        result[reference] = Accuracy(predicted, maps[reference], variance, unmodelled)
+        result[reference] = Accuracy(predicted, maps[reference], variance)
     return result
 
 

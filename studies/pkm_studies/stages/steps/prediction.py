@@ -127,7 +127,6 @@ def _section(
         main.maps,
         estimated=known.estimated,
         predicted=main.variance,
-        unmodelled=main.unmodelled,
     )
     mode = "plan" if planned else "identified"
     section = accuracy.accuracy_section(
