@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.gap.cause import advice, answers, closure
+from oed.gap.cause import advice, answers, closure, withheld
 from oed.gap.cause.compare import Comparison, compare_expanded, probabilities
 from oed.gap.cause.explained import explain
 from oed.gap.cause.hypothesis import Hypothesis
@@ -126,6 +126,7 @@ def conclude(
 
     The second result is the hypothesis that the first answer stands for.
     """
+    hypotheses = withheld.without_refuted(searched, hypotheses)
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)

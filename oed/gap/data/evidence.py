@@ -282,15 +282,17 @@ def compress(problem: GapProblem, columns: Array) -> Array:
     return np.asarray(directions[:, visible] * sizes[visible])
 
 
-def log_evidence(problem: GapProblem, law: NoiseLaw, columns: Array) -> float:
-    """Log evidence of the readings under a law, its level integrated out.
+def log_evidence(
+    problem: GapProblem, law: NoiseLaw, columns: Array, rows: Index | None = None
+) -> float:
+    """Log evidence of the readings `rows`, all by default, their level integrated out.
 
-    The readings are r ~ N(0, s^2 (Sigma + columns columns^T)). `columns` (N, k) hold
-    the parameters' slopes too, as from `compress`.
+    The readings are r ~ N(0, s^2 (Sigma + columns columns^T)) under a law. `columns`
+    (N, k) hold the parameters' slopes too, as from `compress`.
     """
-    noise = law.factor(problem)
+    noise = law.factor(problem, rows)
     white = noise.whiten(np.column_stack([problem.residual, columns]))
-    return log_evidence_of_products(white.T @ white, noise.log_det, len(problem))
+    return log_evidence_of_products(white.T @ white, noise.log_det, len(white))
 
 
 def log_evidence_of_products(products: Array, log_det: float, size: int) -> float:

@@ -1,0 +1,91 @@
+"""Hypotheses that withheld runs refute give their probability to an unknown form.
+
+The evidence of all readings can prefer a name that is wrong, at a size that is: its form
+explains what was read and says nonsense between. The readings of a fold F given all
+others have the log predictive density
+
+    log p(F | others) = log p(all) - log p(others),
+
+each of the two a log evidence, so that parameters, coefficients and noise level are
+learned from the others alone. The sum over the folds, whole runs in turn, compares
+hypotheses by prediction (Vehtari and Lampinen 2002, Neural Comput. 14, 2439-2468). A
+hypothesis under which withheld runs are 19 times less likely than with a remainder of
+unknown form in place of its effects, of some of them or beside them, is refuted, and
+gives its probability to the rival that predicts best.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+
+from oed.base.arrays import Index
+from oed.gap.cause.compare import probabilities
+from oed.gap.cause.folds import Paths
+from oed.gap.cause.hypothesis import Hypothesis, Key
+from oed.gap.cause.search import Search
+from oed.gap.data import evidence
+from oed.gap.data.problem import GapProblem
+
+#: probability from which a hypothesis is tested
+TESTED = 0.05
+#: log odds of 95 to 5 of a rival over a hypothesis on withheld runs
+REFUTED = float(np.log(19.0))
+
+
+def without_refuted(
+    searches: Sequence[Search], hypotheses: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """Hypotheses, best first, without those that withheld runs refute."""
+    remaining: dict[Key, Hypothesis] = {h.key: h for h in hypotheses}
+    others = functools.cache(lambda law: _others_of_folds(searches[law].problem))
+
+    @functools.cache
+    def predicted(h: Hypothesis) -> float:
+        """Log predictive density of all withheld runs."""
+        return log_withheld(searches[h.law], h, others(h.law))
+
+    for h, share in zip(hypotheses, probabilities(hypotheses), strict=True):
+        rivals = [r for r in hypotheses if _is_rival(r, h)]
+        if share < TESTED or not rivals:
+            continue
+        best = max(rivals, key=predicted)
+        if predicted(best) - predicted(h) > REFUTED:
+            heir = remaining[best.key]
+            joint = float(np.logaddexp(heir.score, remaining.pop(h.key).score))
+            remaining[best.key] = dataclasses.replace(
+                heir, log_evidence=joint - heir.log_prior
+            )
+    return sorted(remaining.values(), key=lambda h: -h.score)
+
+
+def _is_rival(rival: Hypothesis, h: Hypothesis) -> bool:
+    """Whether one has an unknown remainder, and no effects but some of the other's."""
+    is_part = set(rival.effects) <= set(h.effects)
+    return bool(h.effects) and rival.unknown and is_part and rival.key != h.key
+
+
+def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> float:
+    """Log predictive density of all folds under a hypothesis, in its best forms.
+
+    others  readings that each fold is predicted from
+    """
+    problem, law = search.problem, search.law
+    effects = h.columns(search.library, search.processes)
+    columns = np.hstack([problem.slopes, effects])
+    log_all = evidence.log_evidence(problem, law, columns)
+    return sum(
+        log_all - evidence.log_evidence(problem, law, columns, rows) for rows in others
+    )
+
+
+def _others_of_folds(problem: GapProblem) -> list[Index]:
+    """Readings outside each fold: of whole runs, or of stretches of the only one."""
+    paths = Paths(problem)
+    fold = paths.whole()[0]
+    if fold.max() == 0:
+        fold = paths.within()[0]
+    return [np.flatnonzero(fold != k) for k in range(int(fold.max()) + 1)]
