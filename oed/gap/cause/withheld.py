@@ -10,8 +10,9 @@ each of the two a log evidence, so that parameters, coefficients and noise level
 learned from the others alone. The sum over the folds, whole runs in turn, compares
 hypotheses by prediction (Vehtari and Lampinen 2002, Neural Comput. 14, 2439-2468). A
 hypothesis under which withheld runs are 19 times less likely than with a remainder of
-unknown form in place of its effects, of some of them or beside them, is refuted, and
-gives its probability to the rival that predicts best.
+unknown form in place of its effects, of some of them or beside them, is refuted. Its
+probability goes to the rival with the fewest names of those that predict about as well
+as the best.
 """
 
 from __future__ import annotations
@@ -52,11 +53,12 @@ def without_refuted(
         rivals = [r for r in hypotheses if _is_rival(r, h)]
         if share < TESTED or not rivals:
             continue
-        best = max(rivals, key=predicted)
-        if predicted(best) - predicted(h) > REFUTED:
-            heir = remaining[best.key]
+        best = max(map(predicted, rivals))
+        if best - predicted(h) > REFUTED:
+            near = [r for r in rivals if best - predicted(r) <= REFUTED]
+            heir = remaining[min(near, key=lambda r: len(r.effects)).key]
             joint = float(np.logaddexp(heir.score, remaining.pop(h.key).score))
-            remaining[best.key] = dataclasses.replace(
+            remaining[heir.key] = dataclasses.replace(
                 heir, log_evidence=joint - heir.log_prior
             )
     return sorted(remaining.values(), key=lambda h: -h.score)
