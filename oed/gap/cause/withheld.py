@@ -9,10 +9,10 @@ others have the log predictive density
 each of the two a log evidence, so that parameters, coefficients and noise level are
 learned from the others alone. The sum over the folds, whole runs in turn, compares
 hypotheses by prediction (Vehtari and Lampinen 2002, Neural Comput. 14, 2439-2468). A
-hypothesis under which withheld runs are 19 times less likely than with a remainder of
-unknown form in place of its effects, of some of them or beside them, is refuted. Its
-probability goes to the rival with the fewest names of those that predict about as well
-as the best.
+hypothesis is refuted if withheld runs are 19 times as likely with a remainder of unknown
+form in place of some of its effects, or of all. Its probability goes to the one with
+the fewest names of those that predict about as well as the best, all its names and an
+unknown remainder among them.
 """
 
 from __future__ import annotations
@@ -50,24 +50,23 @@ def without_refuted(
         return log_withheld(searches[h.law], h, others(h.law))
 
     for h, share in zip(hypotheses, probabilities(hypotheses), strict=True):
-        rivals = [r for r in hypotheses if _is_rival(r, h)]
-        if share < TESTED or not rivals:
+        heirs = [r for r in hypotheses if _may_inherit(r, h)]
+        rivals = [predicted(r) for r in heirs if len(r.effects) < len(h.effects)]
+        if share < TESTED or not rivals or max(rivals) - predicted(h) <= REFUTED:
             continue
-        best = max(map(predicted, rivals))
-        if best - predicted(h) > REFUTED:
-            near = [r for r in rivals if best - predicted(r) <= REFUTED]
-            heir = remaining[min(near, key=lambda r: len(r.effects)).key]
-            joint = float(np.logaddexp(heir.score, remaining.pop(h.key).score))
-            remaining[heir.key] = dataclasses.replace(
-                heir, log_evidence=joint - heir.log_prior
-            )
+        least = max(map(predicted, heirs)) - REFUTED
+        near = [r for r in heirs if predicted(r) >= least]
+        heir = remaining[min(near, key=lambda r: len(r.effects)).key]
+        joint = float(np.logaddexp(heir.score, remaining.pop(h.key).score))
+        evidence_of_both = joint - heir.log_prior
+        remaining[heir.key] = dataclasses.replace(heir, log_evidence=evidence_of_both)
     return sorted(remaining.values(), key=lambda h: -h.score)
 
 
-def _is_rival(rival: Hypothesis, h: Hypothesis) -> bool:
-    """Whether one has an unknown remainder, and no effects but some of the other's."""
-    is_part = set(rival.effects) <= set(h.effects)
-    return bool(h.effects) and rival.unknown and is_part and rival.key != h.key
+def _may_inherit(other: Hypothesis, h: Hypothesis) -> bool:
+    """Whether another has an unknown remainder, and no effects but those of `h`."""
+    is_part = set(other.effects) <= set(h.effects)
+    return bool(h.effects) and other.unknown and is_part and other.key != h.key
 
 
 def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> float:
