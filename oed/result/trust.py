@@ -57,7 +57,8 @@ def section_objections(
             f"these ended more than {FAR:.0f} tolerances from nominal: {', '.join(far)};"
             " the nominal numbers are those of another machine, or [prior] is too narrow"
         )
-    if corrected is None and gap is not None and gap.effect_likely:
+    is_covered = gap is not None and gap.mixture is not None
+    if corrected is None and gap is not None and gap.effect_likely and not is_covered:
         sentences.append(
             f"the diagnosis reports a gap ({gap.verdict}), which bends the parameters of"
             " a fit without it"

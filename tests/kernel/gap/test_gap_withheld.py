@@ -1,0 +1,114 @@
+"""Answers that withheld runs refute, against predictions by dense covariance."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from kernel.dense_noise import law_covariance
+from kernel.gap_lines import BOW, EFFECTS, planted, readings
+from kernel.gap_unknown import smooth
+from oed.gap.cause import withheld
+from oed.gap.cause.compare import probabilities
+from oed.gap.cause.hypothesis import Hypothesis
+from oed.gap.cause.search import Search
+from oed.gap.data.evidence import RATE, SHAPE
+from oed.gap.data.problem import GapProblem
+from oed.gap.forms import library
+from oed.noise.law import STATED_LAW
+
+
+def _search(problem: GapProblem) -> Search:
+    return Search(
+        problem, library.build(problem, EFFECTS), smooth(problem), STATED_LAW, 0.0
+    )
+
+
+def _bowed(strength: float) -> Search:
+    return _search(planted(readings(5), BOW, {"leg 1": strength}, turns=2.0))
+
+
+def _preferred(search: Search, name: str, lead: float) -> list[Hypothesis]:
+    """An effect at an absurd size, ahead of all that the search takes for likely."""
+    ranked = [h for h in search.run() if name not in h.effects or h.unknown]
+    first = next(h for h in search.run() if h.effects == (name,) and not h.unknown)
+    score = ranked[0].score + lead
+    absurd = dataclasses.replace(
+        first, sizes=(1e5,), log_evidence=score - first.log_prior
+    )
+    return [absurd, *ranked]
+
+
+def test_an_effect_that_predicts_nonsense_is_refuted() -> None:
+    search = _bowed(2.0)
+    hypotheses = _preferred(search, "slip", 5.0)
+    assert probabilities(hypotheses)[0] > 0.99
+    remaining = withheld.without_refuted([search], hypotheses)
+    keys = [h.key for h in remaining]
+    assert (frozenset({"slip"}), False) not in keys
+    assert remaining[0].unknown
+    before = np.logaddexp.reduce([h.score for h in hypotheses])
+    after = np.logaddexp.reduce([h.score for h in remaining])
+    assert after == pytest.approx(before)  # probability goes somewhere
+
+
+def test_a_true_effect_stays() -> None:
+    search = _bowed(2.0)
+    hypotheses = search.run()
+    assert hypotheses[0].effects == ("bow",)
+    remaining = withheld.without_refuted([search], hypotheses)
+    assert [h.key for h in remaining] == [h.key for h in hypotheses]
+
+
+def test_the_heir_has_the_true_effect_of_a_pair() -> None:
+    """A pair that has the bow in another form, and what does not act."""
+    search = _bowed(2.0)
+    pair = next(h for h in search.run() if set(h.effects) == {"bow", "slip"})
+    part = pair.effects.index("bow")
+    true_turns = search.library.atoms[pair.atoms[part]].constants
+    other = next(
+        k
+        for k in search.library.atoms_of("bow")
+        if search.library.atoms[k].constants != true_turns
+    )
+    others = [h for h in search.run() if h.key != pair.key]
+    wrong = dataclasses.replace(
+        pair.with_form(part, other, 1.0),
+        log_evidence=others[0].score + 5.0 - pair.log_prior,
+    )
+    remaining = withheld.without_refuted([search], [wrong, *others])
+    assert wrong.key not in [h.key for h in remaining]
+    assert remaining[0].key == (frozenset({"bow"}), True)
+
+
+def test_withheld_runs_are_predicted_as_by_conditioning() -> None:
+    """Student's density of a fold given all others, from dense covariances."""
+    search = _bowed(1.0)
+    problem, h = search.problem, search.run()[0]
+    columns = np.hstack([problem.slopes, h.columns(search.library, search.processes)])
+    covariance = columns @ columns.T
+    for members in problem.members:
+        block = law_covariance(STATED_LAW, problem, members)
+        covariance[np.ix_(members, members)] += block
+    folds = [members for members in problem.members[:3]]
+    expected = 0.0
+    for fold in folds:
+        rest = np.setdiff1d(np.arange(len(problem)), fold)
+        gain = np.linalg.solve(
+            covariance[np.ix_(rest, rest)], covariance[np.ix_(rest, fold)]
+        )
+        mean = problem.residual[rest] @ gain
+        spread = covariance[np.ix_(fold, fold)] - covariance[np.ix_(fold, rest)] @ gain
+        energy = problem.residual[rest] @ np.linalg.solve(
+            covariance[np.ix_(rest, rest)], problem.residual[rest]
+        )
+        freedom = 2.0 * SHAPE + len(rest)
+        level = (2.0 * RATE + energy) / freedom
+        expected += stats.multivariate_t(mean, level * spread, freedom).logpdf(
+            problem.residual[fold]
+        )
+    others = [np.setdiff1d(np.arange(len(problem)), fold) for fold in folds]
+    assert withheld.log_withheld(search, h, others) == pytest.approx(expected)
