@@ -25,6 +25,11 @@ NAMES = (
     "servo_lag",
     "encoder_scale",
     "cable_stretch",
+    "cable_sag",
+    "post_compliance",
+    "pulley_radius",
+    "drum_runout",
+    "gear_eccentricity",
     "pitch_accumulation",
     "screw_cyclic",
     "encoder_subdivision",
@@ -44,6 +49,7 @@ REFERENCES = {
     "probe_lobing": "height_probe",
     "probe_abbe": "height_probe",
     "air_refraction": "rm5",
+    "target_offset": "pose_tracker",
 }
 CARRIAGES = {
     "hexaglide",

@@ -9,7 +9,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from oed.model.effect import Column, Effect, State
-from oed.model.machine import Machine
 from pkm_models.effects import natures, terms
 
 COMPLIANCE = 20e-6  # 1/N
@@ -29,11 +28,6 @@ def columns(state: State) -> Iterable[Column]:
         yield terms.adapting(leg, COMPLIANCE, leg, {i: change[:, i]})
 
 
-def unfit(machine: Machine) -> str | None:
-    """Why nothing stretches; None where it can."""
-    return "it has no cables" if machine.cable_stiffness is None else None
-
-
 effect = Effect(
     name="cable_stretch",
     source="Pott 2018, Cable-Driven Parallel Robots, Springer, section 4.2; rope catalogues",
@@ -44,6 +38,6 @@ effect = Effect(
     remedy="state the stiffness of the cables, and record their tensions, or take stiffer cables",
     nature=natures.LOAD,
     exposed_by="the same poses at two pretensions, with the tensions recorded",
-    unfit=unfit,
+    unfit=terms.lacks_cables,
     common_to_limbs=True,
 )

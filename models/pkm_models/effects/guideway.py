@@ -38,13 +38,10 @@ def columns(state: State) -> Iterable[Column]:
 
 def unfit(machine: Machine) -> str | None:
     """Only machines whose joints move carriages have guideways."""
-    if machine.struts is None:
-        return terms.lacks_struts(machine)
-    return (
-        None
-        if terms.travel(machine).guide.any()
-        else "no joint moves the base end of its strut: it has no carriages"
-    )
+    reason = terms.lacks_struts(machine) or terms.has_rotary_drives(machine)
+    if reason is None and not terms.travel(machine).guide.any():
+        return "no joint moves the base end of its strut: it has no carriages"
+    return reason
 
 
 effect = Effect(

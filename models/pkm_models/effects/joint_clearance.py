@@ -52,6 +52,6 @@ effect = Effect(
     exposed_by=(
         "pull and push at the platform, at poses where a leg's load changes its sign"
     ),
-    unfit=terms.lacks_struts,
+    unfit=terms.lacks_jointed_struts,
     common_to_limbs=True,
 )

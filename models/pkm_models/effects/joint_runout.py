@@ -87,5 +87,5 @@ effect = Effect(
     nature=natures.TRAVEL,
     exposed_by="large tilts in all directions",
     textbook_share=0.1,
-    unfit=terms.lacks_struts,
+    unfit=terms.lacks_jointed_struts,
 )

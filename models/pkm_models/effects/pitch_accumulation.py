@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from oed.model.effect import Column, Effect, State
+from oed.model.machine import Machine
 from pkm_models.effects import natures, terms
 
 CURVE = 10e-6  # m, standard deviation along the travel
@@ -30,6 +31,13 @@ def columns(state: State) -> Iterable[Column]:
         yield Column(f"leg {i + 1} slope", CURVE, f"leg {i + 1}", slope, shape=True)
 
 
+def unfit(machine: Machine) -> str | None:
+    """Only screws, belts and scales have a pitch that adds up."""
+    if machine.cable_stiffness is not None and machine.drive != "belt":
+        return "its struts are cables: they have no pitch"
+    return terms.has_rotary_drives(machine)
+
+
 effect = Effect(
     name="pitch_accumulation",
     source="ISO 3408-3 (travel deviation of ball screws), classes 3 and 5",
@@ -43,4 +51,5 @@ effect = Effect(
     family=natures.ALONG_TRAVEL,
     exposed_by="readings over the full stroke of each joint",
     textbook_share=0.1,
+    unfit=unfit,
 )

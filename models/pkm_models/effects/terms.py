@@ -197,6 +197,18 @@ def lacks_struts(machine: Machine) -> str | None:
     )
 
 
+def lacks_cables(machine: Machine) -> str | None:
+    """Why an effect of cables cannot occur; None where it can."""
+    return "it has no cables" if machine.cable_stiffness is None else None
+
+
+def lacks_jointed_struts(machine: Machine) -> str | None:
+    """Why no joint at a strut's end can err; None where one can."""
+    if machine.cable_stiffness is not None:
+        return "its struts are cables, which end in no joints"
+    return lacks_struts(machine)
+
+
 def has_rotary_drives(machine: Machine) -> str | None:
     """Why an effect of linear drives cannot occur; None where it can."""
     return (
