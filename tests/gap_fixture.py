@@ -185,6 +185,7 @@ def diagnosis(problem: GapProblem) -> Diagnosis:
         explained=explained * sigma,
         unexplained=np.zeros(len(problem)),
         likeness={},
+        nearest=(),
         before=(residual - _absorbed(slopes, residual)) * sigma,
         after=(unexplained - _absorbed(slopes, unexplained)) * sigma,
         where=_places(problem),

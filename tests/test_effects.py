@@ -28,7 +28,6 @@ from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve import machine as resolve_machine
 
-
 #: effects that only cables have, and those that they cannot have
 OF_CABLES = {
     "cable_stretch",

@@ -231,6 +231,10 @@ def test_what_an_unknown_effect_resembles() -> None:
         " (probability 62 %); or the tool about the place 1, 2, 3 mm (probability"
         " 30 %)."
     )
+    kinds = _gap(
+        "unknown", ["unknown"], [], unknown=forms, nearest=["step", "mount_drift"]
+    )
+    assert kinds.words[2].startswith("Known causes of that kind: step and mount drift")
     single = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06}).words[1]
     assert single.endswith("drift (probability 6 %).")
     assert not any("resembles" in w for w in _gap("unknown", ["unknown"], []).words)

@@ -10,7 +10,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.gap.cause import advice, answers, closure, withheld
 from oed.gap.cause.compare import Comparison, compare_expanded, probabilities
-from oed.gap.cause.explained import explain
+from oed.gap.cause.explained import explain, nearest_effects
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.scatter import (
     excess_scatter,
@@ -22,6 +22,8 @@ from oed.gap.cause.search import Search
 from oed.gap.cause.searches import searches, searches_under
 from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, AnswerContent, Diagnosis
 from oed.gap.data.problem import GapProblem
+from oed.gap.forms.carriers import JOINTS, READINGS, part_in_words
+from oed.gap.forms.library import Library
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.model.effect import Effect
@@ -162,6 +164,7 @@ def conclude(
         law=law,
         noise_words=describe(law, problem.longest),
         likeness=_likeness(search, best),
+        nearest=nearest_effects(search, best),
         where=(),
         closure=(),
         not_testable=untested,
@@ -204,10 +207,22 @@ def _likeness(search: Search, best: Hypothesis) -> dict[str, float]:
     if best.process is not None:
         for share, h in search.forms(best, len(best.effects)):
             of, atom, _ = h.forms(search.library, search.processes)[-1]
-            about = of.atoms[atom].about
+            about = _described(of, atom)
             by_form[about] = by_form.get(about, 0.0) + share
     likeliest = sorted(by_form.items(), key=lambda item: -item[1])[:LIKE]
     return {form: share for form, share in likeliest if share > LEAST_LIKE}
+
+
+def _described(of: Library, atom: int) -> str:
+    """A form in words, by the part of its carrier where it acts in one alone."""
+    about = of.atoms[atom].about
+    labels = {of.labels[c] for c in of.atoms[atom].columns}
+    if len(labels) > 1 or not all(labels):
+        return about
+    part = part_in_words(labels.pop())
+    if part in about:
+        return about
+    return about.replace(JOINTS, part).replace(READINGS, part)
 
 
 def _locate(

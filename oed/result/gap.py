@@ -191,6 +191,8 @@ class GapSection(Record, frozen=True):
               the stated noise)
     unknown   what a remainder of unknown form is like, in words, with probabilities,
               the likeliest first
+    nearest   effects that explain at least half of it, the nearest first: causes of its
+              kind, none of which has its form
     effective_laws  number of equally good noise laws that the first answer rests on
     words     one finding a sentence, the most important first
     next      what to do about it
@@ -223,6 +225,7 @@ class GapSection(Record, frozen=True):
     next: list[str] = []
     constants: dict[str, dict[str, float]] = {}
     unknown: dict[str, float] = {}
+    nearest: list[str] = []
     scatter: float | None = None
     scatter_against: str = ""
     scatter_shape: str = ""

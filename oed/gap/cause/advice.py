@@ -12,10 +12,10 @@ from oed.result.gap import AnswerRecord, visible_probability
 
 #: probability of the leading answer below which the advice considers its rival too
 SURE = 0.8
-#: probability of visible effects from which no geometry is compensated without doubt:
-#: 31 of 37 cases below it have none, 13 of 25 up to twice as much
-#: (docs/benchmarks/second.md)
+#: probability of visible effects from which the advice says how to show one
 DOUBT = 0.05
+#: what to do where no effect is reported
+GO_AHEAD = "Nothing beyond the geometry and the noise is seen: compensate the geometry."
 #: probability of noise alone from which a gap is read again before anything else
 WORTH_A_REPEAT = 0.1
 #: members of a class that are named each
@@ -160,15 +160,7 @@ def _for_scatter(scatter: ExcessScatter) -> str:
 def _without_effect(
     answers: Sequence[AnswerRecord], unstated: float | None
 ) -> list[str]:
-    """What to do where no effect is reported: act only where none is probable."""
-    visible = visible_probability(answers)
-    if visible > DOUBT:
-        return [
-            f"An effect is not excluded (probability {100.0 * visible:.0f} %): before you"
-            " compensate the geometry, take one run again, and once in the other"
-            " direction. What recurs at its poses beyond the noise is an effect; what does"
-            " not is noise, or changes with time."
-        ]
+    """What to do where no effect is reported: act, and what would show more."""
     if unstated is not None:
         return [
             f"A reading scatters {unstated:.2g} times as much as stated, with what its run"
@@ -176,8 +168,14 @@ def _without_effect(
             " changes between the two is noise, to be stated in [noise]; what changes over"
             " the session alone is an effect."
         ]
+    visible = visible_probability(answers)
+    if visible <= DOUBT:
+        return [GO_AHEAD]
     return [
-        "Nothing beyond the geometry and the noise is seen: compensate the geometry."
+        GO_AHEAD,
+        f"An effect is not excluded (probability {100.0 * visible:.0f} %): one run taken"
+        " again, and once in the other direction, would show it. What recurs at its poses"
+        " beyond the noise is an effect; what does not is noise, or changes with time.",
     ]
 
 

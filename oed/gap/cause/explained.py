@@ -7,13 +7,20 @@ from collections.abc import Collection
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.gap.cause.compare import RIVAL
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import Explained, Size
+from oed.gap.data.evidence import WhitenedColumns
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import STATED_LAW
 from oed.result.gap import CoefficientRecord
+
+#: share of an unknown remainder that an effect explains which comes near it
+NEAR = 0.5
+#: number of such effects that are named
+MOST_NEAR = 4
 
 
 def explain(
@@ -72,6 +79,34 @@ def explain(
         before=before * problem.sigma,
         after=after * problem.sigma,
     )
+
+
+def nearest_effects(search: Search, h: Hypothesis) -> tuple[str, ...]:
+    """Effects that explain most of an unknown remainder, the nearest first.
+
+    With s what the remainder changes, an effect's share is the largest s^T M G (G^T M G
+    + 1 / t^2)^-1 G^T M s / s^T M s of its forms G, at the largest usual size t.
+    """
+    if h.process is None:
+        return ()
+    problem, library = search.problem, search.library
+    metric = Metric(problem, search.law)
+    columns = h.columns(library, search.processes)
+    mean, _ = metric.posterior(columns, problem.residual)
+    of_process = len(search.processes.atoms[h.process].columns)
+    change = columns[:, -of_process:] @ mean[-of_process:]
+    grams = WhitenedColumns(
+        problem.with_residual(change), metric, library.columns
+    ).grams()
+    shares: dict[str, float] = {}
+    for atom in library.atoms:
+        at = atom.columns
+        b = grams.b[at]
+        inner = grams.gram[np.ix_(at, at)] + np.eye(len(at)) / RIVAL**2
+        share = float(b @ np.linalg.solve(inner, b)) / grams.energy
+        shares[atom.effect] = max(share, shares.get(atom.effect, 0.0))
+    near = [name for name, share in shares.items() if share >= NEAR]
+    return tuple(sorted(near, key=lambda name: -shares[name])[:MOST_NEAR])
 
 
 def _rms_by_channel(problem: GapProblem, signal: Array) -> dict[str, float]:

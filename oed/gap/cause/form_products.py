@@ -124,7 +124,8 @@ class Remainders:
         log_share = np.log(max(len(processes.effects), 1))
         energy = energies(columns.diagonal, self._columns)
         log_sizes = UNKNOWN_SIZES.log_visible_shares(energy)
-        self._log_prior = log_weights[:, None] - log_share + log_sizes
+        #: (processes, sizes) log prior of each
+        self.log_prior = log_weights[:, None] - log_share + log_sizes
 
     def __len__(self) -> int:
         return len(self._columns)
@@ -144,7 +145,7 @@ class Remainders:
             least = evidence.ROUNDING * self._whitened.whole[rows].max(axis=1)
             gain, log_det = evidence.explained_energy(gram, b, SIZES, least)
             table[numbers] = alone.log_ratio(gain, log_det)
-        return np.asarray(table + self._log_prior)
+        return np.asarray(table + self.log_prior)
 
     def best(self, alone: Grams, selected: Selected) -> Remainder:
         """The best process and size; arguments as of `log_evidences`."""

@@ -158,6 +158,16 @@ class Search:
             for k in np.argsort(-shares, kind="stable")
         ]
 
+    def log_form_prior(self, h: Hypothesis) -> float:
+        """Log prior of a hypothesis' forms and sizes among those that its parts can have."""
+        total = 0.0
+        for atom, size in zip(h.atoms, h.sizes, strict=True):
+            total += self._forms.log_prior[atom, np.searchsorted(SIZES, size)]
+        if h.process is not None:
+            place = np.searchsorted(UNKNOWN_SIZES, h.process_size)
+            total += self._forms.remainders.log_prior[h.process, place]
+        return float(total)
+
     # -- sets of effects ---------------------------------------------------------------
 
     def screen(self, grams: Grams, without: Iterable[str]) -> dict[str, Further]:

@@ -8,7 +8,9 @@ others have the log predictive density
 
 each of the two a log evidence, so that parameters, coefficients and noise level are
 learned from the others alone. The sum over the folds, whole runs in turn, compares
-hypotheses by prediction (Vehtari and Lampinen 2002, Neural Comput. 14, 2439-2468). A
+hypotheses by prediction (Vehtari and Lampinen 2002, Neural Comput. 14, 2439-2468). Forms
+and sizes are chosen with all readings: each choice costs its log prior, so that a form
+out of many gains nothing by having been the best of them. A
 hypothesis is refuted if withheld runs are 19 times as likely with a remainder of unknown
 form in place of some of its effects, or of all. Its probability goes to the one with
 the fewest names of those that predict about as well as the best, all its names and an
@@ -46,8 +48,9 @@ def without_refuted(
 
     @functools.cache
     def predicted(h: Hypothesis) -> float:
-        """Log predictive density of all withheld runs."""
-        return log_withheld(searches[h.law], h, others(h.law))
+        """Log predictive density of all withheld runs, less the price of the forms."""
+        search = searches[h.law]
+        return log_withheld(search, h, others(h.law)) + search.log_form_prior(h)
 
     for h, share in zip(hypotheses, probabilities(hypotheses), strict=True):
         heirs = [r for r in hypotheses if _may_inherit(r, h)]

@@ -103,6 +103,7 @@ class Diagnosis(Explained):
     noise_words     the same in words
     likeness        {form of the unknown remainder in words: probability}, the likeliest
                     first; empty without a remainder
+    nearest         effects whose form comes nearest to the unknown remainder's
     where           blocks in which the gap lies
     closure         how far it shrinks on held-out readings
     not_testable    {effect: why these readings cannot test it}
@@ -125,6 +126,7 @@ class Diagnosis(Explained):
     law: NoiseLaw
     noise_words: tuple[str, ...]
     likeness: Mapping[str, float]
+    nearest: tuple[str, ...]
     where: tuple[PlaceRecord, ...]
     closure: tuple[ClosureRecord, ...]
     not_testable: Mapping[str, str]

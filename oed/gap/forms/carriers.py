@@ -17,8 +17,9 @@ from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Series
 
-#: name of the carrier whose columns are the joints
+#: names of the carriers whose columns are the joints and the channels' readings
 JOINTS = "the joints"
+READINGS = "the readings"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,13 +46,14 @@ class Carrier:
         if not self.separable:
             return [self]
         return [
-            Carrier(_in_words(label), self.columns[:, k, None], (label,))
+            Carrier(part_in_words(label), self.columns[:, k, None], (label,))
             for k, label in enumerate(self.labels)
         ]
 
 
-def _in_words(label: str) -> str:
-    return label.replace("channel ", "the readings of ")
+def part_in_words(label: str) -> str:
+    """A part of a carrier by its label."""
+    return label.replace("channel ", f"{READINGS} of ")
 
 
 def every(problem: GapProblem) -> tuple[Carrier, ...]:
@@ -81,7 +83,7 @@ def _by_name(problem: GapProblem, kinds: pd.Series) -> Carrier:
     columns = np.zeros((len(problem), len(names), _most_poses(problem)))
     columns[np.arange(len(problem)), owner, 0] = 1.0
     labels = tuple(f"channel {name}" for name in names)
-    return Carrier("the readings", columns, labels)
+    return Carrier(READINGS, columns, labels)
 
 
 def _joints(problem: GapProblem, slopes: Array) -> Carrier:

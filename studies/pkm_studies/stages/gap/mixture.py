@@ -21,14 +21,17 @@ from oed.compensate.effects.mixture import (
     columns_of_forms,
     side_by_side,
 )
+from oed.gap.cause.advice import GO_AHEAD
 from oed.measurement.measurement import Measurement, Series
 from oed.result import (
     CompensationChoice,
+    GapSection,
     MixedAnswer,
     MixedParameter,
     MixtureSection,
 )
 from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE, NOTHING, PLAIN
+from oed.result.prediction import LEVELS
 from pkm_studies.stages.fit.effects import with_controller
 from pkm_studies.stages.fit.states import displayed_states
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
@@ -46,6 +49,8 @@ PHRASES = {
     BEST_WITH_EFFECTS: "by the best answer with its effects corrected",
     NOTHING: "with nothing corrected",
 }
+#: probability that what stays after compensation is within its bound
+BOUND = 0.95
 #: probability that is rounding
 ROUNDED = 1e-6
 #: last number of the seed of the states in which known effects are taken up
@@ -213,6 +218,25 @@ def _with_accuracy(
         prediction=sections[shown],
         with_effects=with_effects,
     )
+
+
+def with_bound(gap: GapSection) -> GapSection:
+    """The section whose advice to go ahead says how much may still hide."""
+    mixture = gap.mixture
+    if not gap.next or gap.next[0] != GO_AHEAD or mixture is None:
+        return gap
+    if mixture.prediction is None or mixture.sent == NOTHING:
+        return gap
+    bounds = [
+        f"{name} {format_number(c.after.rms_quantiles[LEVELS.index(BOUND)])} {c.after.unit}"
+        for name, c in mixture.prediction.components.items()
+        if c.compensatable
+    ]
+    sentence = (
+        f"{GO_AHEAD} With all that may still hide, the rms error that stays is at most"
+        f" {join_words(bounds)} with {100.0 * BOUND:.0f} %."
+    )
+    return msgspec.structs.replace(gap, next=[sentence, *gap.next[1:]])
 
 
 def _free(mixture: AnswerMixture) -> Index:

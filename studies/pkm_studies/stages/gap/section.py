@@ -81,6 +81,7 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         words=[],
         next=list(diagnosis.next),
         unknown={form: float(p) for form, p in diagnosis.likeness.items()},
+        nearest=list(diagnosis.nearest),
         scatter=None if scatter is None else scatter.factor,
         scatter_shape="" if scatter is None else scatter.shape,
         scatter_against="" if scatter is None else scatter.against,

@@ -238,7 +238,20 @@ def _resemblance(gap: GapSection) -> list[str]:
     if not likely:
         return []
     parts = [f"{form} (probability {format_probability(p)})" for form, p in likely]
-    return [f"What no known effect explains most resembles: {'; or '.join(parts)}."]
+    return [
+        f"What no known effect explains most resembles: {'; or '.join(parts)}.",
+        *_nearest(gap),
+    ]
+
+
+def _nearest(gap: GapSection) -> list[str]:
+    """Known causes of the kind of what is unknown."""
+    others = [plain_name(name) for name in gap.nearest if name not in gap.selected]
+    if not others:
+        return []
+    return [
+        f"Known causes of that kind: {join_words(others)}; but the form is another one."
+    ]
 
 
 def _few_laws(gap: GapSection) -> list[str]:

@@ -70,7 +70,8 @@ def mix_answers(state: Fitted) -> Fitted:
     tabled, reason = state.result.corrected, NO_HELP
     if tabled is not None and _is_too_coarse(tabled, section.with_effects):
         section, reason = msgspec.structs.replace(section, with_effects=None), COARSE
-    state = state.with_sections(gap=msgspec.structs.replace(gap, mixture=section))
+    gap = msgspec.structs.replace(gap, mixture=section)
+    state = state.with_sections(gap=sections.with_bound(gap))
     if tabled is None or section.with_effects is not None:
         return state
     return state.with_sections(corrected=without_tables(tabled, reason))
