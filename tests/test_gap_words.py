@@ -241,7 +241,7 @@ def test_what_an_unknown_effect_resembles() -> None:
 
 
 @pytest.mark.parametrize(("low", "high", "interval"), [
-    (0.35, 49.55, "35 to 100 %"), (-7.0, 0.4, "700 % more to 40 % less"),
+    (0.35, 49.55, "35 to 100 %"), (-7.0, 0.4, "over 100 % more to 40 % less"),
     (-0.2, 1.2, "20 % more to 100 % less"),
 ])  # fmt: skip
 def test_an_interval_ends_at_the_whole_and_says_what_is_growth(

@@ -182,7 +182,9 @@ def _closure(gap: GapSection) -> list[Block]:
 
 def _closed(value: Number) -> str:
     """The share that is closed; beyond the whole, less than the noise expects is left."""
-    return ALL if or_nan(value) >= 1.0 else _share(value)
+    if or_nan(value) >= 1.0:
+        return ALL
+    return text.MISSING if value is None else _end(value)
 
 
 def _interval(closure: ClosureRecord) -> str:

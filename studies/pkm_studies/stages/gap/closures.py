@@ -11,6 +11,8 @@ SPLITS = {
     "within": "on held-out stretches of runs",
     "whole": "on whole held-out runs",
 }
+#: closure below which a figure says no more than that the gap more than doubles
+DOUBLED = -1.0
 
 
 def sentences(gap: GapSection) -> list[str]:
@@ -67,7 +69,9 @@ def _closure(closure: ClosureRecord, value: float) -> str:
 
 def _growth(closure: ClosureRecord, value: float) -> str:
     """`40 % (90 % more to 10 % less) on whole held-out runs`, of a closure below 0."""
-    size = f"{-100.0 * value:.0f} %{_interval(closure, 0)}"
+    size = "over 100 %"
+    if value >= DOUBLED:
+        size = f"{-100.0 * value:.0f} %{_interval(closure, 0)}"
     return f"{size} {SPLITS.get(closure.split, closure.split)}"
 
 
@@ -83,6 +87,8 @@ def _interval(closure: ClosureRecord, digits: int) -> str:
 
 def _bound_in_words(share: float) -> str:
     """`40 % more` or `10 % less`: an end of the interval of a share by which it shrinks."""
+    if share < DOUBLED:
+        return "over 100 % more"
     return f"{abs(100.0 * min(share, 1.0)):.0f} % {'more' if share < 0.0 else 'less'}"
 
 
