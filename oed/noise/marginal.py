@@ -23,7 +23,7 @@ from oed.base.arrays import Array
 from oed.base.linear_algebra import triangle_of_sums
 from oed.noise.law_mode import find_mode, root_about
 from oed.noise.prior import NoisePrior
-from oed.noise.process import Laws, Whitening
+from oed.noise.process import BATCH_NUMBERS, Laws, Whitening
 from oed.noise.proposal import kernels_at, split_student
 from oed.noise.structure import ReadingStructure
 
@@ -34,8 +34,6 @@ FARTHEST = 8.0
 #: how far the mode stays from there, prior sd: readings without noise have theirs at the
 #: end, and draws must fit beyond it
 ROOM = 1.0
-#: numbers in the largest array of one batch of laws
-BATCH_NUMBERS = 1_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -57,8 +55,9 @@ class ResidualModel:
         """Log marginal likelihood and posterior of z under each law."""
         structure = self.structure
         shared = structure.effects.shape[1] + structure.course.shape[1]
-        size = len(self.residual) * (1 + self.slopes.shape[1] + shared)
-        step = max(1, BATCH_NUMBERS // size)
+        columns = 1 + self.slopes.shape[1] + shared
+        of_chains = len(structure.run) * len(structure.kinds)
+        step = max(1, BATCH_NUMBERS // (columns * max(columns, of_chains)))
         parts = [
             self._solve(laws.take(slice(k, k + step)))
             for k in range(0, len(laws), step)

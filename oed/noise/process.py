@@ -32,6 +32,8 @@ from oed.noise.structure import ReadingStructure
 
 #: least and largest size of an error that is far off, where one is drawn
 FAR = (5.0, 50.0)
+#: numbers in the largest array of one batch of laws
+BATCH_NUMBERS = 1_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -94,39 +96,142 @@ def stated_laws(
 
 
 class Whitening:
-    """Readings of a structure under L laws, laws one after the other in one vector.
+    """Readings of a structure under L laws.
 
-    White and carried error have the banded root of `oed.noise.banded`. Values are (m, L,
-    C, T), chain by chain. Where a chain has no reading they are 0, of variance 1.
+    White and carried error have the banded root of `oed.noise.banded`, which a share and a
+    reach of what is carried along make: laws that differ in no more than scales and sizes
+    have it in common, and these are factors on its products. Values are (m, P, C, T), for
+    P pairs of share and reach, chain by chain. Where a chain has no reading they are 0, of
+    variance 1.
     """
 
     def __init__(self, structure: ReadingStructure, laws: Laws) -> None:
         self.structure, self.laws = structure, laws
-        self._chain_scale = laws.scale[:, structure.group_of_chain]
-        self._share = laws.carried[:, None, None]
 
     @functools.cached_property
-    def _decay(self) -> Array:
-        """Decays (L, C, T) of what is carried from the reading before."""
-        return np.exp(-self.structure.steps / self.laws.reach[:, None, None])
+    def log_determinant(self) -> Array:
+        """Log determinants (L,) of the covariances, in units of the stated noise."""
+        return self._products(np.zeros((len(self.structure), 0)))[1]
 
-    @functools.cached_property
-    def _factor(self) -> ChainFactor | None:
-        """White and carried errors (L C T,); None where nothing is carried."""
-        if not self.laws.carried.any():
-            return None
-        decay, carried = self._decay, self._share
+    def gram(self, values: Array) -> Array:
+        """Products Y^T C^-1 Y (L, m, m), for standardised Y (N, m) or (L, N, m)."""
+        # the determinant is mostly asked for next
+        gram, self.__dict__["log_determinant"] = self._products(values)
+        return gram
+
+    def _products(self, values: Array) -> tuple[Array, Array]:
+        """Products (L, m, m) of values, and log determinants (L,) of the covariances.
+
+        What all readings share is taken out by the Woodbury identity.
+        """
+        gram, log_determinant = self._products_of_noise(values)
+        count = values.shape[-1]
+        if gram.shape[-1] == count:
+            return gram, log_determinant
+        inner = gram[:, count:, count:]
+        root = np.linalg.cholesky(inner + np.eye(inner.shape[-1]))
+        half = np.linalg.solve(root, gram[:, count:, :count])
+        diagonals = np.diagonal(root, axis1=-2, axis2=-1)
+        log_determinant = log_determinant + 2.0 * np.log(diagonals).sum(axis=1)
+        return gram[:, :count, :count] - half.swapaxes(1, 2) @ half, log_determinant
+
+    def _products_of_noise(self, values: Array) -> tuple[Array, Array]:
+        """The same without what all readings share, of whose columns there are products."""
+        laws, structure = self.laws, self.structure
+        pairs = np.stack([laws.carried, laws.reach], axis=1)
+        number = np.arange(len(laws))
+        if values.ndim == 2:
+            values = values[None]
+            pairs, number = np.unique(pairs, axis=0, return_inverse=True)
+        grams, across, inner, log_variances = self._unscaled(pairs, values)
+        factors = self._factors(values.shape[-1])
+        whole = np.zeros((len(laws), *grams.shape[2:]))
+        for group in range(factors.shape[1]):
+            factor = factors[:, group]
+            whole += factor[:, :, None] * grams[number, group] * factor[:, None]
+        across = across[number] * factors[:, structure.group_of_chain, None]
+        amounts = laws.sizes[:, structure.kinds]
+        shared = taken_out(inner[number], self._by_run(across), amounts)
+        counts = np.bincount(structure.group, minlength=laws.scale.shape[1])
+        log_determinant = log_variances[number] + 2.0 * np.log(laws.scale) @ counts
+        return whole - shared[0], log_determinant + shared[1]
+
+    def _factors(self, count: int) -> Array:
+        """Factors (L, G, m) on values, of which there are `count`, and on what all share."""
+        count += self.structure.effects.shape[1]
+        of_values = np.repeat(1.0 / self.laws.scale[:, :, None], count, axis=2)
+        if not self._has_course:
+            return of_values
+        shape = (*of_values.shape[:2], self.structure.course.shape[1])
+        of_course = np.broadcast_to(self.laws.course[:, None, None], shape)
+        return np.concatenate([of_values, of_course], axis=2)
+
+    @property
+    def _has_course(self) -> bool:
+        return bool(self.structure.course.size and self.laws.course.any())
+
+    def _unscaled(self, pairs: Array, values: Array) -> tuple[Array, ...]:
+        """Products under unit scales and sizes, for P pairs (P, 2) of share and reach.
+
+        values  (1 or P, N, m); what all readings share stands after them
+
+        Products (P, G, m, m) of the readings of each group; (P, C, K, m) with the errors
+        that a run shares, in each chain; (P, R, K, K) of these; log determinants (P,).
+        """
+        structure = self.structure
+        wide = [structure.effects] if structure.has_effects else []
+        wide += [structure.course] if self._has_course else []
+        parts = [np.broadcast_to(w, (len(values), *w.shape)) for w in wide]
+        grid = self._on_chains(np.concatenate([values, *parts], axis=2))
+        shared = self._on_chains(structure.columns[None])
+        size = grid[:, 0].size + shared.size
+        step = max(1, BATCH_NUMBERS // size)
+        blocks = []
+        for k in range(0, len(pairs), step):
+            some = pairs[k : k + step]
+            part = grid if len(values) == 1 else grid[:, k : k + step]
+            blocks.append(self._of_pairs(some, part, shared))
+        return tuple(np.concatenate(parts) for parts in zip(*blocks, strict=True))
+
+    def _of_pairs(self, pairs: Array, grid: Array, shared: Array) -> tuple[Array, ...]:
+        """The same of some pairs, for values (m, 1 or P, C, T) and columns (K, 1, C, T)."""
+        shape, count = (len(pairs), *self.structure.shape), len(grid)
+        both = np.concatenate(
+            [np.broadcast_to(part, (len(part), *shape)) for part in (grid, shared)]
+        )
+        log_variances = np.zeros(len(pairs))
+        differences, solved = both, both
+        if pairs[:, 0].any():
+            factor = self._factor(pairs)
+            log_variances = factor.log_variances.reshape(len(pairs), -1).sum(axis=1)
+            flat = both.reshape(len(both), math.prod(shape)).T
+            halves = factor.halves(flat)
+            differences, solved = (half.T.reshape(both.shape) for half in halves)
+        grams = np.stack(
+            [
+                _rows(differences[:count, :, chains])
+                @ _rows(solved[:count, :, chains]).swapaxes(1, 2)
+                for chains in self.structure.chains_of_group
+            ],
+            axis=1,
+        )
+        # raised by what rounds off the sums: what is left of them stays positive definite
+        # where shared errors take nearly all, under noise far below the stated one
+        diagonal = np.einsum("pgmm->pgm", grams)
+        diagonal *= 1.0 + np.sqrt(math.prod(shape[1:])) * np.finfo(float).eps
+        across = solved[count:].transpose(1, 2, 0, 3) @ differences.transpose(
+            1, 2, 3, 0
+        )
+        inner = self._by_run(across[..., count:])
+        return grams, across[..., :count], inner, log_variances
+
+    def _factor(self, pairs: Array) -> ChainFactor:
+        """White and carried errors (P C T,)."""
+        carried, reach = pairs.T[:, :, None, None]
+        decay = np.exp(-self.structure.steps / reach)
         single = np.broadcast_to(1.0 - carried, decay.shape)
         fresh = carried * (1.0 - decay**2)
         return ChainFactor(decay.ravel(), single.ravel(), fresh.ravel())
-
-    def _halves(self, grid: Array) -> tuple[Array, Array]:
-        """Halves (m, L, C, T) of values, whose products are those of the precision."""
-        if self._factor is None:
-            return grid, grid
-        flat = grid.reshape(len(grid), math.prod(grid.shape[1:]))
-        differences, solved = self._factor.halves(flat.T)
-        return differences.T.reshape(grid.shape), solved.T.reshape(grid.shape)
 
     def _on_chains(self, values: Array) -> Array:
         """Values (L or 1, N, m) by chains (m, L or 1, C, T)."""
@@ -136,88 +241,12 @@ class Whitening:
             grid[:, :, absent] = 0.0
         return grid
 
-    @functools.cached_property
-    def _columns(self) -> tuple[Array, Array]:
-        """Half (K, L, C, T) of the errors that a run shares, of unit size, and their
-        products (L, R, K, K).
-        """
-        columns = self._on_chains(self.structure.columns[None])
-        shape = (len(columns), len(self.laws), *columns.shape[2:])
-        differences, solved = self._halves(np.broadcast_to(columns, shape))
-        return solved, self._run_products(solved, differences)
-
-    def _run_products(self, columns: Array, values: Array) -> Array:
-        """Sums (L, R, K, m) over each run of columns (K, L, C, T) times values (m, ...)."""
-        by_chain = columns.transpose(1, 2, 0, 3) @ values.transpose(1, 2, 3, 0)
+    def _by_run(self, of_chains: Array) -> Array:
+        """Sums (L, R, ...) over each run of what its chains (L, C, ...) have."""
         first = self.structure.first_chains
-        if len(first) == by_chain.shape[1]:
-            return np.asarray(by_chain)
-        return np.add.reduceat(by_chain, first, axis=1)
-
-    @functools.cached_property
-    def log_determinant(self) -> Array:
-        """Log determinants (L,) of the covariances, in units of the stated noise."""
-        counts = np.bincount(self.structure.group, minlength=self.laws.scale.shape[1])
-        alone = 2.0 * np.log(self.laws.scale) @ counts
-        if self._factor is not None:
-            log_variances = self._factor.log_variances.reshape(len(alone), -1)
-            alone += log_variances.sum(axis=1)
-        inner = self._columns[1]
-        alone += taken_out(inner, inner[..., :0], self._amounts)[1]
-        if not self._wide.shape[-1]:
-            return alone
-        diagonals = np.diagonal(self._root_of_wide, axis1=-2, axis2=-1)
-        return np.asarray(alone + 2.0 * np.log(diagonals).sum(axis=1))
-
-    @functools.cached_property
-    def _wide(self) -> Array:
-        """Columns V (L or 1, N, k) that all readings share."""
-        return common_columns(self.structure, self.laws)
-
-    @functools.cached_property
-    def _root_of_wide(self) -> Array:
-        """Cholesky factor of 1 + V^T C^-1 V (L, k, k)."""
-        return _root_above_one(self._gram_of_noise(self._wide))
-
-    @property
-    def _amounts(self) -> Array:
-        """Sizes (L, K) of the errors that a run shares."""
-        return self.laws.sizes[:, self.structure.kinds]
-
-    def gram(self, values: Array) -> Array:
-        """Products Y^T C^-1 Y (L, m, m), for standardised Y (N, m) or (L, N, m).
-
-        What all readings share is taken out by the Woodbury identity.
-        """
-        wide, count = self._wide, values.shape[-1]
-        if not wide.shape[-1]:
-            return self._gram_of_noise(values)
-        batch = values if values.ndim == 3 else values[None]
-        laws = max(len(batch), len(wide))
-        parts = [np.broadcast_to(p, (laws, *p.shape[1:])) for p in (batch, wide)]
-        whole = self._gram_of_noise(np.concatenate(parts, axis=-1))
-        across = whole[:, count:, :count]
-        # kept for the determinant, which is mostly asked for next
-        root = _root_above_one(whole[:, count:, count:])
-        self.__dict__["_root_of_wide"] = root
-        half = np.linalg.solve(root, across)
-        return whole[:, :count, :count] - half.swapaxes(1, 2) @ half
-
-    def _gram_of_noise(self, values: Array) -> Array:
-        """The same without what all readings share."""
-        batch = values if values.ndim == 3 else values[None]
-        scaled = self._on_chains(batch) / self._chain_scale[:, :, None]
-        differences, solved = self._halves(scaled)
-        columns, count = scaled.shape[:2]
-        rows = differences.reshape(columns, count, -1).swapaxes(0, 1)
-        whole = rows @ solved.reshape(columns, count, -1).transpose(1, 2, 0)
-        # raised by what rounds off the sums: what is left of them stays positive definite
-        # where shared errors take nearly all, under noise far below the stated one
-        diagonal = np.einsum("lmm->lm", whole)
-        diagonal *= 1.0 + np.sqrt(rows.shape[-1]) * np.finfo(float).eps
-        half, inner = self._columns
-        products = self._run_products(half, differences)
-        return whole - taken_out(inner, products, self._amounts)[0]
+        if len(first) == of_chains.shape[1]:
+            return of_chains
+        return np.asarray(np.add.reduceat(of_chains, first, axis=1))
 
     def draw(
         self,
@@ -235,7 +264,7 @@ class Whitening:
         count, (chains, length) = len(self.laws), self.structure.shape
         white = rng.standard_normal((2, count, chains, length))
         carried = self._carried_along(white[0])
-        share = self._share
+        share = self.laws.carried[:, None, None]
         alone = _with_tails(white[1], tails, rng)
         if estimated and tails.student_dof is not None:
             alone *= _student_over_pseudo(tails.student_dof)
@@ -247,7 +276,7 @@ class Whitening:
         common = np.einsum("lnk,nk->ln", of_reading, self.structure.columns)
         scale = self.laws.scale[:, self.structure.group]
         errors = scale * (single[:, *self.structure.slot] + common)
-        wide = self._wide
+        wide = common_columns(self.structure, self.laws)
         if wide.shape[-1]:
             amounts = rng.standard_normal((count, wide.shape[-1]))
             errors += np.einsum(
@@ -257,14 +286,14 @@ class Whitening:
 
     def _carried_along(self, white: Array) -> Array:
         """Errors (L, C, T) of unit size that are carried along, of white ones."""
-        decay = self._decay
+        decay = np.exp(-self.structure.steps / self.laws.reach[:, None, None])
         fresh = np.sqrt(1.0 - decay**2) * white
         return along_chains(decay.ravel(), fresh.ravel()).reshape(white.shape)
 
 
-def _root_above_one(gram: Array) -> Array:
-    """Cholesky factor of 1 + G (L, k, k)."""
-    return np.asarray(np.linalg.cholesky(gram + np.eye(gram.shape[-1])))
+def _rows(values: Array) -> Array:
+    """Values (m, P, C, T) by pairs (P, m, C T)."""
+    return values.swapaxes(0, 1).reshape(*values.shape[1::-1], -1)
 
 
 def common_columns(structure: ReadingStructure, laws: Laws) -> Array:

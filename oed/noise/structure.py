@@ -117,6 +117,12 @@ class ReadingStructure:
         return of_chain
 
     @functools.cached_property
+    def chains_of_group(self) -> list[Index]:
+        """Chains of each group."""
+        groups = range(len(self.names))
+        return [np.flatnonzero(self.group_of_chain == group) for group in groups]
+
+    @functools.cached_property
     def variances(self) -> Array:
         """Mean variances (G, G), SI, of each group's readings by each decoupled group."""
         mixing = sparse.csr_array(sparse.diags_array(self.unit))
