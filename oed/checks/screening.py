@@ -135,14 +135,13 @@ class Screening:
         both = np.column_stack([self._residual, self.noise.whiten(columns)])
         components = self._white.components(both)
         whole = both.T @ both
-        gains = []
         alone = self._by_scale(self._white, self._residual[:, None], len(both))[:, 0]
-        for scale in self.scales:
-            weight = 1.0 / (self._white.values + scale**2)
-            gram = (whole - (components.T * weight) @ components) / scale**2
-            gain, amounts = gain_of_amounts(gram)
-            gains.append(gain + trial.scaling(amounts))
-        return self._best(alone + np.array(gains))
+        square = self.scales[:, None, None] ** 2
+        weights = 1.0 / (self._white.values + square)
+        grams = (whole - (components.T * weights) @ components) / square
+        gains, amounts = gains_of_amounts(grams)
+        scaling = np.array([trial.scaling(some) for some in amounts])
+        return self._best(alone + gains + scaling)
 
     # -- other poses, missing values, several machines ---------------------------------
 
@@ -199,25 +198,28 @@ def scales_of_noise(residual: Array) -> Array:
     return np.asarray(least * SCALE_STEP ** np.arange(max(count, 4)))
 
 
-def gain_of_amounts(gram: Array) -> tuple[float, Array]:
-    """Log evidence that amounts of unknown size add, and the amounts (k,).
+def gains_of_amounts(grams: Array) -> tuple[Array, Array]:
+    """Log evidences (S,) that amounts of unknown size add, and the amounts (S, k).
 
-    gram  products (1 + k, 1 + k) under the precision of the readings: of the residual,
-          then of the columns
+    grams  products (S, 1 + k, 1 + k) under precisions of the readings: of the residual,
+           then of the columns
 
     Their prior sd is what the readings say of their size, at the cost of that choice.
     """
-    precision, slope = gram[1:, 1:], gram[1:, 0]
-    unit = np.sqrt(np.maximum(np.diag(precision), 1e-300))
-    scaled, part = precision / np.outer(unit, unit), slope / unit
-    amounts = np.linalg.lstsq(scaled, part, rcond=1e-9)[0]
-    size = float(np.mean(amounts**2))
-    if size <= 1.0:
-        return -LOG_SIZES, 0.0 * amounts
-    inner = np.eye(len(part)) + size * scaled
-    gain = 0.5 * size * float(part @ np.linalg.solve(inner, part))
-    gain -= 0.5 * float(np.linalg.slogdet(inner)[1]) + LOG_SIZES
-    return gain, amounts / unit
+    precision, slope = grams[:, 1:, 1:], grams[:, 1:, 0]
+    unit = np.sqrt(np.maximum(np.diagonal(precision, axis1=1, axis2=2), 1e-300))
+    scaled, part = precision / (unit[:, :, None] * unit[:, None]), slope / unit
+    values, vectors = np.linalg.eigh(scaled)
+    along = np.einsum("sij,si->sj", vectors, part)
+    is_known = values > 1e-9 * values[:, -1:]
+    solved = np.divide(along, values, out=np.zeros_like(along), where=is_known)
+    amounts = np.einsum("sij,sj->si", vectors, solved)
+    size = np.mean(amounts**2, axis=1)
+    inner = 1.0 + size[:, None] * np.maximum(values, 0.0)
+    gain = 0.5 * size * (along**2 / inner).sum(axis=1) - 0.5 * np.log(inner).sum(axis=1)
+    is_large = size > 1.0
+    gain = np.where(is_large, gain, 0.0) - LOG_SIZES
+    return gain, np.where(is_large[:, None], amounts / unit, 0.0)
 
 
 def log_density_of_any(given: Given, values: Index) -> float:

@@ -175,6 +175,28 @@ class Given:
         channels = [self.channel == name for name in dict.fromkeys(self.channel)]
         return [self.shown, *[self.shown & one for one in (*kinds, *channels)]]
 
+    @functools.cached_property
+    def places(self) -> list[list[tuple[Scope, Mask]]]:
+        """Each target's scopes and its values (N,) there, where no other has the same."""
+        scopes = [*self.scopes, *self.parts]
+        return [
+            [
+                (s, values)
+                for s in scopes
+                if (values := self.values_in(s, k)) is not None
+            ]
+            for k in range(len(self.targets))
+        ]
+
+    def values_in(self, scope: Scope, target: int) -> Mask | None:
+        """Values (N,) of a target, by number, in a scope; None where another has the same."""
+        at, targets = scope.values(self.session), self.targets
+        values = targets[target] & at
+        is_known = any(np.array_equal(values, t & at) for t in targets[:target])
+        if scope.level == "set-up":  # all that the file has of it
+            is_known |= any(np.array_equal(values, other) for other in targets)
+        return values if values.any() and not is_known else None
+
     def names(self, values: Mask) -> str:
         """Columns of some values (N,)."""
         channels = dict.fromkeys(self.channel[values])

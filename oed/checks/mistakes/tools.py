@@ -53,10 +53,11 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
     if not any(c.unit == "rad" for c in session.measurement.machine.command):
         return  # without rotation, the tool moves every reading alike
     tools = {session.measurement.setups[s.setup].tool for s in session.series}
+    measured = functools.cache(partial(_measured, session))
     wholes = [scope for scope in given.scopes if not scope.is_part]
     for (words, uses), axes in itertools.product(POINTS.items(), AXES):
         scopes = given.scopes if uses == {"read"} else wholes
-        shift = _shifts(session, uses, axes)
+        shift = _shifts(session, measured, uses, axes)
         starts = {0.0, *(-2.0 * tool[axes[0]] for tool in tools if len(axes) == 1)}
         for start in sorted(starts, key=abs):
             amounts = np.full(len(axes), start)
@@ -119,17 +120,25 @@ def _table(
     return PoseTable(first, given.slopes, slopes * spread)
 
 
-def _shifts(session: SessionReadings, uses: set[str], axes: Sequence[int]) -> Shift:
-    measurement = session.measurement
+def _measured(session: SessionReadings, read: tuple[float, ...]) -> Measurement:
+    """The measurement with set-ups once more that read another point, m from theirs."""
+    return mounted_again(
+        session.measurement,
+        dict.fromkeys(s.setup for s in session.series),
+        lambda s: {
+            "station": s.owner,
+            "tool": tuple((np.array(s.tool) + read).tolist()),
+        },
+    )
 
-    @functools.cache
-    def measured(away: tuple[float, ...]) -> Measurement:
-        read = np.array(away) if "read" in uses else np.zeros(3)
-        return mounted_again(
-            measurement,
-            dict.fromkeys(s.setup for s in session.series),
-            lambda s: {"station": s.owner, "tool": tuple((s.tool + read).tolist())},
-        )
+
+def _shifts(
+    session: SessionReadings,
+    measured: Callable[[tuple[float, ...]], Measurement],
+    uses: set[str],
+    axes: Sequence[int],
+) -> Shift:
+    measurement = session.measurement
 
     def moved_by(away: Array) -> Moved:
         def moved(series: Series) -> Series:
@@ -150,7 +159,8 @@ def _shifts(session: SessionReadings, uses: set[str], axes: Sequence[int]) -> Sh
     def shift(scope: Scope, amounts: Array) -> list[SessionReadings]:
         away = np.zeros(3)
         away[list(axes)] = amounts
-        other = dataclasses.replace(session, measurement=measured(tuple(away.tolist())))
+        read = away if "read" in uses else np.zeros(3)
+        other = dataclasses.replace(session, measurement=measured(tuple(read.tolist())))
         return [with_moved(other, scope.readings, moved_by(away))]
 
     return shift

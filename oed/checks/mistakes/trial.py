@@ -127,18 +127,16 @@ def in_values(given: Given, make: OnValues) -> Iterator[MistakeTrial]:
     """One mistake of all values, of a unit and of a channel, in the file, set-ups, runs
     and rows, and in what one instrument may have read.
     """
-    targets = given.targets
-    for k, target in enumerate(targets):
+    for k, places in enumerate(given.places):
 
-        def on(scope: Scope, k: int = k, target: Mask = target) -> MistakeTrial | None:
-            at = scope.values(given.session)
-            values = target & at
-            is_known = any(np.array_equal(values, other & at) for other in targets[:k])
-            if scope.level == "set-up":  # all that the file has of it
-                is_known |= any(np.array_equal(values, other) for other in targets)
-            return make(scope, values) if values.any() and not is_known else None
+        def on(scope: Scope, k: int = k) -> MistakeTrial | None:
+            values = given.values_in(scope, k)
+            return None if values is None else make(scope, values)
 
-        yield from in_scopes([*given.scopes, *given.parts], on)
+        for scope, values in places:
+            trial = make(scope, values)
+            if trial is not None:
+                yield dataclasses.replace(trial, on=on)
     for scope, values in given.instruments:
         trial = make(scope, values)
         if trial is not None:
