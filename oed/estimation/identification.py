@@ -138,8 +138,8 @@ def _stage_with_effects(
     exact = last_stage(fit, stated, theta, start_residuals, patterns)
     structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
     settled = settle_law(fit, stated, exact, structure, prior)
-    without = integrate_settled(fit, exact, settled)
-    starts = [EffectsStart(without.theta, settled.mode)]
+    without = settled.coordinates.to_theta(settled.model.centre)
+    starts = [EffectsStart(without, settled.mode)]
     if not discrepancy.is_small:  # what is large can pass for noise
         starts.insert(0, EffectsStart(exact.theta, None))
 
