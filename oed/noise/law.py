@@ -73,24 +73,21 @@ class NoiseLaw:
         scale = np.full(len(order), self.level)
         if self.channel_ratio is not None:
             scale = scale * self.channel_ratio[order]
-        decay, unmix = layout.decay(runs.position, self.ar1_length), None
+        decay = layout.decay(runs.position, self.ar1_length)
         if stated is not None and stated.carried:
             carried = single * min(stated.carried, 1.0 - LEAST_SHARE)
             single = single - carried
-            decay, unmix = layout.decay(stated.place, stated.reach), stated.unmix(order)
-        elif stated is not None:
-            sd, unmix = stated.unmix_to_unit(order)
-            single = single * sd**2
+            decay = layout.decay(stated.place, stated.reach)
         return Errors(
             order=order,
             starts=layout.starts,
             before=layout.before,
             decay=decay if carried.any() else np.zeros(len(order)),
-            single=single,
+            single=single * layout.unit**2,
             carried=carried,
             shared=shared[:, shared.any(axis=0)],
             scale=scale,
-            unmix=unmix,
+            unmix=layout.unmix,
         )
 
     def shared(self, runs: Runs, order: Index) -> Array:

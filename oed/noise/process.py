@@ -237,15 +237,12 @@ class Whitening:
         """Values (L or 1, N, m) by chains (m, L or 1, C, T)."""
         reading, absent = self.structure.reading_of_slot
         grid = np.take(values.transpose(2, 0, 1), reading, axis=2)
-        if absent.any():
-            grid[:, :, absent] = 0.0
+        grid[:, :, absent] = 0.0
         return grid
 
     def _by_run(self, of_chains: Array) -> Array:
         """Sums (L, R, ...) over each run of what its chains (L, C, ...) have."""
         first = self.structure.first_chains
-        if len(first) == of_chains.shape[1]:
-            return of_chains
         return np.asarray(np.add.reduceat(of_chains, first, axis=1))
 
     def draw(

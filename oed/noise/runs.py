@@ -12,6 +12,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import sparse
 
 from oed.base.arrays import Array, Index
 from oed.noise.stated import StatedErrors
@@ -25,11 +26,15 @@ class RunLayout:
     starts  (S,) first place of each segment in it
     before  (k,) place of the reading before in the run and channel; its own for the
             first
+    unit    (k,) what single readings have, and `unmix` (k, k) sparse, what their channels
+            are made independent by, as in `StatedErrors.unmixing`
     """
 
     order: Index
     starts: Index
     before: Index
+    unit: Array
+    unmix: sparse.csr_array | None
 
     def decay(self, position: Array, length: float) -> Array:
         """Correlation (k,) with the reading before, over a length; 0 for the first.
@@ -104,10 +109,16 @@ class Runs:
             start + _same_before(self.channel[segment])
             for segment, start in zip(segments, starts, strict=False)
         ]
+        order = np.concatenate(segments)
+        unit, unmix = np.ones(len(order)), None
+        if self.stated is not None:
+            unit, unmix = self.stated.unmixing(order)
         return RunLayout(
-            order=np.concatenate(segments),
+            order=order,
             starts=starts[:-1],
             before=np.concatenate(before),
+            unit=unit,
+            unmix=unmix,
         )
 
 

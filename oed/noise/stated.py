@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 from scipy import sparse
 
 from oed.base.arrays import Array, Index
@@ -34,16 +35,15 @@ class StatedErrors:
     place: Array
     shared: Array
 
-    def unmix(self, order: Index) -> sparse.csr_array:
-        """R^-1 (k, k) of readings in an order."""
-        return sparse.csr_array(self.inverse[order][:, order])
-
-    def unmix_to_unit(self, order: Index) -> tuple[Array, sparse.csr_array | None]:
+    def unmixing(self, order: Index) -> tuple[Array, sparse.csr_array | None]:
         """Diagonal D (k,) of R = U D, and U^-1 (k, k), of readings in an order.
 
-        None where U is 1: no channels have common sources.
+        None where U is 1: no channels have common sources. Where an error is carried
+        along, D is 1 and U is R.
         """
-        inverse = self.unmix(order)
+        inverse = sparse.csr_array(self.inverse[order][:, order])
+        if self.carried:
+            return np.ones(len(order)), inverse
         diagonal = 1.0 / inverse.diagonal()
         if inverse.nnz == len(order):
             return diagonal, None
