@@ -10,11 +10,12 @@ each of the two a log evidence, so that parameters, coefficients and noise level
 learned from the others alone. The sum over the folds, whole runs in turn, compares
 hypotheses by prediction (Vehtari and Lampinen 2002, Neural Comput. 14, 2439-2468). Forms
 and sizes are chosen with all readings: each choice costs its log prior, so that a form
-out of many gains nothing by having been the best of them. A
-hypothesis is refuted if withheld runs are 19 times as likely with a remainder of unknown
-form in place of some of its effects, or of all. Its probability goes to the one with
-the fewest names of those that predict about as well as the best, all its names and an
-unknown remainder among them.
+out of many gains nothing by having been the best of them.
+
+A hypothesis is refuted if withheld runs are 19 times as likely with a remainder of
+unknown form in place of some of its effects, or of all. Its probability goes to the one
+with the fewest names of those that predict about as well as the best; one with all its
+names and an unknown remainder is among them.
 """
 
 from __future__ import annotations
