@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from oed.base.orientation import tilt_and_spin
 from oed.checks.explain import as_given
-from oed.checks.fit import fit
-from oed.checks.large_misfit import fit_of_any_misfit
+from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.mistakes import (
     PHYSICAL,
     Given,

@@ -12,9 +12,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.checks.fit import fit
+from oed.checks.fit import CANNOT_BE, fit
 from oed.checks.mistakes import Alternatives, Given, MistakeTrial, trials
-from oed.checks.mistakes.moved import CANNOT_BE
 from oed.checks.screening import Screening
 from oed.checks.session import SessionReadings
 from oed.measurement.simulation import draw_parameters

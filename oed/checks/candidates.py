@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from scipy import special
@@ -33,81 +33,71 @@ ALIKE = 3.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class MistakeCandidates:
-    """Mistakes to fit.
-
-    first   the likeliest in the linear model
-    then    the likeliest of each kind: they may act along curves
-    """
-
-    first: Sequence[Candidate]
-    then: Sequence[Candidate]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class Candidate:
-    """A mistake to fit.
+    """A mistake that may be fitted.
 
     trial      the mistake, undone
+    score      in the linear model
     log_prior  of it among all mistakes
-    scale      of the noise over the stated one, in the linear model
     """
 
     trial: MistakeTrial
-    log_prior: float
-    scale: float
+    score: Score
+    log_prior: float = 0.0
+
+    @property
+    def log_posterior(self) -> float:
+        """Log posterior in the linear model, up to a constant."""
+        return self.score.log_evidence + self.log_prior
 
 
 def candidates(
     given: Given, screening: Screening, *, thorough: bool, of_noise: bool = False
-) -> MistakeCandidates:
-    """Mistakes of the readings to fit; see `explain` for `thorough` and `of_noise`."""
-    every = list(trials(given, of_noise=of_noise))
-    linear = screening.scores(every)
+) -> tuple[list[Candidate], list[Candidate]]:
+    """Mistakes of the readings to fit; see `explain` for `thorough` and `of_noise`.
+
+    First the likeliest in the linear model, then the likeliest of each kind: they may act
+    along curves.
+    """
+    every = _scored(screening, trials(given, of_noise=of_noise))
     if cuts_are_coarse(given.session):
-        more = list(_near_parts(given, every, linear))
-        every, linear = [*every, *more], [*linear, *screening.scores(more)]
-    more = list(_of_several_runs(given, every, linear))
-    every, linear = [*every, *more], [*linear, *screening.scores(more)]
-    improved, scores_of_improved = _improved(given, screening, every, linear)
-    every, linear = [*every, *improved], [*linear, *scores_of_improved]
-    priors = log_priors(every)
-    scores = np.array([one.log_evidence for one in linear]) + priors
-    scores[_same_elsewhere(every, linear)] = -np.inf
+        every += _scored(screening, _near_parts(given, every))
+    every += _scored(screening, _of_several_runs(given, every))
+    every += _improved(given, screening, every)
+    priors = log_priors([one.trial for one in every])
+    every = [
+        dataclasses.replace(one, log_prior=float(prior))
+        for one, prior in zip(every, priors, strict=True)
+    ]
     as_given = screening.as_given().log_evidence
-    first, then = _chosen(every, scores, as_given)
+    first, then = _chosen(_without_same(every), as_given)
     if not thorough:
-        unseen = [
-            k for k in then if _is_unseen(every[k], linear[k].log_evidence, as_given)
-        ]
-        first, then = [k for k in first if scores[k] > as_given], unseen
-
-    def taken(numbers: Sequence[int]) -> list[Candidate]:
-        return [Candidate(every[k], float(priors[k]), linear[k].scale) for k in numbers]
-
-    return MistakeCandidates(taken(first), taken(then))
+        first = [one for one in first if one.log_posterior > as_given]
+        then = [one for one in then if _is_unseen(one, as_given)]
+    return first, then
 
 
-def _same_elsewhere(
-    every: Sequence[MistakeTrial], linear: Sequence[Score]
-) -> list[int]:
-    """Trials that undo no more than the same mistake of another scope does, by number."""
-    known: set[tuple[OnScope, float]] = set()
-    same = []
-    for k, (trial, score) in enumerate(zip(every, linear, strict=True)):
-        if trial.on is None:
-            continue
-        key = (trial.on, round(score.log_evidence, 6))
-        if key in known:
-            same.append(k)
+def _scored(screening: Screening, some: Iterable[MistakeTrial]) -> list[Candidate]:
+    listed = list(some)
+    return list(map(Candidate, listed, screening.scores(listed)))
+
+
+def _without_same(every: Sequence[Candidate]) -> list[Candidate]:
+    """Mistakes but those that undo no more than the same one of another scope does."""
+    known: set[tuple[OnScope | None, float]] = set()
+    different = []
+    for one in every:
+        key = (one.trial.on, round(one.score.log_evidence, 6))
+        if one.trial.on is None or key not in known:
+            different.append(one)
         known.add(key)
-    return same
+    return different
 
 
-def _is_unseen(trial: MistakeTrial, log_evidence: float, as_given: float) -> bool:
+def _is_unseen(one: Candidate, as_given: float) -> bool:
     """Whether the linear model cannot tell a mistake of the file from the file as given."""
-    is_of_file = trial.columns is None and trial.scope.level == "file"
-    return is_of_file and log_evidence > as_given - ALIKE
+    is_of_file = one.trial.columns is None and one.trial.scope.level == "file"
+    return is_of_file and one.score.log_evidence > as_given - ALIKE
 
 
 def log_priors(every: Sequence[MistakeTrial]) -> Array:
@@ -124,52 +114,57 @@ def log_priors(every: Sequence[MistakeTrial]) -> Array:
 
 
 def _chosen(
-    every: Sequence[MistakeTrial], scores: Array, as_given: float
-) -> tuple[list[int], list[int]]:
-    """Numbers of the trials to fit first, and then."""
-    of_kind = _by_kind(every, scores)
-    ranked = [k for members in of_kind.values() for k in members[:MOST_OF_KIND]]
-    ranked.sort(key=lambda k: -scores[k])
-    first = [k for k in ranked[:FITTED] if scores[k] > scores[ranked[0]] - HOPELESS]
-    likely = [k for ks in of_kind.values() for k in _alike(every, scores, ks)]
+    every: Sequence[Candidate], as_given: float
+) -> tuple[list[Candidate], list[Candidate]]:
+    """Mistakes to fit first, and then."""
+    of_kind = _by_kind(every)
+    ranked = [one for members in of_kind.values() for one in members[:MOST_OF_KIND]]
+    ranked = _likeliest_first(ranked)
+    first = [
+        one
+        for one in ranked[:FITTED]
+        if one.log_posterior > ranked[0].log_posterior - HOPELESS
+    ]
+    likely = [one for members in of_kind.values() for one in _alike(members)]
     least = as_given - HOPELESS
-    return first, [k for k in likely if k not in first and scores[k] > least]
+    return first, [c for c in likely if c not in first and c.log_posterior > least]
 
 
-def _by_kind(every: Sequence[MistakeTrial], scores: Array) -> dict[str, list[int]]:
-    """Trials by kind, by number, the likeliest first, one of each family."""
+def _likeliest_first(some: Sequence[Candidate]) -> list[Candidate]:
+    return sorted(some, key=lambda one: -one.log_posterior)
+
+
+def _by_kind(every: Sequence[Candidate]) -> dict[str, list[Candidate]]:
+    """Mistakes by kind, the likeliest first, one of each family."""
     families: set[tuple[str, object]] = set()
-    of_kind: dict[str, list[int]] = {}
-    for k in np.argsort(-scores, kind="stable"):
-        family = (every[k].kind, every[k].family or int(k))
-        if np.isfinite(scores[k]) and family not in families:
+    of_kind: dict[str, list[Candidate]] = {}
+    for one in _likeliest_first([c for c in every if np.isfinite(c.log_posterior)]):
+        family = (one.trial.kind, one.trial.family or id(one))
+        if family not in families:
             families.add(family)
-            of_kind.setdefault(every[k].kind, []).append(int(k))
+            of_kind.setdefault(one.trial.kind, []).append(one)
     return of_kind
 
 
-def _alike(
-    every: Sequence[MistakeTrial], scores: Array, members: list[int]
-) -> list[int]:
-    """The likeliest trial of a kind, and those of the whole file that the linear model can
-    hardly tell from it.
+def _alike(members: Sequence[Candidate]) -> list[Candidate]:
+    """The likeliest mistake of a kind, and those of the whole file that the linear model
+    can hardly tell from it.
     """
     alike = [
-        k
-        for k in members[1:]
-        if every[k].scope.level == "file" and scores[k] > scores[members[0]] - ALIKE
+        one
+        for one in members[1:]
+        if one.trial.scope.level == "file"
+        and one.log_posterior > members[0].log_posterior - ALIKE
     ]
     return [members[0], *alike[: MOST_OF_KIND - 1]]
 
 
-def _near_parts(
-    given: Given, every: Sequence[MistakeTrial], linear: Sequence[Score]
-) -> Iterator[MistakeTrial]:
+def _near_parts(given: Given, every: Sequence[Candidate]) -> Iterator[MistakeTrial]:
     """Mistakes of rows that begin or end near those of the likeliest ones."""
-    of_rows = [k for k, trial in enumerate(every) if trial.scope.level == "rows"]
-    of_rows.sort(key=lambda k: -linear[k].log_evidence)
-    near = part_scopes(given.session, [every[k].scope for k in of_rows[:PARTS]])
-    for on in {id(every[k].on): every[k].on for k in of_rows}.values():
+    of_rows = [one for one in every if one.trial.scope.level == "rows"]
+    likeliest = [one.trial.scope for one in _likeliest_first(of_rows)[:PARTS]]
+    near = part_scopes(given.session, likeliest)
+    for on in dict.fromkeys(one.trial.on for one in of_rows):
         if on is not None:
             yield from in_scopes(near, on)
 
@@ -178,17 +173,16 @@ def _near_parts(
 
 
 def _of_several_runs(
-    given: Given, every: Sequence[MistakeTrial], linear: Sequence[Score]
+    given: Given, every: Sequence[Candidate]
 ) -> Iterator[MistakeTrial]:
     """Each mistake of runs in the two, three, ... runs where it is likeliest alone."""
-    by_form: dict[OnScope, list[int]] = {}
-    for k, one in enumerate(every):
-        if one.scope.level == "run" and one.on is not None:
-            by_form.setdefault(one.on, []).append(k)
+    by_form: dict[OnScope, list[MistakeTrial]] = {}
+    for one in _likeliest_first(every):
+        if one.trial.scope.level == "run" and one.trial.on is not None:
+            by_form.setdefault(one.trial.on, []).append(one.trial)
     for on, members in by_form.items():
-        ranked = sorted(members, key=lambda k: -linear[k].log_evidence)
-        runs = [every[k].scope for k in ranked]
-        is_quick = every[ranked[0]].table is None
+        runs = [trial.scope for trial in members]
+        is_quick = members[0].table is None
         for some in _sets(runs, every_one=is_quick and len(runs) <= MOST_IN_ALL_SETS):
             trial = _in_runs(given, on, some)
             if trial is not None:
@@ -223,35 +217,24 @@ def _in_runs(given: Given, on: OnScope, runs: Sequence[Scope]) -> MistakeTrial |
 
 
 def _improved(
-    given: Given,
-    screening: Screening,
-    every: Sequence[MistakeTrial],
-    linear: Sequence[Score],
-) -> tuple[list[MistakeTrial], list[Score]]:
+    given: Given, screening: Screening, every: Sequence[Candidate]
+) -> list[Candidate]:
     """The likeliest mistakes of several runs with one run more or less, while it helps."""
-    several = [k for k, trial in enumerate(every) if trial.scope.level == "runs"]
-    several = [k for k in several if every[k].on is not None]
-    several.sort(key=lambda k: -linear[k].log_evidence)
-    best: dict[OnScope | None, int] = {}
-    for k in several:
-        best.setdefault(every[k].on, k)
-    trials_of: list[MistakeTrial] = []
-    scores_of: list[Score] = []
-    for k in list(best.values())[:IMPROVED]:
-        trial: MistakeTrial = every[k]
-        score = linear[k].log_evidence
+    best: dict[OnScope, Candidate] = {}
+    for one in _likeliest_first(every):
+        if one.trial.scope.level == "runs" and one.trial.on is not None:
+            best.setdefault(one.trial.on, one)
+    improved: list[Candidate] = []
+    for one in list(best.values())[:IMPROVED]:
+        last = one
         for _ in given.runs:
-            nearby = list(_with_one_run_changed(given, trial))
-            scores = screening.scores(nearby)
-            place = max(
-                range(len(nearby)), key=lambda i: scores[i].log_evidence, default=-1
-            )
-            if place < 0 or scores[place].log_evidence <= score:
+            nearby = _scored(screening, _with_one_run_changed(given, last.trial))
+            likeliest = _likeliest_first([last, *nearby])[0]
+            if likeliest is last:
                 break
-            trial, score = nearby[place], scores[place].log_evidence
-            trials_of.append(trial)
-            scores_of.append(scores[place])
-    return trials_of, scores_of
+            last = likeliest
+            improved.append(last)
+    return improved
 
 
 def _with_one_run_changed(given: Given, trial: MistakeTrial) -> Iterator[MistakeTrial]:

@@ -13,15 +13,12 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg, special
+from scipy import special
 
 from oed.checks.candidates import HOPELESS, MISTAKEN, Candidate, candidates
 from oed.checks.evidence import linear_readings, log_evidence
-from oed.checks.fit import Fit
-from oed.checks.fit_amounts import fit_amounts
-from oed.checks.large_misfit import fit_of_any_misfit
+from oed.checks.fit import CANNOT_BE, Fit, fit_amounts, fit_of_any_misfit
 from oed.checks.mistakes import Alternatives, Given, MistakeTrial
-from oed.checks.mistakes.moved import CANNOT_BE
 from oed.checks.outlier_odds import SHARE as SHARE_OF_OUTLIERS
 from oed.checks.outlier_search import MEDIAN
 from oed.checks.outliers import find_outliers
@@ -47,19 +44,18 @@ WITH_EFFECTS = 1.5
 FAR = 4.5
 #: tolerances from nominal beyond which a fit is no machine to be linear about
 FAR_PARAMETER = 4.0
-#: standard deviations that an amount must be away from nothing
-SIGNIFICANT = 3.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Explanation:
-    """A mistake that explains the readings.
+    """Readings without a mistake, fitted.
 
-    kind         of mistake
-    what         the mistake as a sentence, without a full stop
-    before       misfit over the stated noise, of the readings as given
-    after        the same with the mistake undone; NaN where no readings are left
-    probability  among all mistakes and none
+    kind           of mistake; empty for the readings as given
+    what           the mistake as a sentence, without a full stop
+    before         misfit over the stated noise, of the readings as given
+    after          the same with the mistake undone; NaN where no readings are left
+    probability    among all mistakes and none
+    log_posterior  log evidence and log prior
     """
 
     kind: str
@@ -67,6 +63,7 @@ class Explanation:
     before: float
     after: float
     probability: float = 1.0
+    log_posterior: float = 0.0
 
 
 def explain(
@@ -95,9 +92,8 @@ def explain(
             screening, Screening(dataclasses.replace(given, at=nearest))
         )
         given = screening.given
-    chosen = candidates(given, screening, thorough=thorough, of_noise=of_noise)
-    fitted: list[Undone] = []
-    for some in (chosen.first, chosen.then):
+    fitted: list[Explanation] = []
+    for some in candidates(given, screening, thorough=thorough, of_noise=of_noise):
         fitted += [one for c in some if (one := undone(given, c)) is not None]
         if any(_settles(one, nothing) for one in fitted):
             break
@@ -110,23 +106,23 @@ def _better(one: Screening, other: Screening) -> Screening:
     return other if gain > 0.0 else one
 
 
-def _settles(one: Undone, nothing: Undone | None) -> bool:
+def _settles(one: Explanation, nothing: Explanation | None) -> bool:
     """Whether a specific mistake leaves the noise alone."""
     odds = np.inf if nothing is None else one.log_posterior - nothing.log_posterior
-    is_specific = one.kind not in GENERAL and one.ratio <= SETTLED
+    is_specific = one.kind not in GENERAL and one.after <= SETTLED
     return bool(is_specific and odds >= HOPELESS)
 
 
-def _distinct(fitted: Sequence[Undone]) -> list[Undone]:
+def _distinct(fitted: Sequence[Explanation]) -> list[Explanation]:
     """Mistakes of different words, likeliest first."""
-    best: dict[str, Undone] = {}
+    best: dict[str, Explanation] = {}
     for one in sorted(fitted, key=lambda one: -one.log_posterior):
         best.setdefault(one.what, one)
     return list(best.values())
 
 
 def _explanations(
-    ranked: Sequence[Undone], nothing: Undone | None, before: float
+    ranked: Sequence[Explanation], nothing: Explanation | None, before: float
 ) -> list[Explanation]:
     """Mistakes that are as likely as must be and explain, of those from the likeliest on."""
     if not ranked:
@@ -137,13 +133,7 @@ def _explanations(
         return []
     weights = special.softmax(np.append(posterior, alone))[:-1]
     explanations = [
-        Explanation(
-            kind=one.kind,
-            what=one.what,
-            before=before,
-            after=one.ratio,
-            probability=float(weight),
-        )
+        dataclasses.replace(one, before=before, probability=float(weight))
         for one, weight in zip(ranked, weights, strict=True)
         if weight >= SHARE * weights[0]
     ]
@@ -171,23 +161,7 @@ def _sample(session: SessionReadings) -> SessionReadings:
 # -- a mistake undone and fitted -------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
-class Undone:
-    """Readings without a mistake, fitted.
-
-    kind           of mistake; empty for the readings as given
-    what           the mistake in words
-    log_posterior  log evidence and log prior
-    ratio          misfit over the stated noise; NaN where no readings are left
-    """
-
-    kind: str
-    what: str
-    log_posterior: float
-    ratio: float
-
-
-def as_given(nearest: Fit | None) -> Undone | None:
+def as_given(nearest: Fit | None) -> Explanation | None:
     """The readings as given, without a prior; None where they cannot be fitted."""
     if nearest is None:
         return None
@@ -195,21 +169,68 @@ def as_given(nearest: Fit | None) -> Undone | None:
         solution, log_density = _with_evidence(nearest)
     except CANNOT_BE:
         return None
-    return Undone("", "", log_density, solution.ratio)
+    return Explanation("", "", nearest.ratio, solution.ratio, log_posterior=log_density)
 
 
-def undone(given: Given, candidate: Candidate) -> Undone | None:
+def undone(given: Given, candidate: Candidate) -> Explanation | None:
     """The readings without a mistake; None where they cannot be fitted."""
     trial = candidate.trial
-    log_prior = candidate.log_prior + trial.log_scale + _log_missing(given, trial)
     try:
-        if len(trial.amounts):
-            return _with_amounts(trial, candidate.scale, log_prior)
-        sessions = trial.undo(trial.amounts)
-        log_prior += _log_of_poses_read(given.session, sessions)
-        return _fitted(sessions, candidate.scale, log_prior, trial)
+        fits = _fits(trial, candidate.score.scale)
+        if fits is None:
+            return None
+        log_posterior = candidate.log_prior + trial.log_scale
+        log_posterior += _log_missing(given, trial)
+        amounts = sd = trial.amounts
+        if len(amounts):
+            amounts, sd = fits[0].amounts, fits[0].sd
+            log_posterior += trial.scaling(amounts) - _cost_of_amounts(fits[0])
+        else:
+            sessions = [one.session for one in fits]
+            log_posterior += _log_of_poses_read(given.session, sessions)
+        parts = [_with_evidence(one) for one in fits]
     except CANNOT_BE:
         return None
+    solutions = [solution for solution, _ in parts]
+    if trial.estimated is not None:
+        amounts, sd = trial.estimated(solutions[-1])
+    return Explanation(
+        kind=trial.kind,
+        what=trial.words(amounts, sd),
+        before=np.nan,
+        after=_common_ratio(solutions),
+        log_posterior=log_posterior + sum(density for _, density in parts),
+    )
+
+
+def _fits(trial: MistakeTrial, scale: float) -> list[Fit] | None:
+    """Fits of the machines apart without a mistake.
+
+    None where one cannot be fitted, or where the amounts may be nothing.
+    """
+    if not len(trial.amounts):
+        sessions = trial.undo(trial.amounts)
+        fits = [fit_of_any_misfit(session, scale) for session in sessions]
+    else:
+        fits = [fit_amounts(trial, scale)]
+    known = [one for one in fits if one is not None and one.is_significant]
+    return known if len(known) == len(fits) else None
+
+
+def _common_ratio(solutions: Sequence[Fit]) -> float:
+    """Misfit of all fits over the stated noise; NaN where no readings are left."""
+    values = [len(one.session) for one in solutions]
+    squares = [one.ratio**2 for one in solutions]
+    return (
+        float(np.sqrt(np.average(squares, weights=values))) if sum(values) else np.nan
+    )
+
+
+def _cost_of_amounts(fitted: Fit) -> float:
+    """What the choice of the size of amounts costs; their prior has no scale."""
+    size = float(np.mean(fitted.amounts**2))
+    gained = np.eye(len(fitted.amounts)) + size * fitted.precision
+    return LOG_SIZES + 0.5 * float(np.linalg.slogdet(gained)[1])
 
 
 def _log_of_poses_read(
@@ -228,47 +249,6 @@ def _log_of_poses_read(
     )
     varied = (before > 0.0) & (after > 0.0)
     return float(len(session) * np.log(after[varied] / before[varied]).sum())
-
-
-def _fitted(
-    sessions: Sequence[SessionReadings],
-    scale: float,
-    log_prior: float,
-    trial: MistakeTrial | None = None,
-) -> Undone | None:
-    """Sessions of machines apart, fitted."""
-    total, square, count = log_prior, 0.0, 0
-    words = ""
-    if trial is not None and trial.estimated is None:
-        words = trial.words(trial.amounts, trial.amounts)
-    for session in sessions:
-        solution = fit_of_any_misfit(session, scale)
-        if solution is None:
-            return None
-        solution, log_density = _with_evidence(solution)
-        total += log_density
-        values = len(solution.session)
-        square, count = square + values * solution.ratio**2, count + values
-        if trial is not None and trial.estimated is not None:
-            words = trial.words(*trial.estimated(solution))
-    ratio = float(np.sqrt(square / count)) if count else np.nan
-    return Undone("" if trial is None else trial.kind, words, total, ratio)
-
-
-def _with_amounts(trial: MistakeTrial, scale: float, log_prior: float) -> Undone | None:
-    """A trial whose amounts are fitted as well; their prior has no scale."""
-    fitted = fit_amounts(trial, scale)
-    if fitted is None:
-        return None
-    amounts, precision = fitted.amounts, linalg.pinvh(fitted.covariance)
-    if amounts @ precision @ amounts < SIGNIFICANT**2:
-        return None
-    solution, log_density = _with_evidence(fitted.solution)
-    gained = np.eye(len(amounts)) + float(np.mean(amounts**2)) * precision
-    cost = LOG_SIZES + 0.5 * float(np.linalg.slogdet(gained)[1])
-    total = log_prior + log_density + trial.scaling(fitted.amounts) - cost
-    words = trial.words(fitted.amounts, fitted.sd)
-    return Undone(trial.kind, words, total, solution.ratio)
 
 
 def _with_evidence(solution: Fit) -> tuple[Fit, float]:

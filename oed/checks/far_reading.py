@@ -1,5 +1,7 @@
-"""A reading far from what all others predict, and whether several are off alike.
+"""What all other readings predict of each, and how far readings are from it.
 
+With C the covariance of readings about those of the nominal machine (`oed.checks.fit`) and
+P its inverse, all others predict a value to within (P r)_i / P_ii, of variance 1 / P_ii.
 A gross error is of one reading. Neighbours of a run that are off the same way, and many
 readings of one sign, are the work of an effect that is not in the model.
 """
@@ -10,10 +12,12 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
-from oed.checks.fit import LeaveOneOut
+from oed.base.arrays import Array, Index
+from oed.checks.fit import Fit
 from oed.checks.session import SessionReadings
+from oed.noise.covariance import Noise
 
 #: neighbours of a run that are off the same way from which on they are no single errors;
 #: probability of signs as equal by chance, likewise
@@ -38,23 +42,108 @@ class FarReading:
     value: int
 
 
-def measure(
-    session: SessionReadings,
-    prediction: LeaveOneOut,
-    readings: Sequence[int],
-    aside: Sequence[int],
-) -> tuple[FarReading, ...]:
-    """How far readings are from what all but those `aside` predict, farthest first."""
-    reading = session.reading_of_value
-    records = []
-    for one in readings:
-        members = np.flatnonzero(np.isin(reading, [k for k in aside if k != one]))
-        gradient, diagonal = prediction.without(members)
+@dataclasses.dataclass(frozen=True)
+class LeaveOneOut:
+    """Each reading against what all others predict, by the precision P = C^-1.
+
+    gradient  (N,) P r
+    diagonal  (N,) of P
+    factor    (N, r) B, with P = S^-1 - B B^T
+    noise     of covariance S
+    reading   (N,) number of the reading that each value belongs to
+    """
+
+    gradient: Array
+    diagonal: Array
+    factor: Array
+    noise: Noise
+    reading: Index
+
+    @property
+    def count(self) -> int:
+        """Number of readings."""
+        return 1 + int(self.reading[-1])
+
+    def values(self, readings: Sequence[int]) -> Index:
+        """Places of the values of readings."""
+        return np.flatnonzero(np.isin(self.reading, readings))
+
+    def farthest(self, one: int, aside: Sequence[int]) -> FarReading:
+        """How far a reading is from what all but it and those `aside` predict."""
+        gradient, diagonal = self.without([k for k in aside if k != one])
         pulls = gradient / np.sqrt(diagonal)
-        values = np.flatnonzero(reading == one)
+        values = self.values([one])
         worst = int(values[np.argmax(np.abs(pulls[values]))])
         error = float(gradient[worst] / diagonal[worst])
-        records.append(FarReading(one, float(pulls[worst]), error, worst))
+        return FarReading(one, float(pulls[worst]), error, worst)
+
+    def columns(self, members: Index) -> Array:
+        """Columns (N, k) of P."""
+        unit = np.zeros((len(self.diagonal), len(members)))
+        unit[members, np.arange(len(members))] = 1.0
+        alone = self.noise.precision(unit)
+        return alone - self.factor @ self.factor[members].T
+
+    def without(self, readings: Sequence[int]) -> tuple[Array, Array]:
+        """Gradient and diagonal (N,) with some readings left out: 0 and 1 of theirs."""
+        members = self.values(readings)
+        if not len(members):
+            return self.gradient, self.diagonal
+        if self.noise.is_independent:
+            gradient, diagonal = self._without_independent(members)
+        else:
+            gradient, diagonal = self._without_related(members)
+        gradient[members], diagonal[members] = 0.0, 1.0
+        return gradient, np.maximum(diagonal, 1e-12 * self.diagonal)
+
+    def _without_independent(self, members: Index) -> tuple[Array, Array]:
+        """The same where S is diagonal: what is left out changes B B^T alone.
+
+        With U the rows of B that are left out, and D their part of S^-1, it becomes
+        B K^-1 B^T, K = 1 - U^T D^-1 U (Woodbury): linear in the number of readings,
+        however many are left out.
+        """
+        alone = self.noise.precision_diagonal()
+        out = self.factor[members]
+        scaled = out / alone[members, None]
+        lower = linalg.cholesky(np.eye(out.shape[1]) - out.T @ scaled, lower=True)
+        known = linalg.cho_solve((lower, True), scaled.T @ self.gradient[members])
+        half = linalg.solve_triangular(lower, self.factor.T, lower=True)
+        diagonal = alone - np.einsum("ij,ij->j", half, half)
+        return self.gradient + self.factor @ known, diagonal
+
+    def _without_related(self, members: Index) -> tuple[Array, Array]:
+        """The same for any S, by the columns of P that are left out."""
+        columns = self.columns(members)
+        lower = linalg.cholesky(columns[members], lower=True)
+        half = linalg.solve_triangular(lower, columns.T, lower=True)
+        known = linalg.solve_triangular(lower, self.gradient[members], lower=True)
+        gradient = self.gradient - half.T @ known
+        diagonal = self.diagonal - np.einsum("ij,ij->j", half, half)
+        return gradient, diagonal
+
+
+def predict_from_others(solution: Fit) -> LeaveOneOut:
+    """What all other readings predict of each reading, linear at the solution."""
+    noise = solution.noise
+    half = solution.half_covariance()
+    shared = solution.slopes @ half
+    r = solution.linear_residual()
+    remainder = r - shared @ (shared.T @ r)
+    factor = noise.whiten_back(shared)
+    diagonal = noise.precision_diagonal() - np.einsum("ij,ij->i", factor, factor)
+    reading = solution.session.reading_of_value
+    return LeaveOneOut(noise.whiten_back(remainder), diagonal, factor, noise, reading)
+
+
+# -- far readings ----------------------------------------------------------------------
+
+
+def measure(
+    prediction: LeaveOneOut, readings: Sequence[int], aside: Sequence[int]
+) -> tuple[FarReading, ...]:
+    """How far readings are from what all but those `aside` predict, farthest first."""
+    records = [prediction.farthest(one, aside) for one in readings]
     return tuple(sorted(records, key=lambda record: -abs(record.pull)))
 
 

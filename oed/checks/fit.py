@@ -3,23 +3,47 @@
 With tolerances T and noise covariance S, readings have the covariance C = J T^2 J^T + S
 about those of the nominal machine. At the maximum a posteriori the penalised sum of
 squares |W (y - f)|^2 + |z|^2 is r^T C^-1 r, and chi-squared of N degrees of freedom.
+
+Readings may have a mistake of unknown amounts, which are fitted with the parameters. A
+misfit may be large: with the stated noise, readings that do not fit take the parameters
+to where the model says nothing any more, so that the noise is taken as large as what
+remains.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
 
 from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
-from oed.estimation.fitter import minimise
-from oed.estimation.readings_problem import ReadingsProblem
+from oed.estimation.fitter import READINGS_ROUNDED, Minima, minimise
+from oed.mechanism.kinematics import AssemblyError
 from oed.noise.covariance import Noise
+
+if TYPE_CHECKING:
+    from oed.checks.mistakes.trial import MistakeTrial
 
 #: steps of one fit
 MOST_STEPS = 30
+#: steps by which an amount may change with no doubt: its prior is that wide
+WIDE = 1e9
+#: rounds of fit and noise, and residuals over the noise that ask for no further one
+ROUNDS, LITTLE = 4, 2.0
+#: factor on the noise up to which the stated noise is tried as well
+MAY_BE_NOISE = 100.0
+#: standard deviations that amounts must be away from nothing
+SIGNIFICANT = 3.0
+#: errors of poses that cannot be reached
+CANNOT_BE = (AssemblyError, ArithmeticError, ValueError, np.linalg.LinAlgError)
+
+NO_AMOUNTS: Array = np.zeros(0)
+#: sessions without a mistake of some amounts (k,): one, or several of machines apart
+Undo = Callable[[Array], Sequence[SessionReadings]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,6 +58,9 @@ class Fit:
     departure  (r,) free parameters from nominal, in their tolerances
     noise      of the readings
     scale      factor on their noise that the fit assumes
+    amounts    (k,) of the mistake that is undone, SI
+    sd         (k,) their standard deviations, SI
+    precision  (k, k) inverse of their covariance, SI
     """
 
     session: SessionReadings
@@ -44,6 +71,15 @@ class Fit:
     departure: Array
     noise: Noise
     scale: float = 1.0
+    amounts: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
+    sd: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
+    precision: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the amounts are surely not nothing; true where there are none."""
+        size = float(self.amounts @ self.precision @ self.amounts)
+        return not self.amounts.size or size >= SIGNIFICANT**2
 
     @property
     def chi2(self) -> float:
@@ -94,34 +130,182 @@ def fit(
 
     scale  factor on the noise
     """
-    measurement = session.measurement
-    noise, root = session.noise().scaled(scale), session.prior_root()
-    free = np.flatnonzero(measurement.free)
-    nominal = measurement.nominal
-    first: Array = np.zeros(len(free))
-    if start is not None:
-        first = linalg.solve(root[free], start[free] - nominal[free])
-    problem = ReadingsProblem(
-        measurement, session.series, noise, session.y[None], nominal[None], root
-    )
-    try:
-        minima = minimise(problem, first[None], steps=MOST_STEPS)
-    except (ArithmeticError, ValueError, RuntimeError, linalg.LinAlgError):
-        return None
-    residual, departure = minima.residual[0], minima.z[0]
-    # the distance of a pose from itself has no slope
-    if not (np.isfinite(residual).all() and np.isfinite(minima.slopes[0]).all()):
-        return None
-    return Fit(
-        session=session,
-        theta=np.asarray(nominal + root @ departure),
-        penalised=float(residual @ residual + departure @ departure),
-        residual=residual,
-        slopes=minima.slopes[0],
-        departure=departure,
-        noise=noise,
-        scale=scale,
-    )
+    return _Problem(lambda amounts: [session], NO_AMOUNTS, NO_AMOUNTS, scale).fit(start)
+
+
+def fit_of_any_misfit(session: SessionReadings, scale: float) -> Fit | None:
+    """Fit a session whose misfit may be large; None where it cannot be read.
+
+    scale  guess of what remains, over the stated noise
+    """
+
+    def at_scale(factor: float, before: Fit | None) -> Fit | None:
+        return fit(session, None if before is None else before.theta, factor)
+
+    return _at_scale_of_misfit(at_scale, scale)
+
+
+def fit_amounts(trial: MistakeTrial, scale: float) -> Fit | None:
+    """Fit the amounts of a mistake with the parameters; None where they have no fit.
+
+    scale  guess of what remains, over the stated noise
+    """
+    undo, steps = trial.undo, trial.steps
+
+    def at_scale(factor: float, before: Fit | None) -> Fit | None:
+        amounts = trial.amounts if before is None else before.amounts
+        if before is None and trial.is_blind:
+            before = fit(undo(amounts)[0], scale=factor)
+        start = None if before is None else before.theta
+        return _Problem(undo, amounts, steps, factor).fit(start)
+
+    return _at_scale_of_misfit(at_scale, scale)
+
+
+def _at_scale_of_misfit(
+    at_scale: Callable[[float, Fit | None], Fit | None], scale: float
+) -> Fit | None:
+    """A fit with the noise as large as what remains, or with the stated one where little
+    remains then.
+
+    at_scale  fits with a factor on the noise, from where another fit ended
+    scale     guess of what remains, over the stated noise
+    """
+    fitted = at_scale(max(scale, 1.0), None)
+    for _ in range(ROUNDS):
+        if fitted is None:
+            return None
+        remains, factor = fitted.remaining(), fitted.scale
+        if factor == 1.0 and remains <= LITTLE:
+            return fitted
+        if factor / LITTLE <= remains <= factor * LITTLE:
+            break
+        fitted = at_scale(max(remains, 1.0), fitted if remains < factor else None)
+    if fitted is None or fitted.scale > MAY_BE_NOISE:
+        return fitted
+    stated = at_scale(1.0, fitted)
+    return fitted if stated is None or stated.remaining() > LITTLE else stated
+
+
+class _Problem:
+    """Readings over parameters in their tolerances and amounts of a mistake in steps."""
+
+    def __init__(self, undo: Undo, amounts: Array, steps: Array, scale: float) -> None:
+        self._undo, self._amounts, self._steps, self._scale = (
+            undo,
+            amounts,
+            steps,
+            scale,
+        )
+        self._sessions: dict[bytes, SessionReadings] = {}
+        session = undo(amounts)[0]
+        self._measurement = session.measurement
+        self._root = session.prior_root()
+        self._count = self._root.shape[1]
+        self._noise = session.noise().scaled(scale)
+        weights = (np.ones(self._count), np.full(len(steps), 1.0 / WIDE))
+        self._weight = np.concatenate(weights)
+        # a small reading may be the difference of lengths as large as the machine
+        factors = session.measurement.reading_length_factors(session.series)
+        size = np.maximum(
+            np.abs(session.y), session.measurement.machine.lever / factors
+        )
+        # whitening divides by what the other errors leave of each one
+        root = np.sqrt(self._noise.precision_diagonal())
+        self.rounding = (READINGS_ROUNDED * size * root)[None]
+
+    def fit(self, start: Array | None) -> Fit | None:
+        """The fit from parameters `start` (n,), or from nominal."""
+        free = np.flatnonzero(self._measurement.free)
+        departure: Array = np.zeros(self._count)
+        if start is not None:
+            away = start[free] - self._measurement.nominal[free]
+            departure = linalg.solve(self._root[free], away)
+        first = np.concatenate([departure, self._amounts / self._steps])
+        try:
+            minima = minimise(self, first[None], weight=self._weight, steps=MOST_STEPS)
+            return self._fitted(minima)
+        except (*CANNOT_BE, RuntimeError):
+            return None
+
+    def _session(self, x: Array) -> SessionReadings:
+        """The session without the mistake of the amounts."""
+        amounts = x[self._count :] * self._steps
+        key = amounts.tobytes()
+        if key not in self._sessions:
+            self._sessions[key] = self._undo(amounts)[0]
+        return self._sessions[key]
+
+    def _theta(self, x: Array) -> Array:
+        """Parameters (n,)."""
+        return self._measurement.nominal + self._root @ x[: self._count]
+
+    def _difference(self, x: Array) -> Array:
+        """Whitened residual (N,); NaN where it cannot be computed."""
+        try:
+            session = self._session(x)
+        except CANNOT_BE:
+            return np.full(len(self._noise.sigma), np.nan)
+        # a mistake may change the tool, and with it the measurement
+        predicted = session.measurement.try_readings(session.series, self._theta(x))
+        return self._noise.whiten(session.y - predicted)
+
+    def residuals(self, machines: Index, z: Array) -> Array:
+        """Whitened residuals (1, N)."""
+        return self._difference(z[0])[None]
+
+    def slopes(self, machines: Index, z: Array) -> Array:
+        """Whitened slopes (1, N, r + k) of the predicted readings."""
+        x = z[0]
+        session = self._session(x)
+        jacobian = session.measurement.jacobian(session.series, self._theta(x))
+        by_parameter = self._noise.whiten(jacobian @ self._root)
+        moves = np.eye(len(x))[self._count :]
+        by_amount = [self._change(x, move) for move in moves]
+        return np.column_stack([by_parameter, *by_amount])[None]
+
+    def _change(self, x: Array, move: Array) -> Array:
+        """Change (N,) of the predicted readings, whitened, by a move of x."""
+        ahead = self._difference(x) - self._difference(x + move)
+        if np.isfinite(ahead).all():
+            return ahead
+        # beyond may lie poses out of reach
+        return self._difference(x - move) - self._difference(x)
+
+    def _fitted(self, minima: Minima) -> Fit | None:
+        """The fit at a solution."""
+        x, residual, slopes = minima.z[0], minima.residual[0], minima.slopes[0]
+        # the distance of a pose from itself has no slope
+        if not (np.isfinite(residual).all() and np.isfinite(slopes).all()):
+            return None
+        z, steps = x[: self._count], self._steps
+        covariance = self._covariance_of_amounts(slopes)
+        if not (np.diag(covariance) > 0.0).all():
+            return None
+        return Fit(
+            session=self._session(x),
+            theta=self._theta(x),
+            penalised=float(residual @ residual + z @ z),
+            residual=residual,
+            slopes=slopes[:, : self._count],
+            departure=z,
+            noise=self._noise,
+            scale=self._scale,
+            amounts=x[self._count :] * steps,
+            sd=np.sqrt(np.diag(covariance)),
+            precision=linalg.pinvh(covariance) if len(steps) else covariance,
+        )
+
+    def _covariance_of_amounts(self, slopes: Array) -> Array:
+        """Covariance (k, k), SI, by whitened slopes (N, r + k)."""
+        if not len(self._steps):
+            return np.zeros((0, 0))
+        rows = np.vstack([slopes, np.diag(self._weight)])
+        norm = np.linalg.norm(rows, axis=0)
+        covariance = linalg.pinvh((rows / norm).T @ (rows / norm))
+        scaled = self._steps / norm[self._count :]
+        of_amounts = covariance[self._count :, self._count :]
+        return np.asarray(of_amounts * np.outer(scaled, scaled))
 
 
 def residual_weights(slopes: Array) -> Array:
@@ -140,78 +324,3 @@ def half_covariance(slopes: Array) -> Array:
     size = np.zeros(len(vectors))
     size[: len(singular)] = singular
     return np.asarray(vectors.T / np.hypot(1.0, size))
-
-
-@dataclasses.dataclass(frozen=True)
-class LeaveOneOut:
-    """Each reading against what all others predict, by the precision P = C^-1.
-
-    gradient  (N,) P r
-    diagonal  (N,) of P
-    factor    (N, r) B, with P = S^-1 - B B^T
-    noise     of covariance S
-    """
-
-    gradient: Array
-    diagonal: Array
-    factor: Array
-    noise: Noise
-
-    def columns(self, members: Index) -> Array:
-        """Columns (N, k) of P."""
-        unit = np.zeros((len(self.diagonal), len(members)))
-        unit[members, np.arange(len(members))] = 1.0
-        alone = self.noise.precision(unit)
-        return alone - self.factor @ self.factor[members].T
-
-    def without(self, members: Index) -> tuple[Array, Array]:
-        """Gradient and diagonal (N,), with the values `members` (k,) left out.
-
-        Entries of `members` are 0 and 1.
-        """
-        if not len(members):
-            return self.gradient, self.diagonal
-        if self.noise.is_independent:
-            gradient, diagonal = self._without_independent(members)
-        else:
-            gradient, diagonal = self._without_related(members)
-        gradient[members], diagonal[members] = 0.0, 1.0
-        return gradient, np.maximum(diagonal, 1e-12 * self.diagonal)
-
-    def _without_independent(self, members: Index) -> tuple[Array, Array]:
-        """The same where S is diagonal: what is left out changes B B^T alone.
-
-        With U the rows of B that are left out, and D their part of S^-1, it becomes
-        B K^-1 B^T, K = 1 - U^T D^-1 U (Woodbury): linear in the number of readings,
-        however many are left out.
-        """
-        alone = self.noise.precision_diagonal()
-        out = self.factor[members]
-        scaled = out / alone[members, None]
-        lower = linalg.cholesky(np.eye(out.shape[1]) - out.T @ scaled, lower=True)
-        known = linalg.cho_solve((lower, True), scaled.T @ self.gradient[members])
-        half = linalg.solve_triangular(lower, self.factor.T, lower=True)
-        diagonal = alone - np.einsum("ij,ij->j", half, half)
-        return self.gradient + self.factor @ known, diagonal
-
-    def _without_related(self, members: Index) -> tuple[Array, Array]:
-        """The same for any S, by the columns of P that are left out."""
-        columns = self.columns(members)
-        lower = linalg.cholesky(columns[members], lower=True)
-        half = linalg.solve_triangular(lower, columns.T, lower=True)
-        known = linalg.solve_triangular(lower, self.gradient[members], lower=True)
-        gradient = self.gradient - half.T @ known
-        diagonal = self.diagonal - np.einsum("ij,ij->j", half, half)
-        return gradient, diagonal
-
-
-def predict_from_others(solution: Fit) -> LeaveOneOut:
-    """What all other readings predict of each reading, linear at the solution."""
-    noise = solution.noise
-    half = solution.half_covariance()
-    shared = solution.slopes @ half
-    r = solution.linear_residual()
-    remainder = r - shared @ (shared.T @ r)
-    factor = noise.whiten_back(shared)
-    diagonal = noise.precision_diagonal() - np.einsum("ij,ij->i", factor, factor)
-    return LeaveOneOut(noise.whiten_back(remainder), diagonal, factor, noise)

@@ -37,9 +37,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array, Index
-from oed.checks.fit import LeaveOneOut
-from oed.checks.outlier_sets import MOST, candidate_readings, solve_sets
+from oed.base.arrays import Array
+from oed.checks.far_reading import LeaveOneOut
+from oed.checks.outlier_sets import MOST, solve_sets
+from oed.noise.outliers import NORMAL, ErrorDensity, StudentT
 from oed.noise.prior import SCALE_SD, heavy_scale
 
 #: posterior odds from which a reading is located, and is a gross error
@@ -48,97 +49,137 @@ LOCATED, PROVEN = 100.0, 10.0
 GROSS = 10.0
 #: gross errors expected in a session that has any, and largest share of its readings
 EXPECTED, SHARE = 8.0, 0.12
-#: degrees of freedom of noise with heavy tails
-TAILS = (4.0, 6.0, 10.0)
+#: noise with heavy tails
+TAILS = (StudentT(4.0), StudentT(6.0), StudentT(10.0))
 #: normal coordinates of the noise's scale over which it is integrated
 _SCALES = np.linspace(-3.0, 8.0, 23)
 
 
 @dataclasses.dataclass(frozen=True)
-class Suspects:
-    """Readings that all others contradict, and what is known of the session.
+class OutlierOdds:
+    """Odds of readings that all others contradict.
 
     prediction  of each value from all others
-    reading     (N,) number of the reading that each value belongs to
-    sigma       (N,) standard deviation of the stated noise, SI
-    members     numbers of the suspected readings
     student     degrees of freedom of the noise where a study states them
     """
 
     prediction: LeaveOneOut
-    reading: Index
-    sigma: Array
-    members: tuple[int, ...]
     student: float | None = None
 
     @property
     def share(self) -> float:
         """Share of gross errors in a session that has any."""
-        return min(SHARE, EXPECTED / (1 + int(self.reading[-1])))
+        return min(SHARE, EXPECTED / self.prediction.count)
 
     @property
     def log_prior(self) -> float:
         """Log odds of a reading being a gross error in such a session."""
         return float(special.logit(self.share))
 
-    def values(self, readings: Sequence[int]) -> Index:
-        """Places of the values of readings."""
-        return np.flatnonzero(np.isin(self.reading, readings))
+    # -- which reading it is -----------------------------------------------------------
 
+    def of_location(self, members: Sequence[int]) -> dict[int, float]:
+        """Log odds of each suspected reading over all sets of readings without it.
 
-# -- which reading it is ---------------------------------------------------------------
+        All sets of up to MOST readings compete; beside more suspects, the sets in which
+        one of them is exchanged for another reading.
+        """
+        if len(members) > MOST:
+            return {one: self._exchange_odds(members, one) for one in members}
+        sets, weights = self._weighted_sets(members)
+        odds = {}
+        for one in members:
+            with_it = np.array([one in s for s in sets])
+            odds[one] = float(_log_sum(weights[with_it]) - _log_sum(weights[~with_it]))
+        return odds
 
+    def likeliest(self, members: Sequence[int]) -> int:
+        """The reading that is the likeliest gross error beside some."""
+        return int(np.argmax(self._exchange_weights(members, None)))
 
-def location_odds(suspects: Suspects) -> dict[int, float]:
-    """Log odds of each suspected reading over all sets of readings without it.
+    def rivals(self, members: Sequence[int], one: int) -> tuple[int, ...]:
+        """Readings any of which could be the one, itself among them, the likeliest first."""
+        weights = self._exchange_weights(members, one)
+        ranked = np.argsort(-weights, kind="stable")
+        likely = weights[ranked] > weights.max() - np.log(LOCATED)
+        return tuple(int(k) for k in ranked[likely])
 
-    All sets of up to MOST readings compete; beside more suspects, the sets in which one
-    of them is exchanged for another reading.
-    """
-    members = suspects.members
-    if len(members) > MOST:
-        return {one: _exchange_odds(suspects, one) for one in members}
-    sets, weights = _weighted_sets(suspects)
-    odds = {}
-    for one in members:
-        with_it = np.array([one in s for s in sets])
-        odds[one] = float(_log_sum(weights[with_it]) - _log_sum(weights[~with_it]))
-    return odds
+    def _exchange_odds(self, members: Sequence[int], one: int) -> float:
+        weights = self._exchange_weights(members, one) + self.log_prior
+        others = np.append(np.delete(weights, one), 0.0)
+        return float(weights[one] - _log_sum(others))
 
+    def _exchange_weights(self, members: Sequence[int], one: int | None) -> Array:
+        """Log weight (R,) of each reading in the place of one member, or beside all.
 
-def likeliest(suspects: Suspects) -> int:
-    """The reading that is the likeliest gross error beside the suspects."""
-    return int(np.argmax(_exchange_weights(suspects, None)))
+        It is -inf for the other members. The values of a reading count as independent.
+        """
+        rest, prediction = [k for k in members if k != one], self.prediction
+        weights = np.zeros(prediction.count)
+        by_value = log_weights_of_shifts(
+            *prediction.without(rest), prediction.noise.sigma
+        )
+        np.add.at(weights, prediction.reading, by_value)
+        weights[rest] = -np.inf
+        return weights
 
+    def _weighted_sets(
+        self, members: Sequence[int]
+    ) -> tuple[list[tuple[int, ...]], Array]:
+        """All sets of up to MOST candidates, the empty one first, and their log weights."""
+        sets: list[tuple[int, ...]] = [()]
+        weights: list[Array] = [np.zeros(1)]
+        for solutions in solve_sets(self.prediction, members):
+            sets += [tuple(map(int, one)) for one in solutions.sets]
+            scale = GROSS * self.prediction.noise.sigma[solutions.values]
+            density = special.voigt_profile(solutions.shift, solutions.sd, scale)
+            count = solutions.values.shape[1]
+            log_weight = 0.5 * (solutions.gain - solutions.log_determinant)
+            log_weight += 0.5 * count * np.log(2.0 * np.pi) + np.log(density).sum(
+                axis=1
+            )
+            weights.append(log_weight + self.log_prior * solutions.sets.shape[1])
+        return sets, np.concatenate(weights)
 
-def rivals(suspects: Suspects, one: int) -> tuple[int, ...]:
-    """Readings any of which could be the one, itself among them, the likeliest first."""
-    weights = _exchange_weights(suspects, one)
-    ranked = np.argsort(-weights, kind="stable")
-    likely = weights[ranked] > weights.max() - np.log(LOCATED)
-    return tuple(int(k) for k in ranked[likely])
+    # -- gross error or noise ----------------------------------------------------------
 
+    def of_gross_error(
+        self, members: Sequence[int], *, rest_fits: bool
+    ) -> dict[int, float]:
+        """Log odds of each suspected reading being a gross error, and not noise.
 
-def _exchange_odds(suspects: Suspects, one: int) -> float:
-    weights = _exchange_weights(suspects, one) + suspects.log_prior
-    others = np.append(np.delete(weights, one), 0.0)
-    return float(weights[one] - _log_sum(others))
+        rest_fits  whether the readings without the suspects fit the stated noise
+        """
+        errors = self._prediction_errors(members)
+        if rest_fits and self.student is None:
+            odds = _odds_beside_normal_noise(errors, self.share)
+        else:
+            tails = TAILS if self.student is None else (StudentT(self.student),)
+            odds = _odds_beside_heavy_tails(errors, self.share, tails)
+        return dict(zip(members, map(float, odds), strict=True))
 
-
-def _exchange_weights(suspects: Suspects, one: int | None) -> Array:
-    """Log weight (R,) of each reading in the place of one suspect, or beside all.
-
-    It is -inf for the other suspects.
-
-    The values of a reading count as independent.
-    """
-    rest = suspects.values([k for k in suspects.members if k != one])
-    gradient, precision = suspects.prediction.without(rest)
-    by_value = log_weights_of_shifts(gradient, precision, suspects.sigma)
-    weights = np.zeros(1 + int(suspects.reading[-1]))
-    np.add.at(weights, suspects.reading, by_value)
-    weights[suspects.reading[rest]] = -np.inf
-    return weights
+    def _prediction_errors(self, members: Sequence[int]) -> _PredictionErrors:
+        """The errors, with each suspect predicted without the other suspects."""
+        prediction = self.prediction
+        gradient, precision = prediction.without(members)
+        core = ~np.isin(prediction.reading, members)
+        alone = prediction.noise.precision_diagonal()
+        freedom = float(np.mean(np.clip(precision[core] / alone[core], 0.0, 1.0)))
+        far = [prediction.farthest(one, members) for one in members]
+        values = [one.value for one in far]
+        pulls = np.array([one.pull for one in far])
+        sd = np.array([one.error / one.pull for one in far])
+        core_pulls = gradient[core] / np.sqrt(precision[core])
+        sigma = prediction.noise.sigma
+        return _PredictionErrors(
+            core=core_pulls,
+            far=pulls,
+            core_density=_density_of_gross(
+                core_pulls, precision[core] ** -0.5, sigma[core]
+            ),
+            far_density=_density_of_gross(pulls, sd, sigma[values]),
+            freedom=freedom,
+        )
 
 
 def log_weights_of_shifts(gradient: Array, precision: Array, sigma: Array) -> Array:
@@ -148,24 +189,6 @@ def log_weights_of_shifts(gradient: Array, precision: Array, sigma: Array) -> Ar
     return np.asarray(
         0.5 * gradient * shift + np.log(np.sqrt(2.0 * np.pi) * sd * density)
     )
-
-
-def _weighted_sets(suspects: Suspects) -> tuple[list[tuple[int, ...]], Array]:
-    """All sets of up to MOST candidates, the empty one first, and their log weights."""
-    candidates = candidate_readings(
-        suspects.prediction, suspects.reading, suspects.members
-    )
-    sets: list[tuple[int, ...]] = [()]
-    weights: list[Array] = [np.zeros(1)]
-    for solutions in solve_sets(suspects.prediction, suspects.reading, candidates):
-        sets += [tuple(map(int, one)) for one in solutions.sets]
-        scale = GROSS * suspects.sigma[solutions.values]
-        density = special.voigt_profile(solutions.shift, solutions.sd, scale)
-        count = solutions.values.shape[1]
-        log_weight = 0.5 * (solutions.gain - solutions.log_determinant)
-        log_weight += 0.5 * count * np.log(2.0 * np.pi) + np.log(density).sum(axis=1)
-        weights.append(log_weight + suspects.log_prior * solutions.sets.shape[1])
-    return sets, np.concatenate(weights)
 
 
 # -- gross error or noise --------------------------------------------------------------
@@ -189,28 +212,14 @@ class _PredictionErrors:
     freedom: float
 
 
-def gross_odds(suspects: Suspects, *, rest_fits: bool) -> dict[int, float]:
-    """Log odds of each suspected reading being a gross error, and not noise.
-
-    rest_fits  whether the readings without the suspects fit the stated noise
-    """
-    errors = _prediction_errors(suspects)
-    if rest_fits and suspects.student is None:
-        odds = _odds_beside_normal_noise(errors, suspects.share)
-    else:
-        tails = TAILS if suspects.student is None else (suspects.student,)
-        odds = _odds_beside_heavy_tails(errors, suspects.share, tails)
-    return dict(zip(suspects.members, map(float, odds), strict=True))
-
-
 def _odds_beside_normal_noise(errors: _PredictionErrors, share: float) -> Array:
     """Log odds (m,) of normal noise with gross errors over noise of heavy tails."""
-    density, prior = _noise_densities(errors.core, (np.inf,))
+    density, prior = _noise_densities(errors.core, (NORMAL,))
     mixed = np.logaddexp(
         np.log1p(-share) + density, np.log(share * errors.core_density)
     )
     weights = prior + errors.freedom * mixed.sum(axis=2)
-    far, _ = _noise_densities(errors.far, (np.inf,))
+    far, _ = _noise_densities(errors.far, (NORMAL,))
     gross = np.log(share * errors.far_density)
     mixed = np.logaddexp(np.log1p(-share) + far, gross)
     weights += mixed.sum(axis=2)
@@ -225,7 +234,7 @@ def _odds_beside_normal_noise(errors: _PredictionErrors, share: float) -> Array:
 
 
 def _odds_beside_heavy_tails(
-    errors: _PredictionErrors, share: float, tails: tuple[float, ...]
+    errors: _PredictionErrors, share: float, tails: Sequence[ErrorDensity]
 ) -> Array:
     """Log odds (m,) of a gross error over noise whose tails and scale the rest shows."""
     density, prior = _noise_densities(errors.core, tails)
@@ -236,58 +245,20 @@ def _odds_beside_heavy_tails(
     return np.asarray(np.log(share * errors.far_density) - noise)
 
 
-def _noise_densities(x: Array, tails: tuple[float, ...]) -> tuple[Array, Array]:
+def _noise_densities(x: Array, tails: Sequence[ErrorDensity]) -> tuple[Array, Array]:
     """Log densities (T, K, n) of errors (n,) for tails and scales; log prior (T, K)."""
     scale = np.exp(SCALE_SD * heavy_scale(_SCALES))
     prior = -0.5 * _SCALES**2
     prior -= _log_sum(prior) + np.log(len(tails))
     scaled = x / scale[:, None]
-    densities = [_log_student(scaled, dof) for dof in tails]
+    densities = [tail.log_density(scaled) for tail in tails]
     by_tail = np.array(densities) - np.log(scale)[:, None]
     return by_tail, np.tile(prior, (len(tails), 1))
 
 
-def _log_student(x: Array, dof: float) -> Array:
-    """Log density of Student's t; normal where the degrees of freedom are infinite."""
-    if np.isinf(dof):
-        return np.asarray(-0.5 * (x**2 + np.log(2.0 * np.pi)))
-    constant = special.gammaln(0.5 * (dof + 1.0)) - special.gammaln(0.5 * dof)
-    constant -= 0.5 * np.log(dof * np.pi)
-    return np.asarray(constant - 0.5 * (dof + 1.0) * np.log1p(x**2 / dof))
-
-
-def _prediction_errors(suspects: Suspects) -> _PredictionErrors:
-    """The errors, with each suspect predicted without the other suspects."""
-    prediction, members = suspects.prediction, suspects.members
-    every = suspects.values(members)
-    gradient, precision = prediction.without(every)
-    core = np.setdiff1d(np.arange(len(suspects.reading)), every)
-    alone = prediction.noise.precision_diagonal()
-    freedom = float(np.mean(np.clip(precision[core] / alone[core], 0.0, 1.0)))
-    x = gradient / np.sqrt(precision)
-    density = _density_of_gross(x, precision, suspects.sigma)
-    far, far_density = [], []
-    for one in members:
-        rest = suspects.values([k for k in members if k != one])
-        gradient, precision = prediction.without(rest)
-        x_of_one = gradient / np.sqrt(precision)
-        values = np.flatnonzero(suspects.reading == one)
-        worst = values[np.argmax(np.abs(x_of_one[values]))]
-        far.append(x_of_one[worst])
-        of_one = _density_of_gross(x_of_one, precision, suspects.sigma)
-        far_density.append(of_one[worst])
-    return _PredictionErrors(
-        core=x[core],
-        far=np.array(far),
-        core_density=density[core],
-        far_density=np.array(far_density),
-        freedom=freedom,
-    )
-
-
-def _density_of_gross(x: Array, precision: Array, sigma: Array) -> Array:
-    """Density (N,) of a gross error at errors x (N,), in their standard deviations."""
-    return np.asarray(special.voigt_profile(x, 1.0, GROSS * sigma * np.sqrt(precision)))
+def _density_of_gross(x: Array, sd: Array, sigma: Array) -> Array:
+    """Density (N,) of a gross error at errors x (N,), in the sd (N,) of predicting them."""
+    return np.asarray(special.voigt_profile(x, 1.0, GROSS * sigma / sd))
 
 
 def _log_sum(values: Array) -> Array:

@@ -15,12 +15,8 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index
-from oed.checks.fit import (
-    Fit,
-    LeaveOneOut,
-    fit,
-    predict_from_others,
-)
+from oed.checks.far_reading import LeaveOneOut, predict_from_others
+from oed.checks.fit import Fit, fit
 from oed.checks.outlier_sets import best_set
 from oed.checks.session import SessionReadings
 from oed.mechanism.kinematics import AssemblyError
@@ -59,13 +55,12 @@ def far_readings(
         if whole is None or solution is None:
             return None
         prediction = predict_from_others(whole)
-        newer, exhausted = _search(session, prediction, most, readings, robust=robust)
+        newer, exhausted = _search(prediction, most, readings, robust=robust)
         if exhausted and not robust:
-            newer, exhausted = _search(session, prediction, most, readings, robust=True)
+            newer, exhausted = _search(prediction, most, readings, robust=True)
         if not exhausted and len(newer) <= most:
             # few that hide each other make many of the others deviate
-            reading = session.reading_of_value
-            newer = best_set(prediction, reading, newer, _limit(reading))[:most]
+            newer = best_set(prediction, newer, _limit(prediction))[:most]
         if set(newer) == set(readings) or exhausted:
             break
         readings = newer
@@ -98,22 +93,17 @@ def _on_all(session: SessionReadings, solution: Fit) -> Fit | None:
 
 
 def _search(
-    session: SessionReadings,
-    prediction: LeaveOneOut,
-    most: int,
-    first: list[int],
-    *,
-    robust: bool = False,
+    prediction: LeaveOneOut, most: int, first: list[int], *, robust: bool
 ) -> tuple[list[int], bool]:
     """Readings to leave out, and whether too many deviate.
 
     With `robust`, pulls are in units of their own scatter where it exceeds the noise.
     """
-    reading = session.reading_of_value
-    limit = _limit(reading)
+    reading = prediction.reading
+    limit = _limit(prediction)
     removed = list(first)
     while True:
-        pulls = _pulls(prediction, reading, removed, robust=robust)
+        pulls = _pulls(prediction, removed, robust=robust)
         worst = int(np.argmax(np.abs(pulls)))
         if abs(pulls[worst]) <= limit:
             break
@@ -122,26 +112,23 @@ def _search(
         removed.append(int(reading[worst]))
     for one in list(removed):
         others = [k for k in removed if k != one]
-        pulls = _pulls(prediction, reading, others, robust=robust)
+        pulls = _pulls(prediction, others, robust=robust)
         if np.abs(pulls[reading == one]).max() <= limit:
             removed = others
     return removed, False
 
 
-def _limit(reading: Index) -> float:
+def _limit(prediction: LeaveOneOut) -> float:
     """Pull beyond which a reading counts as an outlier."""
-    return float(-special.ndtri(0.5 * FALSE_ALARM / len(reading)))
+    return float(-special.ndtri(0.5 * FALSE_ALARM / len(prediction.reading)))
 
 
-def _pulls(
-    prediction: LeaveOneOut, reading: Index, removed: list[int], *, robust: bool
-) -> Array:
+def _pulls(prediction: LeaveOneOut, removed: list[int], *, robust: bool) -> Array:
     """Pulls (N,) from what the readings not removed predict; 0 for those removed."""
-    members = np.flatnonzero(np.isin(reading, removed))
-    gradient, diagonal = prediction.without(members)
+    gradient, diagonal = prediction.without(removed)
     pulls = gradient / np.sqrt(diagonal)
     if not robust:
         return pulls
-    others = np.setdiff1d(np.arange(len(reading)), members)
+    others = ~np.isin(prediction.reading, removed)
     scatter = float(np.median(np.abs(pulls[others]))) / MEDIAN
     return pulls / max(scatter, 1.0)

@@ -1,4 +1,4 @@
-"""The few readings that are wrong together: the best set of up to three.
+"""The few readings that are wrong together: shifts of sets of up to three.
 
 A search by one reading at a time can take the neighbours of two outliers for them, or
 stop between them (masking). Leaving out the values of a set S lowers the penalised sum of
@@ -16,40 +16,28 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.checks.fit import LeaveOneOut
+from oed.checks.far_reading import LeaveOneOut
 
 #: readings that are combined, and most in one set
 CANDIDATES, MOST = 60, 3
 
 
-def best_set(
-    prediction: LeaveOneOut, reading: Index, removed: list[int], limit: float
-) -> list[int]:
-    """The readings, by number, to leave out in place of `removed`.
-
-    reading  (N,) number of the reading that each value belongs to
-    """
+def best_set(prediction: LeaveOneOut, removed: list[int], limit: float) -> list[int]:
+    """The readings, by number, to leave out in place of `removed`."""
     if not 0 < len(removed) <= MOST:
         return removed
-    candidates = candidate_readings(prediction, reading, removed)
-    best, best_value = removed, _value(prediction, reading, removed, limit)
-    for solutions in solve_sets(prediction, reading, candidates):
-        values = solutions.gain - limit**2 * solutions.sets.shape[1]
-        k = int(np.argmax(values))
-        if values[k] > best_value + 1e-9:
-            best, best_value = [int(one) for one in solutions.sets[k]], float(values[k])
-    return best
-
-
-def _value(
-    prediction: LeaveOneOut, reading: Index, members: list[int], limit: float
-) -> float:
-    """What leaving out some readings gains, less what they cost."""
-    values = np.flatnonzero(np.isin(reading, members))
-    block = prediction.columns(values)[values]
+    values = prediction.values(removed)
     gradient = prediction.gradient[values]
-    gain = float(gradient @ np.linalg.solve(block, gradient))
-    return gain - limit**2 * len(members)
+    gain = float(
+        gradient @ np.linalg.solve(prediction.columns(values)[values], gradient)
+    )
+    best, best_value = removed, gain - limit**2 * len(removed)
+    for solutions in solve_sets(prediction, removed):
+        gains = solutions.gain - limit**2 * solutions.sets.shape[1]
+        k = int(np.argmax(gains))
+        if gains[k] > best_value + 1e-9:
+            best, best_value = [int(one) for one in solutions.sets[k]], float(gains[k])
+    return best
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,22 +59,17 @@ class SetSolutions:
     log_determinant: Array
 
 
-def candidate_readings(
-    prediction: LeaveOneOut, reading: Index, members: Sequence[int]
-) -> Index:
-    """The readings that others predict worst, and the members, by number."""
+def solve_sets(prediction: LeaveOneOut, members: Sequence[int]) -> list[SetSolutions]:
+    """Solutions for all sets of 1 to MOST readings with equally many values each.
+
+    They are of the readings that others predict worst, and of some members, by number.
+    """
     pulls = np.abs(prediction.gradient) / np.sqrt(prediction.diagonal)
-    largest = np.zeros(1 + int(reading[-1]))
-    np.maximum.at(largest, reading, pulls)
+    largest = np.zeros(prediction.count)
+    np.maximum.at(largest, prediction.reading, pulls)
     worst = np.argsort(-largest, kind="stable")[:CANDIDATES]
-    return np.union1d(worst, np.array(members, dtype=np.intp))
-
-
-def solve_sets(
-    prediction: LeaveOneOut, reading: Index, candidates: Index
-) -> list[SetSolutions]:
-    """Solutions for all sets of 1 to MOST candidates with equally many values each."""
-    places = [np.flatnonzero(reading == one) for one in candidates]
+    candidates = np.union1d(worst, np.array(members, dtype=np.intp))
+    places = [prediction.values([one]) for one in candidates]
     count = max(len(place) for place in places)
     whole = [k for k, place in enumerate(places) if len(place) == count]
     chosen = np.concatenate([places[k] for k in whole])

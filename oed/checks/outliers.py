@@ -10,16 +10,14 @@ alike (`far_reading`) are no single errors, and show an effect to a diagnosis.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
 from oed.base.arrays import Index
-from oed.checks import outlier_odds
 from oed.checks.far_reading import FarReading, alike_readings, measure
 from oed.checks.fit import Fit, fit
 from oed.checks.goodness import goodness
-from oed.checks.outlier_odds import LOCATED, PROVEN, SHARE, Suspects
+from oed.checks.outlier_odds import LOCATED, PROVEN, SHARE, OutlierOdds
 from oed.checks.outlier_search import FarSearch, far_readings
 from oed.checks.session import SessionReadings
 
@@ -97,70 +95,58 @@ def _judged(
     session: SessionReadings, search: FarSearch, *, noise_is_a_guess: bool
 ) -> OutlierSearch | None:
     """The readings beyond the limit, by the odds of what they are."""
-    kinds = _kinds(session, search, noise_is_a_guess=noise_is_a_guess)
-    start = search.solution.theta
-    solution = search.solution
-    if len(kinds.gross) < len(search.readings):
-        refit = fit(session.without(kinds.gross), start)
-        if refit is None:
-            return None
-        solution = refit
-    aside = [*kinds.gross, *kinds.doubtful]
-    rest = fit(session.without(aside), start) if kinds.doubtful else solution
-    if rest is None:
+    setups = {s.setup for s in session.series}
+    stated = {session.measurement.setups[n].statement.student_dof for n in setups}
+    odds = OutlierOdds(search.prediction, stated.pop() if len(stated) == 1 else None)
+    fitted, start = goodness(search.solution), search.solution.theta
+    far = measure(search.prediction, search.readings, search.readings)
+    alike = alike_readings(session, far)
+    suspects = [k for k in search.readings if k not in alike]
+    rest_fits = noise_is_a_guess or fitted.p_high >= SOUND
+    gross, doubtful, lost = _kinds(odds, suspects, rest_fits=rest_fits)
+    if fitted.is_bad(noise_is_a_guess=noise_is_a_guess):
+        # what spoils the rest may be what is the matter with them
+        doubtful = []
+    solution: Fit | None = search.solution
+    if len(gross) < len(search.readings):
+        solution = fit(session.without(gross), start)
+    aside = [*gross, *doubtful]
+    rest = fit(session.without(aside), start) if doubtful else solution
+    if solution is None or rest is None:
         return None
     unlocated: tuple[int, ...] = ()
-    is_bad = goodness(rest).is_bad(noise_is_a_guess=noise_is_a_guess)
-    if is_bad and not kinds.alike:
-        unlocated = _unlocated(
-            session, search, kinds, noise_is_a_guess=noise_is_a_guess
+    if goodness(rest).is_bad(noise_is_a_guess=noise_is_a_guess) and not alike:
+        lost = lost or [odds.likeliest(aside)]
+        others = session.without([*aside, *lost])
+        without = fit(others, start) if len(others) else None
+        # without the right one the others fit; else more than that is wrong
+        is_one = without is not None and not goodness(without).is_bad(
+            noise_is_a_guess=noise_is_a_guess
         )
+        likely = [k for one in lost for k in odds.rivals([*aside, *lost], one)]
+        unlocated = tuple(dict.fromkeys(likely)) if is_one else ()
     return OutlierSearch(
-        gross=measure(session, search.prediction, kinds.gross, kinds.gross),
-        doubtful=measure(session, search.prediction, kinds.doubtful, aside),
+        gross=measure(search.prediction, gross, gross),
+        doubtful=measure(search.prediction, doubtful, aside),
         unlocated=unlocated,
-        alike=kinds.alike,
+        alike=alike,
         solution=solution,
         rest=rest,
         exhausted=False,
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class _Kinds:
-    """Readings beyond the limit, by what they are.
-
-    gross     gross errors
-    doubtful  perhaps noise
-    lost      perhaps another reading
-    alike     no single errors: the same happens to several
-    """
-
-    gross: list[int]
-    doubtful: list[int]
-    lost: list[int]
-    alike: tuple[int, ...]
-
-
 def _kinds(
-    session: SessionReadings, search: FarSearch, *, noise_is_a_guess: bool
-) -> _Kinds:
-    """The kind of each reading beyond the limit.
+    odds: OutlierOdds, suspects: list[int], *, rest_fits: bool
+) -> tuple[list[int], list[int], list[int]]:
+    """Suspects that are gross errors, perhaps noise, and perhaps another reading.
 
     Readings that are no gross errors return to the others, whose odds they change.
     """
-    fitted = goodness(search.solution)
-    rest_fits = noise_is_a_guess or fitted.p_high >= SOUND
-    alike = alike_readings(
-        session, measure(session, search.prediction, search.readings, search.readings)
-    )
-    gross = [k for k in search.readings if k not in alike]
-    doubtful: list[int] = []
-    lost: list[int] = []
+    gross, doubtful, lost = suspects, [], []
     while gross:
-        suspects = _suspects(session, search, gross)
-        where = outlier_odds.location_odds(suspects)
-        what = outlier_odds.gross_odds(suspects, rest_fits=rest_fits)
+        where = odds.of_location(gross)
+        what = odds.of_gross_error(gross, rest_fits=rest_fits)
         newly_lost = [k for k in gross if where[k] < np.log(LOCATED)]
         noise = [k for k in gross if what[k] < np.log(PROVEN) and k not in newly_lost]
         if not newly_lost and not noise:
@@ -168,48 +154,4 @@ def _kinds(
         lost += newly_lost
         doubtful += noise
         gross = [k for k in gross if k not in (*newly_lost, *noise)]
-    if fitted.is_bad(noise_is_a_guess=noise_is_a_guess):
-        # what spoils the rest may be what is the matter with them
-        doubtful = []
-    return _Kinds(gross, doubtful, lost, alike)
-
-
-def _unlocated(
-    session: SessionReadings,
-    search: FarSearch,
-    kinds: _Kinds,
-    *,
-    noise_is_a_guess: bool,
-) -> tuple[int, ...]:
-    """Readings one of which is wrong: without the right one the others fit.
-
-    Empty where more than that is wrong.
-    """
-    aside = [*kinds.gross, *kinds.doubtful]
-    lost = kinds.lost
-    if not lost:
-        suspects = _suspects(session, search, aside)
-        lost = [outlier_odds.likeliest(suspects)]
-    others = session.without([*aside, *lost])
-    without = fit(others, search.solution.theta) if len(others.y) else None
-    if without is None:
-        return ()
-    if goodness(without).is_bad(noise_is_a_guess=noise_is_a_guess):
-        return ()
-    suspects = _suspects(session, search, [*aside, *lost])
-    likely = [k for one in lost for k in outlier_odds.rivals(suspects, one)]
-    return tuple(dict.fromkeys(likely))
-
-
-def _suspects(
-    session: SessionReadings, search: FarSearch, members: Sequence[int]
-) -> Suspects:
-    setups = {s.setup for s in session.series}
-    stated = {session.measurement.setups[n].statement.student_dof for n in setups}
-    return Suspects(
-        prediction=search.prediction,
-        reading=session.reading_of_value,
-        sigma=search.prediction.noise.sigma,
-        members=tuple(members),
-        student=stated.pop() if len(stated) == 1 else None,
-    )
+    return gross, doubtful, lost

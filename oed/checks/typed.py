@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed.checks.far_reading import FarReading
-from oed.checks.fit import Fit
-from oed.checks.mistakes.moved import CANNOT_BE
+from oed.checks.fit import CANNOT_BE, Fit
 from oed.checks.session import SessionReadings
 from oed.dataset.columns import column_name, parse_column
 from oed.measurement.measurement import Series

@@ -11,14 +11,10 @@ import numpy as np
 import pandas as pd
 
 from oed.base.arrays import Array, Index
+from oed.checks.fit import CANNOT_BE, NO_AMOUNTS
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
-from oed.checks.mistakes.trial import (
-    NO_AMOUNTS,
-    MistakeTrial,
-    PoseTable,
-    in_scopes,
-)
+from oed.checks.mistakes.trial import MistakeTrial, PoseTable, in_scopes
 from oed.checks.session import SessionReadings
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
@@ -29,8 +25,6 @@ Moved = Callable[[Series], Series | None]
 
 #: what the name of a set-up ends in that some readings have anew
 AGAIN = " again"
-#: errors of poses that cannot be reached
-CANNOT_BE = (AssemblyError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,14 +16,9 @@ from functools import partial
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.checks.fit import CANNOT_BE
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.moved import (
-    AGAIN,
-    CANNOT_BE,
-    Moved,
-    mounted_again,
-    with_moved,
-)
+from oed.checks.mistakes.moved import AGAIN, Moved, mounted_again, with_moved
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, PoseTable, amount, in_scopes
 from oed.checks.session import SessionReadings

@@ -11,19 +11,16 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
 from oed.checks.copies import resolution
-from oed.checks.fit import Fit
+from oed.checks.fit import NO_AMOUNTS, Fit, Undo
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
 from oed.measurement.measurement import Measurement
 
-#: sessions without a mistake of some amounts (k,): one, or several of machines apart
-Undo = Callable[[Array], Sequence[SessionReadings]]
 #: the mistake of amounts (k,) with standard deviations (k,), without a full stop
 Words = Callable[[Array, Array], str]
 
-NO_AMOUNTS: Array = np.zeros(0)
 #: step of readings with more digits than are looked at, in their noise
 FINEST = 1e-6
 

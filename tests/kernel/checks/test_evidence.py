@@ -12,8 +12,7 @@ from kernel.dense_noise import dense_covariance
 from oed import checks
 from oed.base.arrays import Array
 from oed.checks import evidence, screening
-from oed.checks.fit import fit
-from oed.checks.fit_amounts import fit_amounts
+from oed.checks.fit import fit, fit_amounts
 from oed.checks.mistakes import Given, trials
 from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
 from oed.measurement.measurement import Measurement
@@ -172,7 +171,7 @@ def test_an_offset_is_estimated_as_by_generalised_least_squares(
     fitted = fit_amounts(offset, 1.0)
     assert fitted is not None
     m = bar.measurement
-    h = m.jacobian(bar.series, fitted.solution.theta) * m.tolerance
+    h = m.jacobian(bar.series, fitted.theta) * m.tolerance
     covariance = h @ h.T + (0.5e-6) ** 2 * np.eye(len(bar))
     ones = np.ones(len(bar))
     precision = float(ones @ np.linalg.solve(covariance, ones))

@@ -7,8 +7,8 @@ import pytest
 from scipy import integrate, stats
 
 from oed.checks import outlier_odds
-from oed.checks.fit import LeaveOneOut
-from oed.checks.outlier_odds import GROSS, LOCATED, PROVEN, Suspects
+from oed.checks.far_reading import LeaveOneOut
+from oed.checks.outlier_odds import GROSS, LOCATED, PROVEN, OutlierOdds
 from oed.noise.covariance import Noise
 
 READINGS, UNKNOWNS = 30, 5
@@ -19,20 +19,16 @@ def precision(slopes: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.inv(np.eye(len(slopes)) + slopes @ slopes.T))
 
 
-def suspects(
-    slopes: np.ndarray,
-    residual: np.ndarray,
-    members: tuple[int, ...],
-    student: float | None = None,
-) -> Suspects:
-    """Readings of one value each, of unit noise."""
+def odds_of(
+    slopes: np.ndarray, residual: np.ndarray, student: float | None = None
+) -> OutlierOdds:
+    """Of readings of one value each, of unit noise."""
     p = precision(slopes)
     values, vectors = np.linalg.eigh(np.eye(len(p)) - p)
     factor = vectors * np.sqrt(np.maximum(values, 0.0))
-    noise = Noise(np.ones(len(p)))
-    prediction = LeaveOneOut(p @ residual, np.diag(p).copy(), factor, noise)
-    reading = np.arange(len(p), dtype=np.intp)
-    return Suspects(prediction, reading, noise.sigma, members, student)
+    noise, reading = Noise(np.ones(len(p))), np.arange(len(p), dtype=np.intp)
+    gradient, diagonal = p @ residual, np.diag(p).copy()
+    return OutlierOdds(LeaveOneOut(gradient, diagonal, factor, noise, reading), student)
 
 
 def session(seed: int, sizes: dict[int, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -75,9 +71,9 @@ def test_with_one_degree_of_freedom_no_reading_is_located() -> None:
     pulls = p @ residual / np.sqrt(np.diag(p))
     assert np.abs(pulls) == pytest.approx(np.abs(pulls[2]), rel=1e-2)
     assert abs(pulls[2]) > 7.0
-    asked = suspects(slopes, residual, (2,))
-    assert outlier_odds.location_odds(asked)[2] < np.log(1.0)
-    assert set(outlier_odds.rivals(asked, 2)) == set(range(7))
+    asked = odds_of(slopes, residual)
+    assert asked.of_location([2])[2] < np.log(1.0)
+    assert set(asked.rivals([2], 2)) == set(range(7))
 
 
 @pytest.mark.parametrize("places", [(4,), (4, 11), (4, 11, 20), (1, 4, 9, 11, 20)])
@@ -85,19 +81,19 @@ def test_redundant_readings_locate_gross_errors(places: tuple[int, ...]) -> None
     signs = (1, -1, -1, 1, 1)
     sizes = {k: 20.0 * s for k, s in zip(places, signs, strict=False)}
     slopes, residual = session(2, sizes)
-    asked = suspects(slopes, residual, places)
-    assert min(outlier_odds.location_odds(asked).values()) > np.log(LOCATED)
-    assert min(outlier_odds.gross_odds(asked, rest_fits=True).values()) > np.log(PROVEN)
-    assert outlier_odds.rivals(asked, places[0]) == (places[0],)
+    asked = odds_of(slopes, residual)
+    assert min(asked.of_location(places).values()) > np.log(LOCATED)
+    assert min(asked.of_gross_error(places, rest_fits=True).values()) > np.log(PROVEN)
+    assert asked.rivals(places, places[0]) == (places[0],)
 
 
 def test_a_sound_reading_is_no_gross_error() -> None:
     slopes, residual = session(3, {})
     p = precision(slopes)
     worst = int(np.argmax(np.abs(p @ residual / np.sqrt(np.diag(p)))))
-    asked = suspects(slopes, residual, (worst,))
-    assert outlier_odds.gross_odds(asked, rest_fits=True)[worst] < 0.0
-    assert outlier_odds.location_odds(asked)[worst] < np.log(LOCATED)
+    asked = odds_of(slopes, residual)
+    assert asked.of_gross_error([worst], rest_fits=True)[worst] < 0.0
+    assert asked.of_location([worst])[worst] < np.log(LOCATED)
 
 
 def odds_of_one(errors: np.ndarray, *, student: float | None = None) -> float:
@@ -105,8 +101,8 @@ def odds_of_one(errors: np.ndarray, *, student: float | None = None) -> float:
     slopes = 100.0 * np.random.default_rng(6).standard_normal((READINGS, UNKNOWNS))
     residual = errors.copy()
     residual[8] = 15.0
-    asked = suspects(slopes, residual, (8,), student)
-    return outlier_odds.gross_odds(asked, rest_fits=True)[8]
+    asked = odds_of(slopes, residual, student)
+    return asked.of_gross_error([8], rest_fits=True)[8]
 
 
 def test_heavy_tails_of_the_others_make_a_far_reading_noise() -> None:
@@ -125,6 +121,6 @@ def test_beside_a_misfit_a_moderate_error_proves_nothing() -> None:
     residual += 2.0 * np.random.default_rng(8).standard_normal(READINGS)
     residual[8] += 8.0
     residual[15] += 60.0
-    asked = suspects(slopes, residual, (8, 15))
-    odds = outlier_odds.gross_odds(asked, rest_fits=False)
+    asked = odds_of(slopes, residual)
+    odds = asked.of_gross_error([8, 15], rest_fits=False)
     assert odds[8] < np.log(PROVEN) < odds[15]

@@ -14,10 +14,9 @@ import pytest
 
 from oed.checks import candidates, copies, outlier_sets
 from oed.checks.evidence import linear_readings, log_evidence, rivals
-from oed.checks.far_reading import FarReading, alike_readings
-from oed.checks.fit import LeaveOneOut, fit
+from oed.checks.far_reading import FarReading, LeaveOneOut, alike_readings
+from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.judgement import probability_of_strain
-from oed.checks.large_misfit import fit_of_any_misfit
 from oed.checks.outlier_search import far_readings
 from oed.checks.outliers import find_outliers
 from oed.checks.ranges import predict_ranges
@@ -102,7 +101,9 @@ def test_the_best_set_is_the_best_of_all(rng: np.random.Generator) -> None:
     residual[[2, 3]] += 9.0
     values, vectors = np.linalg.eigh(np.eye(9) - p)
     factor = vectors * np.sqrt(np.maximum(values, 0.0))
-    prediction = LeaveOneOut(p @ residual, np.diag(p).copy(), factor, Noise(np.ones(9)))
+    prediction = LeaveOneOut(
+        p @ residual, np.diag(p).copy(), factor, Noise(np.ones(9)), np.arange(9)
+    )
     gradient = p @ residual
 
     def gain(members: tuple[int, ...]) -> float:
@@ -111,8 +112,7 @@ def test_the_best_set_is_the_best_of_all(rng: np.random.Generator) -> None:
         return float(gradient[k] @ solved) - 9.0 * len(k)
 
     sets = [s for n in (1, 2, 3) for s in itertools.combinations(range(9), n)]
-    reading = np.arange(9, dtype=np.intp)
-    found = outlier_sets.best_set(prediction, reading, [4], limit=3.0)
+    found = outlier_sets.best_set(prediction, [4], limit=3.0)
     assert tuple(found) == max(sets, key=gain)
 
 

@@ -74,8 +74,8 @@ def test_one_far_reading_is_no_misfit_of_the_others() -> None:
     assert clean is not None
     assert spoiled is not None
     assert many is not None
-    assert spoiled.ratio == pytest.approx(clean.ratio, rel=0.1)
-    assert many.ratio > 10.0
+    assert spoiled.after == pytest.approx(clean.after, rel=0.1)
+    assert many.after > 10.0
     assert spoiled.log_posterior < clean.log_posterior
 
 
@@ -108,8 +108,8 @@ def test_a_sample_has_the_first_and_the_last_reading(
 
 def candidate(
     what: str, log_posterior: float, kind: str = "unit", ratio: float = 1.0
-) -> explain.Undone:
-    return explain.Undone(kind, what, log_posterior, ratio)
+) -> explain.Explanation:
+    return explain.Explanation(kind, what, np.inf, ratio, 1.0, log_posterior)
 
 
 def test_mistakes_and_none_share_the_probability() -> None:
