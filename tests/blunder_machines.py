@@ -241,6 +241,6 @@ def _with_setups(machine: str, names: tuple[str, ...]) -> Measurement:
 
 def check(machine: str, rows: pd.DataFrame) -> checks.CheckedSession:
     """What a check finds in these rows."""
-    alternatives = checks.Alternatives(MACHINES[machine].measurement())
+    measurement = MACHINES[machine].measurement()
     rng = np.random.default_rng(0)
-    return checks.check_session(session(machine, rows), alternatives, rng)
+    return checks.check_session(session(machine, rows), measurement, rng)

@@ -47,9 +47,7 @@ def spoiled(kind: str, seed: int) -> tuple[np.ndarray, np.ndarray, set[int]]:
 def check(y: np.ndarray) -> checks.CheckedSession:
     m, series = plan()
     session = checks.session(m, [series], y)
-    return checks.check_session(
-        session, checks.Alternatives(m), np.random.default_rng(0)
-    )
+    return checks.check_session(session, m, np.random.default_rng(0))
 
 
 #: machines whose wrong readings are neighbours, or hide each other
@@ -107,9 +105,7 @@ def test_no_sound_reading_is_set_aside(law: str, seeds: range) -> None:
         truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
         y = exact(series, truth) + NOISE * sound_errors(law, rng)
         session = checks.session(m, [by_circle], y)
-        checked = checks.check_session(
-            session, checks.Alternatives(m), np.random.default_rng(0)
-        )
+        checked = checks.check_session(session, m, np.random.default_rng(0))
         losses += bool(checked.set_aside)
         assert not checked.bad_fit, seed
     assert losses <= len(seeds) // 200

@@ -140,3 +140,21 @@ def symmetric_root(matrix: Array) -> Array:
     sizes = np.sqrt(np.where(values > rounding, values, 0.0))
     scaled = vectors * sizes[..., None, :]
     return np.asarray(scaled @ np.swapaxes(vectors, -1, -2))
+
+
+def explained_energy(
+    values: Array, squares: Array, variances: Array
+) -> tuple[Array, Array]:
+    """What columns with normal coefficients explain of a residual, by their variance.
+
+    values     (..., d) eigenvalues of the columns' Gram matrix A
+    squares    (..., d) squared components of the residual's projections b along them
+    variances  (S,) t^2 of the coefficients
+
+    The results (..., S) are b^T (1 / t^2 + A)^-1 b and log |1 + t^2 A|. Twice the log
+    evidence of the columns over none is their difference, in units of the noise.
+    """
+    variance = variances[:, None]
+    inflation = 1.0 + values[..., None, :] * variance
+    gain = np.einsum("...sd,...d->...s", variance / inflation, squares)
+    return gain, np.log(inflation).sum(axis=-1)

@@ -20,11 +20,9 @@ check      all of them on one session
 from oed.checks.check import CheckedSession, check_session
 from oed.checks.findings import CheckFinding, Severity
 from oed.checks.goodness import Goodness
-from oed.checks.mistakes import Alternatives
 from oed.checks.session import SessionReadings, session
 
 __all__ = [
-    "Alternatives",
     "CheckFinding",
     "CheckedSession",
     "Goodness",

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed.checks.fit import CANNOT_BE, fit
-from oed.checks.mistakes import Alternatives, Given, MistakeTrial, trials
+from oed.checks.mistakes import Given, MistakeTrial, trials
 from oed.checks.screening import Screening
 from oed.checks.session import SessionReadings
+from oed.measurement.measurement import Measurement
 from oed.measurement.simulation import draw_parameters
 
 #: penalised sum of squares that noise-free readings may gain without a trace
@@ -31,12 +32,13 @@ NAMED = 3
 
 
 def unseen_mistakes(
-    session: SessionReadings, alternatives: Alternatives, rng: np.random.Generator
+    session: SessionReadings, measurement: Measurement, rng: np.random.Generator
 ) -> list[str]:
     """Mistakes of the file and its set-ups, as sentences without a full stop, that would
     pass unnoticed; those of one kind together.
+
+    measurement  the machine with all set-ups of the study
     """
-    measurement = alternatives.measurement
     whole = dataclasses.replace(session, measurement=measurement)
     truth = draw_parameters(measurement, rng)
     exact = whole.with_y(measurement.readings(session.series, truth))

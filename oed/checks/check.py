@@ -15,12 +15,13 @@ from oed.checks.findings import CheckFinding, Severity
 from oed.checks.fit import fit
 from oed.checks.goodness import Goodness, goodness
 from oed.checks.judgement import Judgement, judge
-from oed.checks.mistakes import PHYSICAL, Alternatives
+from oed.checks.mistakes import PHYSICAL
 from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges, predict_ranges
 from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 from oed.checks.times import wrong_times
+from oed.measurement.measurement import Measurement
 from oed.result.trust import ALARM
 
 #: values from which on mistakes are tried: fewer fit too many of them
@@ -116,13 +117,15 @@ class CheckedSession:
 
 def check_session(
     session: SessionReadings,
-    alternatives: Alternatives,
+    measurement: Measurement,
     rng: np.random.Generator,
     *,
     noise_is_a_guess: bool = False,
     noise_is_estimated: bool = True,
 ) -> CheckedSession:
     """Check readings against tolerances, noise, the usual mistakes, and each other.
+
+    measurement  the machine with all set-ups of the study
 
     `rng` draws machines where ranges are not linear. Where the noise law is estimated, as
     in a fit, what it holds is no misfit; where the stated noise is a guess, residuals up
@@ -136,7 +139,7 @@ def check_session(
         session, suspects, estimated=noise_is_estimated, robust=noise_is_a_guess
     )
     outliers, fitted = judgement.outliers, judgement.fitted
-    explanations = _explanations(session, alternatives, judgement)
+    explanations = _explanations(session, measurement, judgement)
     if explanations:
         every = fit(session)
         fitted = None if every is None else goodness(every)
@@ -164,7 +167,7 @@ def check_session(
 
 
 def _explanations(
-    session: SessionReadings, alternatives: Alternatives, judgement: Judgement
+    session: SessionReadings, measurement: Measurement, judgement: Judgement
 ) -> list[Explanation]:
     """Mistakes, where the readings without their outliers do not fit."""
     outliers, fitted = judgement.outliers, judgement.fitted
@@ -173,11 +176,11 @@ def _explanations(
         return []
     solution = None if outliers is None else outliers.rest
     if is_small:
-        return explain(session, solution, alternatives, of_noise=True)
+        return explain(session, solution, measurement, of_noise=True)
     if not judgement.sound:
-        return explain(session, solution, alternatives)
+        return explain(session, solution, measurement)
     # what an effect can mimic, the noise law holds as well here
-    likely = explain(session, solution, alternatives, thorough=False)
+    likely = explain(session, solution, measurement, thorough=False)
     if likely and likely[0].kind in PHYSICAL:
         return []
     return [one for one in likely if one.kind not in PHYSICAL]

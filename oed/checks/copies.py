@@ -63,7 +63,7 @@ def equal_readings(session: SessionReadings) -> list[EqualReadings]:
         labels = pd.DataFrame(table).groupby(list(range(table.shape[1]))).indices
         equal = [np.sort(rows) for rows in labels.values() if len(rows) > 1]
         pairs = sum(len(rows) * (len(rows) - 1) // 2 for rows in equal)
-        if not pairs or not _unlikely(session, span, table, pairs):
+        if not pairs or not _unlikely(session, s, span, table, pairs):
             continue
         for rows in equal:
             joints = s.q[s.index[rows, 0]]
@@ -107,7 +107,9 @@ def _taken_at_a_stop(series: Series, table: Array) -> bool:
     return is_recorded and bool((np.ptp(table, axis=0) == 0.0).all())
 
 
-def _unlikely(session: SessionReadings, span: slice, table: Array, pairs: int) -> bool:
+def _unlikely(
+    session: SessionReadings, series: Series, span: slice, table: Array, pairs: int
+) -> bool:
     """Whether chance gives as many equal pairs as seldom as FALSE_ALARM.
 
     Two values of a density f agree in a rounding step d with probability d times the
@@ -126,7 +128,6 @@ def _unlikely(session: SessionReadings, span: slice, table: Array, pairs: int) -
         wide = 2.0 * np.sqrt(np.pi) * np.maximum(spread, noise)
         return float(np.minimum(step / wide, 1.0).prod())
 
-    series = _series(session, span)
     poses = pd.DataFrame(series.q[series.index[:, 0]].round(9))
     same = _pairs(poses.groupby(list(poses.columns)).size().to_numpy())
     runs = [table[series.run == run] for run in dict.fromkeys(series.run)]
@@ -141,14 +142,6 @@ def _unlikely(session: SessionReadings, span: slice, table: Array, pairs: int) -
 def _pairs(sizes: Index) -> float:
     """Number of pairs in groups of some sizes."""
     return float(np.sum(sizes * (sizes - 1) / 2))
-
-
-def _series(session: SessionReadings, span: slice) -> Series:
-    """The series whose values a span has."""
-    for s, other in zip(session.series, session.spans, strict=True):
-        if other == span:
-            return s
-    raise KeyError(span)
 
 
 def _spread(values: Array) -> float:

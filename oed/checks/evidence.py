@@ -16,7 +16,7 @@ from scipy import special
 
 from oed.base.arrays import Array, Mask
 from oed.checks.fit import Fit
-from oed.checks.screening import scales_of_noise
+from oed.checks.screening import log_density_by_scale, scales_of_noise
 from oed.checks.session import SessionReadings
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import (
@@ -148,20 +148,17 @@ def _log_marginal(
     whitening = Whitening(linear.structure, laws)
     gram = whitening.gram(np.column_stack([linear.residual, slopes]))
     values, vectors = np.linalg.eigh(gram[:, 1:, 1:])
-    values = np.maximum(values, 0.0)[:, None]
-    part = np.einsum("lij,li->lj", vectors, gram[:, 1:, 0])[:, None] ** 2
-    square = (scales**2)[None, :, None]
-    misfit = gram[:, :1, 0] - (part / (values + square)).sum(axis=2)
-    misfit = misfit / square[..., 0]
-    log_size = (
-        np.log1p(values / square).sum(axis=2) + whitening.log_determinant[:, None]
+    squares = np.einsum("lij,li->lj", vectors, gram[:, 1:, 0]) ** 2
+    log_density = log_density_by_scale(
+        np.maximum(values, 0.0), squares, gram[:, 0, 0], scales
     )
-    log_size = log_size + len(linear.residual) * np.log(square[..., 0])
+    log_density -= 0.5 * whitening.log_determinant[:, None]
+    log_density -= len(linear.residual) * np.log(scales)
     is_assumed = linear.structure.statement.is_assumed
     prior = log_prior_of_scale(scales, is_assumed=is_assumed)
     prior = prior - special.logsumexp(prior)
     is_noise = laws.level[:, None] * scales <= most
-    log_density = weights[:, None] + prior - 0.5 * (log_size + misfit)
+    log_density += weights[:, None] + prior
     return float(special.logsumexp(log_density[is_noise]))
 
 

@@ -18,12 +18,13 @@ from scipy import special
 from oed.checks.candidates import HOPELESS, MISTAKEN, Candidate, candidates
 from oed.checks.evidence import linear_readings, log_evidence
 from oed.checks.fit import CANNOT_BE, Fit, fit_amounts, fit_of_any_misfit
-from oed.checks.mistakes import Alternatives, Given, MistakeTrial
+from oed.checks.mistakes import Given, MistakeTrial
 from oed.checks.outlier_odds import SHARE as SHARE_OF_OUTLIERS
 from oed.checks.outlier_search import MEDIAN
 from oed.checks.outliers import find_outliers
 from oed.checks.screening import LOG_SIZES, Screening, log_density_of_any
 from oed.checks.session import SessionReadings
+from oed.measurement.measurement import Measurement
 
 #: readings of which at most the mistakes are compared
 MOST_READINGS = 1000
@@ -69,19 +70,19 @@ class Explanation:
 def explain(
     session: SessionReadings,
     solution: Fit | None,
-    alternatives: Alternatives,
+    measurement: Measurement,
     *,
     thorough: bool = True,
     of_noise: bool = False,
 ) -> list[Explanation]:
     """Mistakes that explain the readings of a session, likeliest first.
 
-    solution  fit of the readings as given; None where they cannot be fitted
-    thorough  whether mistakes are fitted that the linear model does not favour; not
-              needed where a noise law explains the readings
-    of_noise  whether the stated noise alone may be mistaken, as where they fit too well
+    solution     fit of the readings as given; None where they cannot be fitted
+    measurement  the machine with all set-ups of the study
+    thorough     whether mistakes are fitted that the linear model does not favour; not
+                 needed where a noise law explains the readings
+    of_noise     whether the stated noise alone may be mistaken, as where they fit too well
     """
-    measurement = alternatives.measurement
     given = Given(dataclasses.replace(_sample(session), measurement=measurement))
     before = np.inf if solution is None else solution.ratio
     screening = Screening(given)

@@ -45,15 +45,12 @@ class Judgement:
 
     outliers  readings far from what all others predict; None where there is no fit
     fitted    residuals of the others against the noise
-    strained  whether parameters are farther outside their tolerances than chance takes
-              them: they may have taken a mistake in
     sound     whether nothing asks for an explanation, by the law
     stated    the same by the stated noise
     """
 
     outliers: OutlierSearch | None
     fitted: Goodness | None
-    strained: bool
     sound: bool
     stated: bool
 
@@ -69,12 +66,14 @@ def judge(
     """
     search = find_outliers(session, suspects, robust=robust)
     if search is None:
-        return Judgement(None, None, strained=True, sound=False, stated=False)
+        return Judgement(None, None, sound=False, stated=False)
     solution = search.rest
     fitted = goodness(solution)
     p_strain = probability_of_strain(solution.slopes, solution.linear_residual())
     stated = _judgement(search, fitted, p_strain)
-    fits = not (fitted.too_large or fitted.too_small or stated.strained)
+    # parameters outside their tolerances may have taken a mistake in
+    strained = p_strain < ALARM
+    fits = not (fitted.too_large or fitted.too_small or strained)
     ratio = fitted.ratio
     if not estimated or ratio is None or fitted.dof < LEAST_FREEDOM:
         return stated
@@ -116,10 +115,9 @@ def _by_law(
 
 
 def _judgement(search: OutlierSearch, fitted: Goodness, p_strain: float) -> Judgement:
-    strained = p_strain < ALARM
     few = len(search.readings) < 2 and not search.exhausted
-    sound = few and not fitted.too_large and not strained
-    return Judgement(search, fitted, strained=strained, sound=sound, stated=sound)
+    sound = few and not fitted.too_large and p_strain >= ALARM
+    return Judgement(search, fitted, sound=sound, stated=sound)
 
 
 def probability_of_strain(slopes: Array, residual: Array) -> float:

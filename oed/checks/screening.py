@@ -17,6 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
+from oed.base.linear_algebra import explained_energy
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.trial import MistakeTrial
 from oed.noise.covariance import Noise
@@ -119,14 +120,11 @@ class Screening:
 
     def _by_scale(self, of: ResidualSpectrum, white: Array, count: int) -> Array:
         """Log evidences (S, m), by scale, of whitened residuals (N, m) of `count` values."""
-        square = self.scales[:, None] ** 2
-        components = of.components(white) ** 2
-        used = (1.0 / (of.values + square)) @ components
-        misfit = ((white**2).sum(axis=0) - used) / square
-        log_size = count * np.log(square) + np.log1p(of.values / square).sum(
-            axis=1, keepdims=True
+        density = log_density_by_scale(
+            of.values, of.components(white).T ** 2, (white**2).sum(axis=0), self.scales
         )
-        return np.asarray(self._prior[:, None] - 0.5 * (log_size + misfit))
+        constant = self._prior - count * np.log(self.scales)
+        return np.asarray(constant[:, None] + density.T)
 
     # -- amounts in the readings -------------------------------------------------------
 
@@ -196,6 +194,20 @@ def scales_of_noise(residual: Array) -> Array:
     least = max(LEAST_SCALE, RESOLVED * largest)
     count = int(np.ceil(np.log(largest / least) / np.log(SCALE_STEP)))
     return np.asarray(least * SCALE_STEP ** np.arange(max(count, 4)))
+
+
+def log_density_by_scale(
+    values: Array, squares: Array, energy: Array, scales: Array
+) -> Array:
+    """Log density (..., S) of residuals for scales s of the noise, but for N log s.
+
+    values   (..., r) eigenvalues of H^T H
+    squares  (..., r) squared components of H^T r
+    energy   (...,) r^T r
+    """
+    variances = scales**-2.0
+    gain, log_determinant = explained_energy(values, squares, variances)
+    return -0.5 * (log_determinant + energy[..., None] * variances - gain * variances)
 
 
 def gains_of_amounts(grams: Array) -> tuple[Array, Array]:

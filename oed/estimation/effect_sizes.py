@@ -17,6 +17,7 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array
+from oed.base.linear_algebra import explained_energy
 
 #: typical size of a healthy machine's effects, in expected sizes, which are those of
 #: catalogues: a machine in order has 0.07 of them
@@ -59,9 +60,9 @@ def sample(
     energy, axes = np.linalg.eigh(information)
     energy = np.where(energy > ROUNDING * energy.max(initial=0.0), energy, 0.0)
     along = np.where(energy > 0.0, score @ axes, 0.0)
+    gain, log_determinant = explained_energy(energy, along**2, sizes**2)
+    log_weights = 0.5 * (gain - log_determinant)
     precision = sizes[:, None] ** -2.0 + energy
-    gain = (along**2 / precision).sum(axis=1)
-    log_weights = 0.5 * gain - 0.5 * np.log1p(sizes[:, None] ** 2 * energy).sum(axis=1)
     number = rng.choice(len(sizes), size=count, p=special.softmax(log_weights))
     normal = rng.standard_normal((count, len(score)))
     drawn = along / precision[number] + normal / np.sqrt(precision[number])

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy import optimize, special
 
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Array
 from oed.noise.factor import LinearFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -35,8 +35,6 @@ WORTH = 3.0
 TURNS, STILL = 12, 1e-3
 #: share of a reading's precision that is rounding, where parameters take the rest
 ROUNDING = 1e-12
-#: weight below which, and pull above which, a reading is named
-FAR_WEIGHT, FAR_PULL = 0.5, 3.5
 #: errors over which the information is integrated
 _GRID = np.linspace(-60.0, 60.0, 12001)
 
@@ -140,22 +138,11 @@ class Outliers:
                      stated noise
     density          of the errors
     log_odds         log likelihood of these over that of the residuals as normal ones
-    pull             (N,) error of predicting each reading from all others, in its
-                     standard deviations
-    weight           (N,) of each reading in the fit, 1 for an ordinary one
     """
 
     pseudo_residual: Array
     density: ErrorDensity
     log_odds: float
-    pull: Array
-    weight: Array
-
-    @property
-    def rows(self) -> Index:
-        """Readings that are more likely far off than ordinary."""
-        suspicious = (self.weight < FAR_WEIGHT) & (np.abs(self.pull) > FAR_PULL)
-        return np.flatnonzero(suspicious)
 
     def with_outliers(self, law: NoiseLaw) -> NoiseLaw:
         """The law of `residual`, with how many of the readings are far off."""
@@ -240,8 +227,6 @@ def detect(
         pseudo_residual=clean,
         density=shape,
         log_odds=float(odds.sum()) - np.log(len(densities)),
-        pull=e,
-        weight=shape.weight(e),
     )
 
 

@@ -48,9 +48,9 @@ from oed.checks.mistakes import (
     values,
 )
 from oed.checks.mistakes.given import Given
-from oed.checks.mistakes.trial import Alternatives, MistakeTrial
+from oed.checks.mistakes.trial import MistakeTrial
 
-__all__ = ["PHYSICAL", "Alternatives", "Given", "MistakeTrial", "trials"]
+__all__ = ["PHYSICAL", "Given", "MistakeTrial", "trials"]
 
 _MISTAKES = (
     values,

@@ -16,23 +16,12 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.session import SessionReadings
 from oed.checks.words import rounded
-from oed.measurement.measurement import Measurement
 
 #: the mistake of amounts (k,) with standard deviations (k,), without a full stop
 Words = Callable[[Array, Array], str]
 
 #: step of readings with more digits than are looked at, in their noise
 FINEST = 1e-6
-
-
-@dataclasses.dataclass(frozen=True)
-class Alternatives:
-    """What else a session could have been.
-
-    measurement  the machine with all set-ups of the study
-    """
-
-    measurement: Measurement
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import linalg, special
 
+from oed.base import linear_algebra
 from oed.base.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
@@ -181,11 +182,9 @@ def explained_energy(
     values, vectors = np.linalg.eigh(gram)
     clear = values > least[:, None]
     energy = np.where(clear, np.einsum("akj,ak->aj", vectors, b) ** 2, 0.0)
-    values = np.where(clear, values, 0.0)
-    variance = sizes[None, :, None] ** 2
-    inflation = 1.0 + values[:, None, :] * variance
-    gain = (energy[:, None, :] * variance / inflation).sum(axis=2)
-    return gain, np.log(inflation).sum(axis=2)
+    return linear_algebra.explained_energy(
+        np.where(clear, values, 0.0), energy, sizes**2
+    )
 
 
 class WhitenedColumns:

@@ -140,8 +140,8 @@ def _unseen(study: ResolvedStudy) -> list[str]:
     exact = measurement.readings(series, measurement.nominal)
     session = checks.session(measurement, series, exact)
     everything = study.measurement_with(study.setups)
-    alternatives = checks.Alternatives(everything)
-    unseen = blind.unseen_mistakes(session, alternatives, _rng(study))
+    measurement = everything
+    unseen = blind.unseen_mistakes(session, measurement, _rng(study))
     return [
         f"Readings of {plan.name} cannot reveal this mistake: {what}."
         for what in unseen

@@ -14,7 +14,7 @@ from oed.checks.check import CheckedSession, _exchanged, check_session
 from oed.checks.explain import Explanation
 from oed.checks.findings import Severity
 from oed.checks.judgement import Judgement
-from oed.checks.mistakes import Alternatives, Given, trials
+from oed.checks.mistakes import Given, trials
 from oed.checks.outliers import find_outliers
 from oed.checks.session import SessionReadings
 
@@ -36,7 +36,7 @@ def of_one_bar() -> SessionReadings:
 
 def checked(session: SessionReadings) -> CheckedSession:
     rng = np.random.default_rng(0)
-    return check_session(session, Alternatives(session.measurement), rng)
+    return check_session(session, session.measurement, rng)
 
 
 def test_readings_of_the_stated_noise_have_no_fault() -> None:
@@ -98,8 +98,8 @@ def test_a_mirrored_head_passes_unnoticed() -> None:
     The mirror image is another machine within the tolerances.
     """
     session = of_one_bar()
-    alternatives = Alternatives(session.measurement)
-    sentences = unseen_mistakes(session, alternatives, np.random.default_rng(0))
+    measurement = session.measurement
+    sentences = unseen_mistakes(session, measurement, np.random.default_rng(0))
     backward, psi, legs = sentences
     assert backward.endswith("are in reversed order after the first")
     assert psi == "the sign of psi_deg is reversed"
@@ -143,8 +143,8 @@ def test_readings_are_mistaken_where_no_effect_is_likelier() -> None:
 def test_a_mistake_that_the_law_holds_brings_no_unlikelier_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    by_law = Judgement(None, None, strained=False, sound=True, stated=False)
-    alternatives = Alternatives(clean().measurement)
+    by_law = Judgement(None, None, sound=True, stated=False)
+    measurement = clean().measurement
     for likely, expected in (([SCALE, SHIFT], []), ([SHIFT, SCALE], [SHIFT])):
         monkeypatch.setattr(check, "explain", lambda *_, some=likely, **__: some)
-        assert check._explanations(clean(), alternatives, by_law) == expected
+        assert check._explanations(clean(), measurement, by_law) == expected

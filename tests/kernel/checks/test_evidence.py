@@ -188,7 +188,7 @@ def test_long_sessions_are_cut_where_a_mistake_begins() -> None:
     y[53:80] *= 1e3
     checked = checks.check_session(
         session.with_y(y),
-        checks.Alternatives(session.measurement),
+        session.measurement,
         np.random.default_rng(0),
     )
     first = checked.findings[0].sentence

@@ -140,5 +140,5 @@ def test_outliers_are_named() -> None:
     inverse = np.linalg.inv(np.eye(60) + np.ones((60, 60)))
     result = detect(residual, Precision(inverse.__matmul__, np.diag(inverse)))
     assert result is not None
-    assert list(result.rows) == [17]
+    assert int(np.argmax(np.abs(result.pseudo_residual - residual))) == 17
     assert abs(result.pseudo_residual[17]) < 10.0

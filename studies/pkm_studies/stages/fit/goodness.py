@@ -39,11 +39,11 @@ def check_dataset(
         data.covariates,
         data.columns,
     )
-    alternatives = checks.Alternatives(resolved.measurement_with(resolved.setups))
+    measurement = resolved.measurement_with(resolved.setups)
     guess = noise_is_a_guess(resolved.study, session.measurement, len(session.y))
     checked = checks.check_session(
         session,
-        alternatives,
+        measurement,
         rng,
         noise_is_a_guess=guess,
         noise_is_estimated=resolved.study.noise.estimate is not False,
