@@ -85,7 +85,7 @@ def log_evidence(
     alone = _log_marginal(linear, linear.slopes, laws, weights, scales)
     terms = [float(np.log(PLAIN)) + alone]
     few = _few(laws, weights)
-    rivalling = rivals(session, linear.slopes) if with_effects else []
+    rivalling = rivals(session) if with_effects else []
     for rival in rivalling:
         log_share = float(np.log(UNUSUAL / len(rivalling)))
         terms.append(log_share + _with_rival(linear, rival, *few, scales))
@@ -169,13 +169,11 @@ def _log_marginal(
 class Rival:
     """An effect of unknown size.
 
-    name       in words
     columns    (N, k) its forms, of unit size, in units of the stated noise
     is_factor  whether its size is a factor on the tolerances
     noisier    values, by mask (N,), on whose noise its size is a factor
     """
 
-    name: str
     columns: Array | None = None
     is_factor: bool = False
     noisier: Mask | bool = False
@@ -187,26 +185,20 @@ class Rival:
         return size * slopes if self.is_factor else slopes
 
 
-def rivals(session: SessionReadings, slopes: Array) -> list[Rival]:
+def rivals(session: SessionReadings) -> list[Rival]:
     """Drift, smooth error over the poses, tolerances too narrow, and more noise in one
     channel of several.
     """
-    group = _groups(session)
+    frame = session.values
+    group = frame.groupby(["setup", "channel"], sort=False).ngroup().to_numpy()
     groups = np.unique(group)
     noisier = [group == g for g in groups if len(groups) > 1]
     return [
-        Rival("a drift through the session", _by_group(_drift(session), group)),
-        Rival("a smooth error over the poses", _by_group(_smooth(session), group)),
-        Rival("tolerances that are too narrow", is_factor=True),
-        *(Rival("more noise in one channel", noisier=one) for one in noisier),
+        Rival(_by_group(_drift(session), group)),
+        Rival(_by_group(_smooth(session), group)),
+        Rival(is_factor=True),
+        *(Rival(noisier=one) for one in noisier),
     ]
-
-
-def _groups(session: SessionReadings) -> Array:
-    """Number (N,) of the set-up and channel of each value."""
-    frame = session.values
-    number = frame.groupby(["setup", "channel"], sort=False).ngroup()
-    return np.asarray(number.to_numpy())
 
 
 def _by_group(forms: Array, group: Array) -> Array:
@@ -226,12 +218,8 @@ def _drift(session: SessionReadings) -> Array:
 
 def _smooth(session: SessionReadings) -> Array:
     """Monomials (N, k) of first and second degree in the poses."""
-    counts = [session.channel_count(s.setup) for s in session.series]
-    joints = [
-        np.repeat(s.q[s.index[:, 0]], count, axis=0)
-        for s, count in zip(session.series, counts, strict=True)
-    ]
-    place = np.apply_along_axis(_centred, 0, np.vstack(joints))
+    joints = session.joints[session.reading_of_value]
+    place = np.apply_along_axis(_centred, 0, joints)
     k = range(place.shape[1])
     pairs = itertools.combinations_with_replacement(k, 2)
     return np.column_stack([place, *[place[:, i] * place[:, j] for i, j in pairs]])

@@ -60,20 +60,14 @@ def contradictions(session: SessionReadings) -> list[Contradiction]:
 
 def _runs(session: SessionReadings) -> list[_Run]:
     """Runs with one direction throughout, their joints in the order of travel."""
-    frame, reading = session.values, session.reading_of_value
-    joints = np.vstack([s.q[s.index[:, 0]] for s in session.series])
     runs = []
-    for (setup, run), members in frame.groupby(
-        ["setup", "run"], sort=False
-    ).indices.items():
-        of_run = frame.iloc[members].assign(reading=reading[members])
-        rows = of_run.drop_duplicates("reading").sort_values("order")
+    for setup, run, rows in session.ordered_runs():
         directions = np.unique(rows["direction"].to_numpy(dtype=float))
         if len(directions) != 1 or abs(directions[0]) != 1.0:
             continue
-        path = joints[rows["reading"].to_numpy()]
+        path = session.joints[rows["reading"].to_numpy()]
         first = rows["row"].iloc[0]
-        runs.append(_Run(str(run), str(setup), first, float(directions[0]), path))
+        runs.append(_Run(run, setup, first, float(directions[0]), path))
     return runs
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -67,6 +67,18 @@ class SessionReadings:
         sizes = np.concatenate(counts)
         return np.repeat(np.arange(len(sizes), dtype=np.intp), sizes)
 
+    @functools.cached_property
+    def joints(self) -> Array:
+        """Joints (n, nq) of each reading, SI."""
+        return np.vstack([s.q[s.index[:, 0]] for s in self.series])
+
+    def ordered_runs(self) -> Iterator[tuple[str, str, pd.DataFrame]]:
+        """Set-up and run with a row for each of its readings, numbered, by their order."""
+        frame = self.values.iloc[self.firsts]
+        frame = frame.assign(reading=np.arange(len(frame)))
+        for (setup, run), rows in frame.groupby(["setup", "run"], sort=False):
+            yield str(setup), str(run), rows.sort_values("order", kind="stable")
+
     @property
     def firsts(self) -> Index:
         """First value (n,) of each reading."""
@@ -101,7 +113,7 @@ class SessionReadings:
             self, series=tuple(series), y=self.y[used], values=values
         )
 
-    def without(self, readings: Sequence[int]) -> SessionReadings:
+    def without(self, readings: Sequence[int] | Index) -> SessionReadings:
         """The session without these readings, by number."""
         every = np.arange(1 + int(self.reading_of_value[-1]))
         return self.take(np.setdiff1d(every, np.asarray(readings, dtype=np.intp)))
@@ -115,6 +127,14 @@ class SessionReadings:
     def with_y(self, y: Array) -> SessionReadings:
         """The session with other values (N,), SI."""
         return dataclasses.replace(self, y=y)
+
+    def with_sigma(self, sigma: Array) -> SessionReadings:
+        """The session with another noise (N,) of single readings, SI."""
+        series = tuple(
+            dataclasses.replace(s, sigma=sigma[span].reshape(len(s), -1))
+            for s, span in zip(self.series, self.spans, strict=True)
+        )
+        return dataclasses.replace(self, series=series)
 
     def mask(self, setup: str, channel: str | None = None) -> Mask:
         """Mask (N,) of the values of a set-up, or of one channel of it."""

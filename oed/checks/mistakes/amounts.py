@@ -81,7 +81,8 @@ def _off_by(
         kind=kind,
         scope=scope,
         words=words,
-        undo=lambda amounts: [session.with_y(session.y - columns @ amounts)],
+        session=session,
+        change=lambda amounts: [session.with_y(session.y - columns @ amounts)],
         amounts=np.zeros(columns.shape[1]),
         steps=np.full(columns.shape[1], step),
         family=f"{family} {scope.name}",
@@ -183,18 +184,13 @@ def _scale(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
             " conversion factor of the instrument is wrong"
         )
 
-    column = np.where(values, session.y, 0.0)
-    return MistakeTrial(
-        kind="factor",
-        scope=scope,
-        words=words,
-        undo=lambda amounts: [session.with_y(session.y - column * amounts[0])],
-        amounts=np.zeros(1),
+    column = np.where(values, session.y, 0.0)[:, None]
+    family = f"factor {given.names(values)}"
+    return dataclasses.replace(
+        _off_by(given, "factor", scope, words, column, family),
         steps=np.array([1e-6]),
         log_prior=SELDOM if scope.is_part else 0.0,
         scaling=lambda amounts: count * _log_size(1.0 - amounts[0]),
-        family=f"factor {given.names(values)} {scope.name}",
-        columns=column[:, None],
     )
 
 
@@ -223,7 +219,8 @@ def _moved_setup(given: Given, scope: Scope) -> MistakeTrial | None:
             f"what {setup} is set up on stood elsewhere{scope.within}: it moved, or was set"
             " up again"
         ),
-        undo=lambda amounts: [_set_up_again(given.session, scope.readings, setup)],
+        session=given.session,
+        change=lambda amounts: [_set_up_again(given.session, scope.readings, setup)],
         family=f"moved {scope.name}",
         columns=np.where(at[:, None], given.slopes[:, free], 0.0),
     )
@@ -287,7 +284,7 @@ def _size(given: Given, k: int, column: int) -> MistakeTrial:
         kind="size",
         scope=given.file,
         words=words,
-        undo=lambda amounts: [wider],
+        session=wider,
         estimated=lambda solution: solution.parameter(parameter.name),
         family=f"size {parameter.name}",
         columns=(WIDER * given.slopes[:, column])[:, None],

@@ -102,7 +102,9 @@ def _fixed(given: Given, words: str, each: bool, scope: Scope) -> MistakeTrial |
     y = _without(given, groups, FIXED[words])
     log_scale = -float(sum(np.linalg.slogdet(q)[1] for q in matrices))
     sentence = f"the readings{_where(given, scope, each=each)} are {words}"
-    return value_trial(given.session, "carried", scope, sentence, y, log_scale)
+    return value_trial(
+        given.session, "carried", scope, sentence, y, log_scale=log_scale
+    )
 
 
 def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial | None:
@@ -134,7 +136,8 @@ def _lagging(given: Given, held: str, each: bool, scope: Scope) -> MistakeTrial 
         kind="carried",
         scope=scope,
         words=words,
-        undo=undo,
+        session=session,
+        change=undo,
         amounts=np.zeros(1),
         steps=np.array([STEP]),
         scaling=scaling,

@@ -9,17 +9,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from oed.base.arrays import Array, Index
+from oed.base.arrays import Index
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import (
     MistakeTrial,
-    dropped_trial,
     log_density_of_known,
     members,
-    plain,
+    value_trial,
 )
-from oed.checks.session import SessionReadings
 
 #: readings that a part has at least, and of which copies are looked for
 LEAST, LEAST_COPIED = 6, 3
@@ -44,7 +42,9 @@ def trials(given: Given) -> Iterator[MistakeTrial]:
                 " explains how"
             )
             missing = scope.values(given.session)
-            yield dropped_trial(given, "contradiction", scope, sentence, missing)
+            yield value_trial(
+                given.session, "contradiction", scope, sentence, missing=missing
+            )
 
 
 # -- copies ----------------------------------------------------------------------------
@@ -69,8 +69,13 @@ def _copied(given: Given, one: Scope, other: Scope) -> MistakeTrial:
     missing = one.values(given.session)
     log_missing = log_density_of_known(given, missing, missing)
     sentence = f"the readings{one.of} are those{other.of}, copied"
-    return dropped_trial(
-        given, "copied", one, sentence, missing, log_missing=log_missing
+    return value_trial(
+        given.session,
+        "copied",
+        one,
+        sentence,
+        missing=missing,
+        log_missing=log_missing,
     )
 
 
@@ -96,17 +101,9 @@ def _divided(given: Given, place: int, count: int) -> MistakeTrial:
         f"the readings up to row {last}{before} and those from row {first}{after} fit"
         " alone but not together: another machine, or something moved between them"
     )
-
-    def undo(amounts: Array) -> list[SessionReadings]:
-        return [session.take(every[:place]), session.take(every[place:])]
-
-    return MistakeTrial(
-        kind="change",
-        scope=given.file,
-        words=plain(sentence),
-        undo=undo,
-        family="change",
-        parts=session.reading_of_value >= place,
+    parts = session.reading_of_value >= place
+    return value_trial(
+        session, "change", given.file, sentence, family="change", parts=parts
     )
 
 

@@ -72,7 +72,7 @@ def _stopped(given: Given, k: int, sign: float) -> Iterator[MistakeTrial]:
 
 def _likely_stops(given: Given, k: int, sign: float) -> list[float]:
     """Values of a joint, SI, beyond which all readings that are far off lie."""
-    joints = sign * _joint(given, k)
+    joints = sign * given.session.joints[:, k]
     misfit = np.abs(given.session.y - given.predicted) / given.spread
     worst = np.zeros(len(joints))
     np.maximum.at(worst, given.session.reading_of_value, misfit)
@@ -87,11 +87,6 @@ def _likely_stops(given: Given, k: int, sign: float) -> list[float]:
     return [sign * float(ends.mean()), sign * float(ends[1])]
 
 
-def _joint(given: Given, k: int) -> Array:
-    """Values (n,) of a joint at each reading, SI."""
-    return np.concatenate([s.q[s.index[:, 0], k] for s in given.session.series])
-
-
 def _stop_words(
     given: Given, k: int, sign: float, scope: Scope, amounts: Array, sd: Array
 ) -> str:
@@ -99,9 +94,8 @@ def _stop_words(
     unit, way = "mm", "longer" if sign > 0.0 else "shorter"
     if joint.unit == "rad":
         unit, way = "deg", "further"
-    rows = given.session.rows(
-        np.flatnonzero(sign * _joint(given, k) > sign * amounts[0])
-    )
+    is_beyond = sign * given.session.joints[:, k] > sign * amounts[0]
+    rows = given.session.rows(np.flatnonzero(is_beyond))
     return (
         f"{joint.name} went no {way} than {amount(amounts[0], sd[0], unit, with_sd=True)}:"
         f" it stood at its stop in the rows {', '.join(str(row) for row in rows)}"

@@ -15,7 +15,6 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import (
     MistakeTrial,
-    dropped_trial,
     in_values,
     log_density_of_known,
     value_trial,
@@ -59,8 +58,13 @@ def _clipped(given: Given, scope: Scope, values: Mask) -> MistakeTrial | None:
     )
     log_missing = log_density_of_known(given, missing, values)
     log_missing -= float(missing.sum() * np.log(2.0))
-    return dropped_trial(
-        given, "limits", scope, sentence, missing, log_missing=log_missing
+    return value_trial(
+        session,
+        "limits",
+        scope,
+        sentence,
+        missing=missing,
+        log_missing=log_missing,
     )
 
 

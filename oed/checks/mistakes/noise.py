@@ -23,7 +23,7 @@ from oed.checks.mistakes.trial import (
     MistakeTrial,
     in_scopes,
     in_values,
-    noise_trial,
+    value_trial,
 )
 from oed.dataset.columns import parse_column
 
@@ -89,7 +89,9 @@ def _rounded(given: Given, words: str, error: Array, scope: Scope) -> MistakeTri
     at = scope.values(given.session)
     factor = np.where(at, np.hypot(1.0, error / given.sigma), 1.0)
     sentence = words.format(scope.within)
-    return noise_trial(given, "rounded", scope, sentence, factor, SELDOM)
+    return value_trial(
+        given.session, "rounded", scope, sentence, noise=factor, log_prior=SELDOM
+    )
 
 
 # -- noise -----------------------------------------------------------------------------
@@ -112,7 +114,9 @@ def _other_noise(
         f" the {session.fine(channel, stated)} that are stated explain the readings"
     )
     factors = np.where(values, factor, 1.0)
-    return noise_trial(given, "noise", scope, sentence, factors, SELDOM_OTHER)
+    return value_trial(
+        session, "noise", scope, sentence, noise=factors, log_prior=SELDOM_OTHER
+    )
 
 
 def _depends_on_pose(given: Given, values: Mask, factor: float) -> bool:

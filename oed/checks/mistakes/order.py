@@ -12,7 +12,7 @@ from oed.base.arrays import Array, Index
 from oed.checks.mistakes.driven import exchanged
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope, several_runs
-from oed.checks.mistakes.trial import MistakeTrial, in_scopes, members, plain
+from oed.checks.mistakes.trial import MistakeTrial, in_scopes, members, value_trial
 
 #: rows by which readings are late, where those pushed out at an end are lost
 SHIFTS = (1, -1, 2, -2, 3, -3)
@@ -243,12 +243,5 @@ def _reordering(
     missing = np.isin(session.reading_of_value, dropped)
     if not ((y != session.y) & ~missing).any():
         return None
-    changed = session.with_y(y)
-    return MistakeTrial(
-        kind="order",
-        scope=scope,
-        words=plain(sentence),
-        undo=lambda amounts: [changed.without(dropped) if dropped else changed],
-        y=y,
-        missing=missing if dropped else None,
-    )
+    lacks = missing if dropped else None
+    return value_trial(session, "order", scope, sentence, y, missing=lacks)

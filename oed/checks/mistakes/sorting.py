@@ -18,7 +18,6 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import (
     MistakeTrial,
-    dropped_trial,
     members,
     value_trial,
 )
@@ -155,6 +154,11 @@ def _without_places(
         sd = max(float(np.std(y)), float(np.median(given.sigma[table])))
         log_density += float(special.gammaln(1.0 + count))
         log_density -= count * (np.log(sd) + 0.5 * np.log(2.0 * np.pi) + 0.5)
-    return dropped_trial(
-        given, "sorting", scope, sentence, missing, log_missing=log_density
+    return value_trial(
+        given.session,
+        "sorting",
+        scope,
+        sentence,
+        missing=missing,
+        log_missing=log_density,
     )

@@ -45,7 +45,8 @@ class MistakeTrial:
     kind       of mistake: the module that makes the trial
     scope      the part of the session that it concerns
     words      the mistake in words
-    undo       the session without it
+    session    as given
+    change     the session without it; None where values, order and noise say so
     amounts    (k,) where the search of its unknown amounts begins, SI
     steps      (k,) for differences over them
     estimated  amounts and standard deviations that a fit has, where it is not searched
@@ -75,7 +76,8 @@ class MistakeTrial:
     kind: str
     scope: Scope
     words: Words
-    undo: Undo
+    session: SessionReadings
+    change: Undo | None = None
     amounts: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
     steps: Array = dataclasses.field(default_factory=lambda: NO_AMOUNTS)
     estimated: Callable[[Fit], tuple[Array, Array]] | None = None
@@ -93,6 +95,25 @@ class MistakeTrial:
     parts: Mask | None = None
     noise: Array | None = None
     on: OnScope | None = None
+
+    def undo(self, amounts: Array) -> Sequence[SessionReadings]:
+        """Sessions without the mistake: one, or several of machines apart."""
+        if self.change is not None:
+            return self.change(amounts)
+        session = self.session if self.y is None else self.session.with_y(self.y)
+        number = session.reading_of_value
+        if self.noise is not None:
+            sigma = self.noise * session.measurement.sigma(session.series)
+            return [session.with_sigma(sigma)]
+        if self.parts is not None:
+            return [
+                session.take(np.unique(number[p])) for p in (~self.parts, self.parts)
+            ]
+        if self.missing is None:
+            return [session]
+        dropped = np.unique(number[self.missing])
+        is_all = len(dropped) == 1 + int(number[-1])
+        return [] if is_all else [session.without(dropped)]
 
 
 #: a mistake in the readings of a scope; None where it cannot be there
@@ -146,65 +167,13 @@ def value_trial(
     kind: str,
     scope: Scope,
     sentence: str,
-    y: Array,
-    log_scale: float = 0.0,
-    mistaken: Array | None = None,
+    y: Array | None = None,
+    **more: Any,
 ) -> MistakeTrial:
-    """A trial with other values y (N,) at the same poses."""
+    """A trial with other values y (N,) at the same poses, without some, or other noise."""
+    words = plain(sentence)
     return MistakeTrial(
-        kind=kind,
-        scope=scope,
-        words=plain(sentence),
-        undo=lambda amounts: [session.with_y(y)],
-        log_scale=log_scale,
-        y=y,
-        mistaken=mistaken,
-    )
-
-
-def dropped_trial(
-    given: Given, kind: str, scope: Scope, sentence: str, missing: Mask, **more: Any
-) -> MistakeTrial:
-    """A trial without the readings that have some values (N,)."""
-    session = given.session
-    dropped = np.unique(session.reading_of_value[missing]).tolist()
-    is_all = len(dropped) == 1 + int(session.reading_of_value[-1])
-    return MistakeTrial(
-        kind=kind,
-        scope=scope,
-        words=plain(sentence),
-        undo=lambda amounts: [] if is_all else [session.without(dropped)],
-        missing=missing,
-        **more,
-    )
-
-
-def noise_trial(
-    given: Given,
-    kind: str,
-    scope: Scope,
-    sentence: str,
-    factor: Array,
-    log_prior: float,
-) -> MistakeTrial:
-    """A trial with factors (N,) on the stated noise."""
-    session = given.session
-
-    def undo(amounts: Array) -> list[SessionReadings]:
-        sigma = factor * given.sigma
-        series = tuple(
-            dataclasses.replace(s, sigma=sigma[span].reshape(len(s), -1))
-            for s, span in zip(session.series, session.spans, strict=True)
-        )
-        return [dataclasses.replace(session, series=series)]
-
-    return MistakeTrial(
-        kind=kind,
-        scope=scope,
-        words=plain(sentence),
-        undo=undo,
-        log_prior=log_prior,
-        noise=factor,
+        kind=kind, scope=scope, words=words, session=session, y=y, **more
     )
 
 

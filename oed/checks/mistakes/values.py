@@ -82,7 +82,15 @@ def _changed(
     mistaken = np.where(about, base + (y - start) / factor, y)
     log_factor = np.log(np.abs(np.broadcast_to(factor, y.shape)))
     log_scale = float(log_factor[about].sum())
-    return value_trial(given.session, kind, scope, sentence, right, log_scale, mistaken)
+    return value_trial(
+        given.session,
+        kind,
+        scope,
+        sentence,
+        right,
+        log_scale=log_scale,
+        mistaken=mistaken,
+    )
 
 
 def _where(given: Given, scope: Scope, values: Mask) -> str:
@@ -128,7 +136,7 @@ def _sexagesimal(
     subject = _readings(given, scope, values)
     sentence = f"{subject} have {words} after their decimal point"
     log_scale = float(values.sum() * np.log(meant(SMALL_ANGLE) / SMALL_ANGLE)[0])
-    return value_trial(given.session, "unit", scope, sentence, y, log_scale)
+    return value_trial(given.session, "unit", scope, sentence, y, log_scale=log_scale)
 
 
 def _unit_factors(si: str) -> Mapping[str, float]:

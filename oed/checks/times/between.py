@@ -91,9 +91,10 @@ def _clash(one: TimedRun, other: TimedRun) -> Clash | None:
 
 def _own_clocks(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding | None:
     """Runs, or set-ups, whose clocks begin alike."""
-    by_setup = {name: list(some) for name, some in _by_setup(runs)}
-    of_setups = [min(some, key=lambda run: run.start) for some in by_setup.values()]
-    for what, firsts in (("run", list(runs)), ("set-up", of_setups)):
+    of_setups: dict[str, TimedRun] = {}
+    for run in sorted(runs, key=lambda run: run.start):
+        of_setups.setdefault(run.setup, run)
+    for what, firsts in (("run", list(runs)), ("set-up", list(of_setups.values()))):
         starts = [run.start for run in firsts]
         step = max(run.cadence for run in firsts)
         if len(firsts) > 1 and max(starts) - min(starts) <= PAUSE * step:
@@ -104,11 +105,6 @@ def _own_clocks(runs: Sequence[TimedRun], column: TimeColumn) -> CheckFinding | 
             )
             return CheckFinding(Severity.REMARK, "time clocks", sentence)
     return None
-
-
-def _by_setup(runs: Sequence[TimedRun]) -> list[tuple[str, list[TimedRun]]]:
-    names = dict.fromkeys(run.setup for run in runs)
-    return [(name, [run for run in runs if run.setup == name]) for name in names]
 
 
 def _clashing(

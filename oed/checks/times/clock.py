@@ -133,22 +133,13 @@ def timed_runs(session: SessionReadings) -> list[TimedRun]:
     """The runs of a session in the order of the file, with the readings that have a time."""
     if "time" not in session.values:
         return []
-    # by readings: rows count anew in each file
-    reading, first = np.unique(session.reading_of_value, return_index=True)
-    frame = session.values.iloc[first]
-    joints = np.vstack([s.q[s.index[:, 0]] for s in session.series])
-    joints = joints / np.maximum(np.ptp(joints, axis=0), 1e-12)
-    frame = frame.assign(reading=reading).dropna(subset="time")
+    joints = session.joints / np.maximum(np.ptp(session.joints, axis=0), 1e-12)
     runs = []
-    for (setup, run), rows in frame.groupby(["setup", "run"], sort=False):
-        ordered = rows.sort_values("order", kind="stable")
-        runs.append(
-            TimedRun(
-                setup=str(setup),
-                run=str(run),
-                rows=ordered["row"].to_numpy(),
-                times=ordered["time"].to_numpy(dtype=float),
-                joints=joints[ordered["reading"].to_numpy()],
-            )
-        )
+    for setup, run, every in session.ordered_runs():
+        ordered = every.dropna(subset="time")
+        times = ordered["time"].to_numpy(dtype=float)
+        places = joints[ordered["reading"].to_numpy()]
+        if len(times):
+            rows = ordered["row"].to_numpy()
+            runs.append(TimedRun(setup, run, rows, times, places))
     return sorted(runs, key=lambda one: one.rows.min())

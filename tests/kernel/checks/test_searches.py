@@ -175,7 +175,7 @@ def test_strained_parameters_are_told_from_noise(rng: np.random.Generator) -> No
 def test_rivals_of_a_mistake_have_a_drift_and_a_size(session: SessionReadings) -> None:
     m = session.measurement
     slopes = m.in_prior_units(m.jacobian(session.series, m.nominal))
-    effects = rivals(session, slopes)
+    effects = rivals(session)
     assert [r.columns is None for r in effects[:3]] == [False, False, True]
     assert effects[2].slopes(slopes, 3.0) == pytest.approx(3.0 * slopes)
 
