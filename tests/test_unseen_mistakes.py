@@ -86,8 +86,7 @@ def test_check_and_fit_judge_by_one_noise_law() -> None:
     one = machines.session("delta", machines.readings("delta", 3, "run offsets"))
     search = judgement.find_outliers(one, np.zeros(0, dtype=np.intp))
     assert search is not None
-    linear = judgement.linear_readings(search.solution)
-    law, _ = judgement.estimated_law(linear, search.solution)
+    law, _ = judgement.estimated_law(search.solution)
     estimate = identify(one.measurement, one.series, one.y, estimate_noise=True)
     posterior = estimate.noise_posterior
     assert posterior is not None

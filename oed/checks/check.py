@@ -147,14 +147,13 @@ def check_session(
     findings = [
         *sentences.explained(explanations),
         *_copies(session, ranges),
-        *_senses(session),
+        *sentences.contradicting(contradictions(session)),
         *wrong_times(session),
         *doubtful_conditions(session),
         *_fit_findings(session, outliers, fitted, explanations, noise_is_a_guess),
     ]
     if single and outliers is not None:
         findings += sentences.outliers(session, outliers, _exchanged(session, outliers))
-        findings += sentences.doubtful(session, outliers)
     findings += _outside(session, ranges, outside, outliers if single else None)
     findings.sort(key=lambda finding: finding.severity)
     return CheckedSession(
@@ -228,11 +227,6 @@ def _copies(session: SessionReadings, ranges: Ranges) -> list[CheckFinding]:
         sentences.coarse(session, one) for one in copies.coarse_columns(session)
     ]
     return findings
-
-
-def _senses(session: SessionReadings) -> list[CheckFinding]:
-    pairs = contradictions(session)
-    return [sentences.contradicting(pairs)] if pairs else []
 
 
 def _outside(

@@ -19,6 +19,7 @@ from oed.checks.fit import Fit
 from oed.checks.screening import log_density_by_scale, scales_of_noise
 from oed.checks.session import SessionReadings
 from oed.measurement.reading_structure import reading_structure
+from oed.noise.marginal import ResidualModel
 from oed.noise.prior import (
     CARRIED,
     COURSE,
@@ -41,24 +42,8 @@ SIZE_STEP = 4.0
 DEGREE = 3
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class LinearReadings:
-    """N readings linear in r parameters z ~ N(0, I), in units of the stated noise.
-
-    structure  of the readings
-    residual   (N,) about the prior's middle
-    slopes     (N, r)
-    log_unit   sum of the logs of the units, SI
-    """
-
-    structure: ReadingStructure
-    residual: Array
-    slopes: Array
-    log_unit: float
-
-
-def linear_readings(solution: Fit) -> LinearReadings:
-    """Readings linear at a fit."""
+def linear_readings(solution: Fit) -> ResidualModel:
+    """Readings linear at a fit, about the prior's middle."""
     session = solution.session
     measurement, series = session.measurement, session.series
     structure = reading_structure(measurement, series, solution.theta)
@@ -66,17 +51,18 @@ def linear_readings(solution: Fit) -> LinearReadings:
     slopes = structure.standardise(jacobian @ session.prior_root())
     y = session.y - measurement.readings(series, solution.theta)
     residual = structure.standardise(y) + slopes @ solution.departure
-    return LinearReadings(structure, residual, slopes, _log_unit(structure))
+    return ResidualModel(structure, residual, slopes, 0.0 * solution.departure)
 
 
 def _log_unit(structure: ReadingStructure) -> float:
+    """Sum of the logs of the units of readings, SI."""
     if structure.decouple is None:
         return float(np.log(structure.unit).sum())
     return -float(np.log(structure.decouple.diagonal()).sum())
 
 
 def log_evidence(
-    linear: LinearReadings, session: SessionReadings, *, with_effects: bool
+    linear: ResidualModel, session: SessionReadings, *, with_effects: bool
 ) -> float:
     """Log density of the readings, SI; with effects that no law holds, or without."""
     structure = linear.structure
@@ -89,12 +75,12 @@ def log_evidence(
     for rival in rivalling:
         log_share = float(np.log(UNUSUAL / len(rivalling)))
         terms.append(log_share + _with_rival(linear, rival, *few, scales))
-    constant = linear.log_unit + 0.5 * len(structure) * float(np.log(2.0 * np.pi))
+    constant = _log_unit(structure) + 0.5 * len(structure) * float(np.log(2.0 * np.pi))
     return float(special.logsumexp(terms)) - constant
 
 
 def _with_rival(
-    linear: LinearReadings, rival: Rival, laws: Laws, weights: Array, scales: Array
+    linear: ResidualModel, rival: Rival, laws: Laws, weights: Array, scales: Array
 ) -> float:
     """Log density with an effect of unknown size."""
     largest = 3.0 * float(np.sqrt(np.mean(linear.residual**2))) + SIZE_STEP
@@ -134,7 +120,7 @@ def _few(laws: Laws, weights: Array) -> tuple[Laws, Array]:
 
 
 def _log_marginal(
-    linear: LinearReadings,
+    linear: ResidualModel,
     slopes: Array,
     laws: Laws,
     weights: Array,

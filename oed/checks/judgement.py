@@ -14,7 +14,7 @@ import numpy as np
 from scipy import linalg, special
 
 from oed.base.arrays import Array, Index, Mask
-from oed.checks.evidence import LinearReadings, linear_readings
+from oed.checks.evidence import linear_readings
 from oed.checks.fit import Fit, residual_weights
 from oed.checks.goodness import (
     Goodness,
@@ -96,14 +96,13 @@ def _by_law(
     None where the law would have more noise than a stated one is good for, or does not
     explain the readings either.
     """
-    law, _ = estimated_law(linear_readings(solution), solution)
+    law, _ = estimated_law(solution)
     ruled = dataclasses.replace(session, law=law.with_scale(1.0, np.inf))
     search = find_outliers(ruled, suspects, robust=robust)
     if search is None:
         return None
-    linear = linear_readings(search.rest)
-    law, model = estimated_law(linear, search.rest)
-    if law.size(linear.structure) > GUESS:
+    law, model = estimated_law(search.rest)
+    if law.size(model.structure) > GUESS:
         return None
     p_low, p_high, p_strain = _probabilities_under(law, model)
     fitted = dataclasses.replace(
@@ -133,10 +132,9 @@ def probability_of_strain(slopes: Array, residual: Array) -> float:
     return float(special.chdtrc(len(singular), float(scaled @ scaled)))
 
 
-def estimated_law(
-    linear: LinearReadings, solution: Fit
-) -> tuple[CheckedLaw, ResidualModel]:
+def estimated_law(solution: Fit) -> tuple[CheckedLaw, ResidualModel]:
     """The most probable law of readings linear at a fit, and these without their tails."""
+    linear = linear_readings(solution)
     structure = linear.structure
     prior = noise_prior(structure, len(structure) - linear.slopes.shape[1])
     laws: Laws = stated_laws(structure)

@@ -232,8 +232,10 @@ def coarse(session: SessionReadings, one: CoarseReadings) -> CheckFinding:
     return CheckFinding(Severity.REMARK, "coarse", sentence, rows)
 
 
-def contradicting(pairs: Sequence[Contradiction]) -> CheckFinding:
+def contradicting(pairs: Sequence[Contradiction]) -> list[CheckFinding]:
     """Runs whose order of poses contradicts their column `direction`."""
+    if not pairs:
+        return []
     first = pairs[0]
     order, labels = ("same", "opposite") if first.same_order else ("opposite", "equal")
     more = f" (and {len(pairs) - 1} more pairs of runs)" if len(pairs) > 1 else ""
@@ -242,7 +244,7 @@ def contradicting(pairs: Sequence[Contradiction]) -> CheckFinding:
         f" {order} order, but have {labels} directions{more}: order or direction is wrong."
         " Play and friction are estimated by the order, which must be that of travel."
     )
-    return CheckFinding(Severity.REMARK, "direction", sentence, first.rows)
+    return [CheckFinding(Severity.REMARK, "direction", sentence, first.rows)]
 
 
 def outliers(
@@ -250,7 +252,9 @@ def outliers(
     found_rows: OutlierSearch,
     exchanged: tuple[int, int] | None,
 ) -> list[CheckFinding]:
-    """Each outlier with row, column, value and what the others predict."""
+    """Each outlier, and each reading that may be one, with row, column, value and what the
+    others predict.
+    """
     findings = []
     if exchanged is not None:
         rows = session.rows(exchanged)
@@ -266,13 +270,7 @@ def outliers(
         )
         row = session.rows([one.reading])
         findings.append(CheckFinding(Severity.OUTLIER, "outlier", sentence, row))
-    return findings
-
-
-def doubtful(session: SessionReadings, outliers: OutlierSearch) -> list[CheckFinding]:
-    """Each reading that may be a gross error, or noise."""
-    findings = []
-    for one in outliers.doubtful:
+    for one in found_rows.doubtful:
         sentence = (
             f"{_contradiction(session, one)}. It may be a gross error or noise of heavy"
             f" tails (posterior odds below {PROVEN:.0f}): the row stays in the fit. Take"
