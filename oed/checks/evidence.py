@@ -1,9 +1,9 @@
-"""Log evidence of readings: parameters, noise law and unmodelled effects integrated out.
+"""Log evidence of readings: parameters, noise law and tolerances integrated out.
 
 At the most probable parameters the readings are linear in them. Their density is that of
 normal errors of each of a grid of laws (a scale, an error of a run, one that is carried
-along it), with the prior of the laws as weight, and of rivals that no law holds: a drift
-through the session, a smooth error over the poses, tolerances that are too narrow.
+along it), with the prior of the laws as weight, and of rivals that no law holds:
+tolerances that are too narrow, and more noise in one channel of several.
 """
 
 from __future__ import annotations
@@ -34,12 +34,10 @@ from oed.result.trust import GUESS
 
 #: coordinates of the laws that are looked at: error of a run, carried share and reach
 LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)
-#: share of the prior of no effect, and of all rivals
+#: share of the prior of no rival, and of all rivals
 PLAIN, UNUSUAL = 0.6, 0.4
-#: factor between sizes of an effect
-SIZE_STEP = 4.0
-#: degree of a drift in the order of readings
-DEGREE = 3
+#: factor between sizes of a rival, and largest one on the tolerances
+SIZE_STEP, WIDEST = 4.0, 100.0
 
 
 def linear_readings(solution: Fit) -> ResidualModel:
@@ -62,16 +60,16 @@ def _log_unit(structure: ReadingStructure) -> float:
 
 
 def log_evidence(
-    linear: ResidualModel, session: SessionReadings, *, with_effects: bool
+    linear: ResidualModel, session: SessionReadings, *, with_rivals: bool
 ) -> float:
-    """Log density of the readings, SI; with effects that no law holds, or without."""
+    """Log density of the readings, SI; with rivals that no law holds, or without."""
     structure = linear.structure
     laws, weights = law_grid(structure)
     scales = scales_of_noise(linear.residual)
     alone = _log_marginal(linear, linear.slopes, laws, weights, scales)
     terms = [float(np.log(PLAIN)) + alone]
     few = _few(laws, weights)
-    rivalling = rivals(session) if with_effects else []
+    rivalling = rivals(session) if with_rivals else []
     for rival in rivalling:
         log_share = float(np.log(UNUSUAL / len(rivalling)))
         terms.append(log_share + _with_rival(linear, rival, *few, scales))
@@ -79,20 +77,37 @@ def log_evidence(
     return float(special.logsumexp(terms)) - constant
 
 
+def rivals(session: SessionReadings) -> list[Mask | None]:
+    """Values (N,) that may have more noise: one channel of several.
+
+    None stands for tolerances that are too narrow.
+    """
+    channel = session.values.groupby(["setup", "channel"], sort=False).ngroup()
+    number = channel.to_numpy()
+    groups = np.unique(number)
+    return [None, *(number == g for g in groups if len(groups) > 1)]
+
+
 def _with_rival(
-    linear: ResidualModel, rival: Rival, laws: Laws, weights: Array, scales: Array
+    linear: ResidualModel,
+    noisier: Mask | None,
+    laws: Laws,
+    weights: Array,
+    scales: Array,
 ) -> float:
-    """Log density with an effect of unknown size."""
-    largest = 3.0 * float(np.sqrt(np.mean(linear.residual**2))) + SIZE_STEP
-    if rival.is_factor:
-        largest = 100.0
+    """Log density with a rival of unknown size: a factor on tolerances, or on noise."""
+    largest = WIDEST
+    if noisier is not None:
+        largest = 3.0 * float(np.sqrt(np.mean(linear.residual**2))) + SIZE_STEP
     count = max(1, int(np.log(largest) / np.log(SIZE_STEP)))
-    sizes = SIZE_STEP ** np.arange(1, count + 1)
     values = []
-    for size in sizes:
-        factor = np.where(rival.noisier, 1.0 / size, np.ones(len(linear.residual)))
+    for size in SIZE_STEP ** np.arange(1, count + 1):
+        slopes = size * linear.slopes
+        factor = np.ones(len(linear.residual))
+        if noisier is not None:
+            factor[noisier] = 1.0 / size
+            slopes = factor[:, None] * linear.slopes
         one = dataclasses.replace(linear, residual=factor * linear.residual)
-        slopes = factor[:, None] * rival.slopes(linear.slopes, size)
         most = GUESS * float(factor.min())
         log_density = _log_marginal(one, slopes, laws, weights, scales, most)
         values.append(log_density + float(np.log(factor).sum()))
@@ -113,7 +128,7 @@ def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
 
 
 def _few(laws: Laws, weights: Array) -> tuple[Laws, Array]:
-    """The likeliest of some laws: an effect stands for what the others hold."""
+    """The likeliest of some laws: a rival stands for what the others hold."""
     best = np.argsort(-weights)[:4]
     some = laws.take([int(k) for k in best])
     return some, weights[best] - special.logsumexp(weights[best])
@@ -146,72 +161,3 @@ def _log_marginal(
     is_noise = laws.level[:, None] * scales <= most
     log_density += weights[:, None] + prior
     return float(special.logsumexp(log_density[is_noise]))
-
-
-# -- what may act without a mistake ----------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Rival:
-    """An effect of unknown size.
-
-    columns    (N, k) its forms, of unit size, in units of the stated noise
-    is_factor  whether its size is a factor on the tolerances
-    noisier    values, by mask (N,), on whose noise its size is a factor
-    """
-
-    columns: Array | None = None
-    is_factor: bool = False
-    noisier: Mask | bool = False
-
-    def slopes(self, slopes: Array, size: float) -> Array:
-        """Slopes (N, r + k) with the effect at a size."""
-        if self.columns is not None:
-            return np.hstack([slopes, size * self.columns])
-        return size * slopes if self.is_factor else slopes
-
-
-def rivals(session: SessionReadings) -> list[Rival]:
-    """Drift, smooth error over the poses, tolerances too narrow, and more noise in one
-    channel of several.
-    """
-    frame = session.values
-    group = frame.groupby(["setup", "channel"], sort=False).ngroup().to_numpy()
-    groups = np.unique(group)
-    noisier = [group == g for g in groups if len(groups) > 1]
-    return [
-        Rival(_by_group(_drift(session), group)),
-        Rival(_by_group(_smooth(session), group)),
-        Rival(is_factor=True),
-        *(Rival(noisier=one) for one in noisier),
-    ]
-
-
-def _by_group(forms: Array, group: Array) -> Array:
-    """Forms (N, k), for each group its own."""
-    parts = [np.where((group == g)[:, None], forms, 0.0) for g in np.unique(group)]
-    columns = np.hstack(parts)
-    return columns[:, columns.any(axis=0)]
-
-
-def _drift(session: SessionReadings) -> Array:
-    """Legendre polynomials (N, k) in the order of the readings."""
-    _, order = np.unique(session.values["row"].to_numpy(), return_inverse=True)
-    place = _centred(order.astype(float))
-    powers = [np.polynomial.Legendre.basis(k)(place) for k in range(1, DEGREE + 1)]
-    return np.column_stack(powers)
-
-
-def _smooth(session: SessionReadings) -> Array:
-    """Monomials (N, k) of first and second degree in the poses."""
-    joints = session.joints[session.reading_of_value]
-    place = np.apply_along_axis(_centred, 0, joints)
-    k = range(place.shape[1])
-    pairs = itertools.combinations_with_replacement(k, 2)
-    return np.column_stack([place, *[place[:, i] * place[:, j] for i, j in pairs]])
-
-
-def _centred(values: Array) -> Array:
-    """Values (n,) brought to -1..1."""
-    low, high = float(values.min()), float(values.max())
-    return (2.0 * values - low - high) / max(high - low, 1e-300)

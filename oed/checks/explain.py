@@ -3,8 +3,8 @@
 Every usual mistake is undone, for the file, for each set-up, each run and the first or
 last rows (`oed.checks.mistakes`). All are screened in the linear model
 (`oed.checks.screening`); the likeliest are fitted. A mistake is named by its posterior
-probability against the others and against none: noise of another law, or an effect that
-is not in the model (`oed.checks.evidence`).
+probability against the others and against none: noise of another law, or parameters far
+outside their tolerances (`oed.checks.evidence`).
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ MISFIT_WITHOUT_FIT = 100.0
 #: noise: a specific mistake that leaves no more ends the search
 GENERAL = ("contradiction", "change", "disorder", "size", "run")
 SETTLED = 1.5
-#: misfit from which effects are looked for in readings without a mistake
-WITH_EFFECTS = 1.5
+#: misfit from which rivals of a mistake are looked at
+WITH_RIVALS = 1.5
 #: robust standard deviations from which a residual may be an outlier
 FAR = 4.5
 #: tolerances from nominal beyond which a fit is no machine to be linear about
@@ -255,10 +255,10 @@ def _log_of_poses_read(
 def _with_evidence(solution: Fit) -> tuple[Fit, float]:
     """The fit without outliers, and the log density of all readings, SI."""
     solution, log_outliers = _without_outliers(solution)
-    # effects need a misfit to explain
-    effects = solution.ratio > WITH_EFFECTS
+    # rivals need a misfit to explain
+    is_misfit = solution.ratio > WITH_RIVALS
     linear = linear_readings(solution)
-    density = log_evidence(linear, solution.session, with_effects=effects)
+    density = log_evidence(linear, solution.session, with_rivals=is_misfit)
     return solution, density + log_outliers
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import blunder_machines as machines
-import numpy as np
 import pandas as pd
 import pytest
 import sample
@@ -13,7 +12,6 @@ import sample
 from oed import checks, dataset
 from oed.checks import sentences
 from oed.checks.copies import EqualReadings
-from oed.checks.evidence import _drift
 from oed.checks.session import SessionReadings
 from oed.dataset.file_rows import short_names
 
@@ -39,11 +37,6 @@ def test_a_row_of_several_files_is_named_with_its_file(tmp_path: Path) -> None:
     finding = sentences.doubled(session, [EqualReadings((0, 3), same_pose=True)])
     assert "rows 2 of first.csv and 2 of later.csv." in finding.sentence
     assert "row 3 of later.csv, column" in sentences._place(session, 4)
-
-
-def test_the_order_of_readings_goes_on_in_the_next_file(tmp_path: Path) -> None:
-    place = _drift(of_two_files(tmp_path))[:, 0]
-    assert (np.diff(place) > 0.0).all()
 
 
 def test_rows_of_the_only_file_are_numbers() -> None:

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from oed.checks import candidates, copies, outlier_sets
-from oed.checks.evidence import linear_readings, log_evidence, rivals
+from oed.checks.evidence import linear_readings, log_evidence
 from oed.checks.far_reading import FarReading, LeaveOneOut, alike_readings
 from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.judgement import probability_of_strain
@@ -172,14 +172,6 @@ def test_strained_parameters_are_told_from_noise(rng: np.random.Generator) -> No
     assert probability_of_strain(slopes, strained) < 1e-6
 
 
-def test_rivals_of_a_mistake_have_a_drift_and_a_size(session: SessionReadings) -> None:
-    m = session.measurement
-    slopes = m.in_prior_units(m.jacobian(session.series, m.nominal))
-    effects = rivals(session)
-    assert [r.columns is None for r in effects[:3]] == [False, False, True]
-    assert effects[2].slopes(slopes, 3.0) == pytest.approx(3.0 * slopes)
-
-
 def test_one_channel_of_several_may_have_more_noise() -> None:
     """With thirty times the noise in one of six channels, by the exact law of its size."""
     rows = machines.readings("hexapod", 0)
@@ -193,8 +185,8 @@ def test_one_channel_of_several_may_have_more_noise() -> None:
     for solution in (clean, spoiled):
         linear = linear_readings(solution)
         gain.append(
-            log_evidence(linear, solution.session, with_effects=True)
-            - log_evidence(linear, solution.session, with_effects=False)
+            log_evidence(linear, solution.session, with_rivals=True)
+            - log_evidence(linear, solution.session, with_rivals=False)
         )
     assert gain[0] < 1.0
     assert gain[1] > 100.0
