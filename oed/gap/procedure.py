@@ -128,7 +128,7 @@ def conclude(
 
     The second result is the hypothesis that the first answer stands for.
     """
-    hypotheses = withheld.without_refuted(searched, hypotheses)
+    hypotheses = withheld.pooled(searched, hypotheses)
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)

@@ -1,8 +1,8 @@
-"""Hypotheses that withheld runs refute give their probability to an unknown form.
+"""What withheld runs say of the hypotheses of a gap, pooled with their evidence.
 
-The evidence of all readings can prefer a name that is wrong, at a size that is: its form
-explains what was read and says nonsense between. The readings of a fold F given all
-others have the log predictive density
+The evidence of all readings can prefer a name at an absurd size: its form explains what
+was read and says nonsense between. The readings of a fold F given all others have the log
+predictive density
 
     log p(F | others) = log p(all) - log p(others),
 
@@ -12,10 +12,9 @@ hypotheses by prediction (Vehtari and Lampinen 2002, Neural Comput. 14, 2439-246
 and sizes are chosen with all readings: each choice costs its log prior, so that a form
 out of many gains nothing by having been the best of them.
 
-A hypothesis is refuted if withheld runs are 19 times as likely with a remainder of
-unknown form in place of some of its effects, or of all. Its probability goes to the one
-with the fewest names of those that predict about as well as the best; one with all its
-names and an unknown remainder is among them.
+Evidence and prediction are two opinions of the same readings. They are pooled
+logarithmically in equal parts (Genest and Zidek 1986, Stat. Sci. 1, 114-135), which
+counts no reading twice. How probable a gap is, is left to the evidence.
 """
 
 from __future__ import annotations
@@ -25,52 +24,46 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from oed.base.arrays import Index
 from oed.gap.cause.compare import probabilities
 from oed.gap.cause.folds import Paths
-from oed.gap.cause.hypothesis import Hypothesis, Key
+from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 
-#: probability from which a hypothesis is tested
-TESTED = 0.05
-#: log odds of 95 to 5 of a rival over a hypothesis on withheld runs
-REFUTED = float(np.log(19.0))
+#: probability among the hypotheses of a gap from which one is asked of withheld runs
+ASKED = 0.002
+#: share of the evidence in the pool, as large as that of prediction
+OF_EVIDENCE = 0.5
 
 
-def without_refuted(
+def pooled(
     searches: Sequence[Search], hypotheses: Sequence[Hypothesis]
 ) -> list[Hypothesis]:
-    """Hypotheses, best first, without those that withheld runs refute."""
-    remaining: dict[Key, Hypothesis] = {h.key: h for h in hypotheses}
+    """Hypotheses, best first, those of a gap by evidence and prediction together."""
+    gaps = [h for h in hypotheses if h.is_gap]
+    shares = probabilities(gaps) if gaps else ()
+    asked = [h for h, share in zip(gaps, shares, strict=True) if share > ASKED]
+    if len(asked) < 2:
+        return list(hypotheses)
     others = functools.cache(lambda law: _others_of_folds(searches[law].problem))
-
-    @functools.cache
-    def predicted(h: Hypothesis) -> float:
-        """Log predictive density of all withheld runs, less the price of the forms."""
-        search = searches[h.law]
-        return log_withheld(search, h, others(h.law)) + search.log_form_prior(h)
-
-    for h, share in zip(hypotheses, probabilities(hypotheses), strict=True):
-        heirs = [r for r in hypotheses if _may_inherit(r, h)]
-        rivals = [predicted(r) for r in heirs if len(r.effects) < len(h.effects)]
-        if share < TESTED or not rivals or max(rivals) - predicted(h) <= REFUTED:
-            continue
-        least = max(map(predicted, heirs)) - REFUTED
-        near = [r for r in heirs if predicted(r) >= least]
-        heir = remaining[min(near, key=lambda r: len(r.effects)).key]
-        joint = float(np.logaddexp(heir.score, remaining.pop(h.key).score))
-        evidence_of_both = joint - heir.log_prior
-        remaining[heir.key] = dataclasses.replace(heir, log_evidence=evidence_of_both)
-    return sorted(remaining.values(), key=lambda h: -h.score)
-
-
-def _may_inherit(other: Hypothesis, h: Hypothesis) -> bool:
-    """Whether another has an unknown remainder, and no effects but those of `h`."""
-    is_part = set(other.effects) <= set(h.effects)
-    return bool(h.effects) and other.unknown and is_part and other.key != h.key
+    predicted = [
+        log_withheld(searches[h.law], h, others(h.law))
+        + searches[h.law].log_form_prior(h)
+        + h.log_prior
+        for h in asked
+    ]
+    scores = np.array([h.score for h in asked])
+    both = OF_EVIDENCE * scores + (1.0 - OF_EVIDENCE) * np.array(predicted)
+    both += special.logsumexp(scores) - special.logsumexp(both)
+    changed = {
+        h.key: dataclasses.replace(h, log_evidence=float(score) - h.log_prior)
+        for h, score in zip(asked, both, strict=True)
+    }
+    return sorted((changed.get(h.key, h) for h in hypotheses), key=lambda h: -h.score)
 
 
 def log_withheld(search: Search, h: Hypothesis, others: Sequence[Index]) -> float:

@@ -1,4 +1,4 @@
-"""Answers that withheld runs refute, against predictions by dense covariance."""
+"""Hypotheses by withheld runs and evidence together, against dense covariances."""
 
 from __future__ import annotations
 
@@ -42,29 +42,30 @@ def _preferred(search: Search, name: str, lead: float) -> list[Hypothesis]:
     return [absurd, *ranked]
 
 
-def test_an_effect_that_predicts_nonsense_is_refuted() -> None:
+def _log_odds_of_a_gap(hypotheses: list[Hypothesis]) -> float:
+    none = next(h for h in hypotheses if not h.is_gap)
+    return np.logaddexp.reduce([h.score for h in hypotheses if h.is_gap]) - none.score
+
+
+def test_an_effect_that_predicts_nonsense_does_not_lead() -> None:
     search = _bowed(2.0)
     hypotheses = _preferred(search, "slip", 5.0)
     assert probabilities(hypotheses)[0] > 0.99
-    remaining = withheld.without_refuted([search], hypotheses)
-    keys = [h.key for h in remaining]
-    assert (frozenset({"slip"}), False) not in keys
-    assert remaining[0].unknown
-    before = np.logaddexp.reduce([h.score for h in hypotheses])
-    after = np.logaddexp.reduce([h.score for h in remaining])
-    assert after == pytest.approx(before)  # probability goes somewhere
+    pooled = withheld.pooled([search], hypotheses)
+    assert pooled[0].effects == ("bow",)
+    assert _log_odds_of_a_gap(pooled) == pytest.approx(_log_odds_of_a_gap(hypotheses))
+    assert {h.key for h in pooled} == {h.key for h in hypotheses}
 
 
 def test_a_true_effect_stays() -> None:
     search = _bowed(2.0)
     hypotheses = search.run()
     assert hypotheses[0].effects == ("bow",)
-    remaining = withheld.without_refuted([search], hypotheses)
-    assert [h.key for h in remaining] == [h.key for h in hypotheses]
+    pooled = withheld.pooled([search], hypotheses)
+    assert pooled[0].key == hypotheses[0].key
 
 
-def test_the_heir_has_the_true_effect_of_a_pair() -> None:
-    """A pair that has the bow in another form, and what does not act."""
+def test_a_pair_with_a_form_that_predicts_nonsense_does_not_lead() -> None:
     search = _bowed(2.0)
     pair = next(h for h in search.run() if set(h.effects) == {"bow", "slip"})
     part = pair.effects.index("bow")
@@ -79,9 +80,14 @@ def test_the_heir_has_the_true_effect_of_a_pair() -> None:
         pair.with_form(part, other, 1.0),
         log_evidence=others[0].score + 5.0 - pair.log_prior,
     )
-    remaining = withheld.without_refuted([search], [wrong, *others])
-    assert wrong.key not in [h.key for h in remaining]
-    assert remaining[0].key == (frozenset({"bow"}), True)
+    pooled = withheld.pooled([search], [wrong, *others])
+    assert pooled[0].effects == ("bow",)
+
+
+def test_what_is_alone_among_gaps_is_as_it_was() -> None:
+    search = _bowed(2.0)
+    both = [h for h in search.run() if h.effects in ((), ("bow",)) and not h.unknown]
+    assert withheld.pooled([search], both) == both
 
 
 def test_withheld_runs_are_predicted_as_by_conditioning() -> None:
