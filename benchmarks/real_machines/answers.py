@@ -100,7 +100,7 @@ def one(machine: str, size: float, seed: int) -> dict[str, Any]:
         bench.covariates,
         gravity=bench.gravity,
     )
-    diagnosis = procedure.explain_residuals(problem, bench.effects)
+    diagnosis = procedure.explain_residuals(problem, bench.effects, rng)
     record["seconds_diagnosis"] = time.process_time() - started
     started = time.process_time()
     alone = identify(bench.measurement, problem.series, bench.y, estimate_noise=True)

@@ -46,7 +46,8 @@ def record(
         stem.parent.mkdir(parents=True)
         make.write(first.case, first.y, first.label, stem)
         problem, effects = case_files.prepare(Case(Path(folder), machine, stem.name))
-    diagnosis = _diagnose(problem, effects)
+    rng = np.random.default_rng(key)
+    diagnosis = _diagnose(problem, effects, rng)
     result = {
         "machine": machine,
         "kind": kind,
@@ -59,11 +60,10 @@ def record(
     }
     if second_visit.needs_second_visit(diagnosis):
         candidates = repeats.candidate_runs(diagnosis.problem)
-        rng = np.random.default_rng(key)
         visit = second_visit.propose(diagnosis, effects, candidates, rng)
         if visit is not None:
             both = _both(make, first, problem, visit)
-            second = _diagnose(both, effects)
+            second = _diagnose(both, effects, rng)
             result |= {
                 "visited": True,
                 "further": sum(len(s) for s in visit.series),
@@ -76,9 +76,11 @@ def record(
     return {**result, "seconds": time.process_time() - start}
 
 
-def _diagnose(problem: GapProblem, effects: Sequence[Effect]) -> Diagnosis:
+def _diagnose(
+    problem: GapProblem, effects: Sequence[Effect], rng: np.random.Generator
+) -> Diagnosis:
     """Which effects act; without places and closure."""
-    return procedure.explain_residuals(problem, effects)
+    return procedure.explain_residuals(problem, effects, rng)
 
 
 def _judge(label: Mapping[str, Any], diagnosis: Diagnosis) -> dict[str, Any]:

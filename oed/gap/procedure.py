@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from oed.base.arrays import Array
 from oed.gap.cause import advice, answers, closure, withheld
 from oed.gap.cause.compare import Comparison, compare_expanded, probabilities
 from oed.gap.cause.explained import explain, nearest_effects
@@ -35,9 +34,6 @@ from oed.result.gap import PlaceRecord
 LIKE, LEAST_LIKE = 3, 0.03
 #: ways of holding readings out
 SPLITS: tuple[closure.Split, ...] = ("within", "whole")
-#: factors on the selected sizes, and likeliest forms of each effect, between which
-#: training readings choose
-FACTORS, FORMS = (1.0, 0.5, 2.0), 5
 #: share from which a form counts where the gap is located
 LEAST_SHARE = 0.01
 #: part of an unknown alone from which it is rough rather than smooth
@@ -79,7 +75,7 @@ def diagnose(
     """
     comparison = _compare(problem, effects, law)
     searched, hypotheses = comparison.searches, comparison.hypotheses
-    diagnosis, best = conclude(problem, searched, hypotheses, effects)
+    diagnosis, best = conclude(problem, searched, hypotheses, effects, rng)
     clean = searched[best.law].problem  # without outliers, where there are any
     where: tuple[PlaceRecord, ...] = ()
     if diagnosis.verdict in NO_EFFECT:
@@ -88,8 +84,7 @@ def diagnose(
         best = next(named, best)
     else:
         where = _locate(searched[best.law], best, effects, diagnosis.law, rng)
-    # without effects the closure is that of a column that changes nothing
-    models = _models(searched[best.law], best) or [np.zeros((len(clean), 1))]
+    models = withheld.models(searched[best.law], best)
     closures = tuple(
         closure.closure(clean, diagnosis.law, models, rng, split=split)
         for split in SPLITS
@@ -98,11 +93,16 @@ def diagnose(
 
 
 def explain_residuals(
-    problem: GapProblem, effects: Sequence[Effect], *, law: NoiseLaw | None = None
+    problem: GapProblem,
+    effects: Sequence[Effect],
+    rng: np.random.Generator,
+    *,
+    law: NoiseLaw | None = None,
 ) -> Diagnosis:
     """As `diagnose`, without places and closure: which effects act."""
     comparison = _compare(problem, effects, law)
-    return conclude(problem, comparison.searches, comparison.hypotheses, effects)[0]
+    searched, hypotheses = comparison.searches, comparison.hypotheses
+    return conclude(problem, searched, hypotheses, effects, rng)[0]
 
 
 def _compare(
@@ -123,12 +123,13 @@ def conclude(
     searched: Sequence[Search],
     hypotheses: Sequence[Hypothesis],
     effects: Sequence[Effect],
+    rng: np.random.Generator,
 ) -> tuple[Diagnosis, Hypothesis]:
     """The diagnosis by searches under several noise laws, without places and closure.
 
     The second result is the hypothesis that the first answer stands for.
     """
-    hypotheses = withheld.pooled(searched, hypotheses)
+    hypotheses = withheld.pooled(searched, hypotheses, rng)
     hypotheses, rough = with_roughness(searched, hypotheses)
     shares = probabilities(hypotheses)
     groups = answers.group(searched, hypotheses, shares)
@@ -254,20 +255,3 @@ def _locate(
         if share > LEAST_SHARE
     ]
     return place.locate(search.problem, law, models, rng)
-
-
-def _models(search: Search, best: Hypothesis) -> list[Array]:
-    """Columns (N, k), at their sizes, between which training readings choose.
-
-    The selected forms at other sizes, and with the next best forms of each effect.
-    """
-    forms: dict[tuple[tuple[int, ...], tuple[float, ...]], Hypothesis] = {}
-    if best.process is not None and not best.atoms:
-        forms[(), ()] = best
-    for i, (atom, size) in enumerate(zip(best.atoms, best.sizes, strict=True)):
-        others = [best.with_form(i, atom, factor * size) for factor in FACTORS]
-        others += [h for _, h in search.forms(best, i)[:FORMS]]
-        forms |= {(h.atoms, h.sizes): h for h in others}
-    level = search.noise_level(best)
-    library, processes = search.library, search.processes
-    return [h.columns(library, processes, level) for h in forms.values()]

@@ -24,8 +24,8 @@ def columns(state: State) -> Iterable[Column]:
     """The platform's three axes as the instrument sees them, of a set-up's target."""
     label = references.block(state)
     for axis, name in enumerate("xyz"):
-        seen = {f"read_{n}": state.rotation[:, k, axis] for k, n in enumerate("xyz")}
-        yield Column(f"{state.setup} {name}", OFFSET, label, reading=seen)
+        reading = {f"read_{n}": state.rotation[:, k, axis] for k, n in enumerate("xyz")}
+        yield Column(f"{state.setup} {name}", OFFSET, label, reading=reading)
 
 
 effect = Effect(

@@ -19,6 +19,7 @@ from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.noise.law import STATED_LAW
+from oed.result.gap import ClosureRecord
 
 
 def _search(problem: GapProblem) -> Search:
@@ -47,25 +48,46 @@ def _log_odds_of_a_gap(hypotheses: list[Hypothesis]) -> float:
     return np.logaddexp.reduce([h.score for h in hypotheses if h.is_gap]) - none.score
 
 
-def test_an_effect_that_predicts_nonsense_does_not_lead() -> None:
+def test_an_effect_that_predicts_nonsense_does_not_lead(
+    rng: np.random.Generator,
+) -> None:
     search = _bowed(2.0)
     hypotheses = _preferred(search, "slip", 5.0)
     assert probabilities(hypotheses)[0] > 0.99
-    pooled = withheld.pooled([search], hypotheses)
+    pooled = withheld.pooled([search], hypotheses, rng)
     assert pooled[0].effects == ("bow",)
     assert _log_odds_of_a_gap(pooled) == pytest.approx(_log_odds_of_a_gap(hypotheses))
     assert {h.key for h in pooled} == {h.key for h in hypotheses}
 
 
-def test_a_true_effect_stays() -> None:
+@pytest.mark.parametrize(("p_worse", "is_refuted"), [(0.99, True), (0.9, False)])
+def test_what_makes_predictions_worse_than_none_is_refuted(
+    p_worse: float,
+    is_refuted: bool,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """However far ahead by its evidence; a closure that may be above 0 refutes nothing."""
+    record = ClosureRecord("whole", -3.0, -9.0, -1.0, p_worse, 4.0, 16.0, 1.0, 240)
+    monkeypatch.setattr(withheld, "on_withheld_runs", lambda *_: record)
+    search = _bowed(2.0)
+    hypotheses = _preferred(search, "slip", 500.0)
+    pooled = withheld.pooled([search], hypotheses, rng)
+    assert (hypotheses[0].key not in {h.key for h in pooled}) == is_refuted
+    assert _log_odds_of_a_gap(pooled) == pytest.approx(_log_odds_of_a_gap(hypotheses))
+
+
+def test_a_true_effect_stays(rng: np.random.Generator) -> None:
     search = _bowed(2.0)
     hypotheses = search.run()
     assert hypotheses[0].effects == ("bow",)
-    pooled = withheld.pooled([search], hypotheses)
+    pooled = withheld.pooled([search], hypotheses, rng)
     assert pooled[0].key == hypotheses[0].key
 
 
-def test_a_pair_with_a_form_that_predicts_nonsense_does_not_lead() -> None:
+def test_a_pair_with_a_form_that_predicts_nonsense_does_not_lead(
+    rng: np.random.Generator,
+) -> None:
     search = _bowed(2.0)
     pair = next(h for h in search.run() if set(h.effects) == {"bow", "slip"})
     part = pair.effects.index("bow")
@@ -80,14 +102,14 @@ def test_a_pair_with_a_form_that_predicts_nonsense_does_not_lead() -> None:
         pair.with_form(part, other, 1.0),
         log_evidence=others[0].score + 5.0 - pair.log_prior,
     )
-    pooled = withheld.pooled([search], [wrong, *others])
+    pooled = withheld.pooled([search], [wrong, *others], rng)
     assert pooled[0].effects == ("bow",)
 
 
-def test_what_is_alone_among_gaps_is_as_it_was() -> None:
+def test_what_is_alone_among_gaps_is_as_it_was(rng: np.random.Generator) -> None:
     search = _bowed(2.0)
     both = [h for h in search.run() if h.effects in ((), ("bow",)) and not h.unknown]
-    assert withheld.pooled([search], both) == both
+    assert withheld.pooled([search], both, rng) == both
 
 
 def test_withheld_runs_are_predicted_as_by_conditioning() -> None:
