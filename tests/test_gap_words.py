@@ -219,24 +219,19 @@ def test_no_gap_in_doubt_names_the_way_to_a_second_session() -> None:
 
 def test_what_an_unknown_effect_resembles() -> None:
     """The likeliest form, and others that matter; nothing where there is none."""
-    forms = {
-        "leg 2 in a wave of 12 min": 0.62,
-        "the tool about the place 1, 2, 3 mm": 0.3,
-        "drift": 0.04,
-    }
-    sentence = _gap("unknown", ["unknown"], [], unknown=forms).words[1]
+    waves = {"leg 2 in a wave of 12 min": 0.62}
+    forms = waves | {"the tool about the place 1, 2, 3 mm": 0.3, "drift": 0.04}
+    gap = _gap("unknown", ["unknown"], [], unknown=forms, nearest=["step"])
+    sentence, kinds = gap.words[1:3]
     assert (
         sentence
         == "What no known effect explains most resembles: leg 2 in a wave of 12 min"
         " (probability 62 %); or the tool about the place 1, 2, 3 mm (probability"
         " 30 %)."
     )
-    kinds = _gap(
-        "unknown", ["unknown"], [], unknown=forms, nearest=["step", "mount_drift"]
-    )
-    assert kinds.words[2].startswith("Known causes of that kind: step and mount drift")
-    single = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06}).words[1]
-    assert single.endswith("drift (probability 6 %).")
+    assert kinds.startswith("Known causes of that kind: step;")
+    single = _gap("unknown", ["unknown"], [], unknown={"drift": 0.06})
+    assert single.words[1].endswith("drift (probability 6 %).")
     assert not any("resembles" in w for w in _gap("unknown", ["unknown"], []).words)
 
 
