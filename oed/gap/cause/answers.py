@@ -20,18 +20,12 @@ from oed.gap.cause.compare import equivalent_effects
 from oed.gap.cause.hypothesis import PRIOR, Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import UNKNOWN, Verdict
-from oed.result.gap import AnswerRecord
+from oed.result.gap import MISSED_GAP_COST, AnswerRecord
 
 #: least probability of an answer that is reported
 REPORTED = 0.002
 #: log posterior by which a rival may be behind and still belong to an effect's class
 ALIVE = 5.5
-#: cost of a missed gap over that of one further test in vain: no gap is reported where
-#: the odds for it are larger. Of 204 healthy machines one in twenty has a gap reported
-#: (docs/benchmarks/second.md)
-MISSED = 2.5
-#: probability of no gap that shows from which none is reported
-NO_GAP = MISSED / (MISSED + 1.0)
 #: members from which on a class with a named effect is reported as unknown
 VAGUE = 6
 #: probability that the credible set has
@@ -166,7 +160,7 @@ def _decision(answers: Sequence[AnswerRecord]) -> int:
     likeliest = max(gaps, key=lambda k: answers[k].visible)
     gap = sum(answers[k].visible for k in gaps)
     total = sum(answer.probability for answer in answers)
-    return likeliest if MISSED * gap > total - gap else nothing[0]
+    return likeliest if MISSED_GAP_COST * gap > total - gap else nothing[0]
 
 
 def _answer(

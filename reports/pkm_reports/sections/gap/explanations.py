@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from oed.gap.cause import answers
 from oed.result import AnswerRecord, GapSection
+from oed.result.gap import MISSED_GAP_COST, NO_GAP_PROBABILITY
 from pkm_reports.figures.gap import effects
 from pkm_reports.figures.gap.effects import spoken
 from pkm_reports.page import text
@@ -85,9 +85,9 @@ def _answers(gap: GapSection) -> Table:
 
 def _decision() -> str:
     """When no gap is reported, by the costs of missing one and of a test in vain."""
-    sure = text.percent(answers.NO_GAP)
+    sure = text.percent(NO_GAP_PROBABILITY)
     return (
-        f"A missed gap is taken to cost {text.number(answers.MISSED)} times a further"
+        f"A missed gap is taken to cost {text.number(MISSED_GAP_COST)} times a further"
         " test in vain: no gap is reported where noise, with or without what is too"
         f" small for these readings to show, has {sure} or more. What is less likely"
         " than noise is a reason to read again, and is not corrected."
