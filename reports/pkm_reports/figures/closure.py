@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.mechanism.closest_closure import ClosestClosure, MachineShape
+from oed.result.closest_closure import ClosestClosure, MachineShape
 from pkm_reports.figures import scene
 from pkm_reports.page import style, text
 

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.mechanism.closest_closure import ClosestClosure, closest_closure
+from oed.mechanism.closest_closure import closest_closure
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
+from oed.result.closest_closure import ClosestClosure
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.base.user_code import Consent, Origin
