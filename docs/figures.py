@@ -15,7 +15,7 @@ from oed.result import StudyResult
 from pkm_reports.figures import accuracy, kappa, machine
 from pkm_reports.figures.gap import polar
 from pkm_reports.page import style
-from pkm_studies.stages.result_folder import load_result
+from pkm_studies.results.stored_result import load_result
 
 DPI = 110
 

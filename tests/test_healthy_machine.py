@@ -52,7 +52,7 @@ def test_a_plan_without_effects_says_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        healthy.result_folder, "load_result", lambda folder: planned(effects=False)
+        healthy.stored_result, "load_result", lambda folder: planned(effects=False)
     )
     with pytest.raises(InputError, match="nothing of a healthy machine"):
         healthy.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
@@ -62,7 +62,7 @@ def test_a_plan_for_another_machine_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        healthy.result_folder,
+        healthy.stored_result,
         "load_result",
         lambda folder: planned(effects=True, machine="delta"),
     )

@@ -14,7 +14,7 @@ from pkm_reports.sections.answer import accuracy
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers import session
 from pkm_studies.importers.bed_mesh import copied_margin
-from pkm_studies.stages.result_folder import load_result
+from pkm_studies.results.stored_result import load_result
 
 
 def rows_of_mesh(folder: Path) -> list[dict[str, str]]:

@@ -12,7 +12,7 @@ from oracles.firmware.klipper import Klipper, example
 from printers import take
 
 from pkm_studies.commands.cli import main
-from pkm_studies.stages.result_folder import load_result
+from pkm_studies.results.stored_result import load_result
 
 SETTINGS = "M665 L250 R125 H300\nM666 X-0.2 Y-0.2 Z-0.2"
 

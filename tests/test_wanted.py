@@ -15,8 +15,8 @@ from oed.result import StudyResult, VerdictRecord, VerificationSection, verdict
 from pkm_reports.page.blocks import Table
 from pkm_reports.sections.answer import accuracy
 from pkm_studies.commands import cli
+from pkm_studies.results import result_folder
 from pkm_studies.sessions import next_reading as advice
-from pkm_studies.stages import result_folder
 from pkm_studies.study import load
 
 WANTED = "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n"

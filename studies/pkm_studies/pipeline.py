@@ -18,8 +18,8 @@ from oed.result.verdict import accuracy_verdicts
 from pkm_studies.base import files
 from pkm_studies.base.progress import Progress, Silent
 from pkm_studies.resolve.counted import counted
-from pkm_studies.results import claims
-from pkm_studies.stages import describe, headline, result_folder
+from pkm_studies.results import claims, report_files, result_folder, stored_result
+from pkm_studies.stages import describe, headline, run_files
 from pkm_studies.stages.plan.earlier import read_earlier_session, stored_knowledge
 from pkm_studies.stages.run_state import (
     Fitted,
@@ -91,7 +91,7 @@ def run(
     state = start(study, seed, progress or Silent(), readings)
     state = state.replace(with_effects=tuple(effects))
     result_folder.prepare(out)
-    checkpoint = result_folder.checkpoint(out, study, state.seed)
+    checkpoint = run_files.checkpoint(out, study, state.seed)
     steps = [select_design, *_unless(state.readings_given, plan_stages), take_readings]
     state = _take(state.replace(checkpoint=checkpoint), steps, out)
     state = _take(state, _evaluation(state), out)
@@ -179,7 +179,7 @@ def forecast(
     if not (out / result_folder.RESULT).is_file():
         state = forecast_errors(state, None, readings)
         return _finish(state, out, report=True, sections=FORECAST_SECTIONS)
-    stored = result_folder.load_result(out)
+    stored = stored_result.load_result(out)
     knowledge = stored_knowledge(state.resolved, stored, out)
     state = forecast_errors(state, knowledge, readings)
     result = msgspec.structs.replace(stored, forecast=state.result.forecast)
@@ -187,7 +187,7 @@ def forecast(
     names = {claim.claim for claim in checked}
     others = [claim for claim in stored.claims if claim.claim not in names]
     result = msgspec.structs.replace(result, claims=[*others, *checked])
-    return result_folder.add_forecast(out, result, state)
+    return run_files.add_forecast(out, result, state)
 
 
 def _asks_for_forecast_alone(study: Study) -> bool:
@@ -212,7 +212,7 @@ def planned_state(
         )
     earlier = None
     if after is not None:
-        earlier_result = result_folder.load_result(after)
+        earlier_result = stored_result.load_result(after)
         earlier = read_earlier_session(state.resolved, request, after, earlier_result)
         state = state.replace(resolved=earlier.resolved)
         request = earlier.plan
@@ -325,10 +325,10 @@ def _finish(
         study_result, claims=checked, seconds=seconds
     )
     options = study.report
-    study_result = result_folder.write(out, study_result, state, sheet=options.pdf)
+    study_result = run_files.write(out, study_result, state, sheet=options.pdf)
     if report and (options.html or options.pdf):
         state.progress.stage("report")
-        result_folder.write_report(out, html=options.html, pdf=options.pdf)
+        report_files.write_report(out, html=options.html, pdf=options.pdf)
     return study_result
 
 

@@ -25,8 +25,7 @@ import pytest
 from oed.result import StudyResult
 from pkm_studies import pipeline
 from pkm_studies.base.errors import InputError, Place, SourceAbsentError
-from pkm_studies.results import claims
-from pkm_studies.stages import result_folder
+from pkm_studies.results import claims, stored_result
 from pkm_studies.study import Study, load, shipped, vary
 from pkm_studies.study.tables import ClaimTable
 
@@ -69,7 +68,7 @@ class VariedStudy:
             pytest.skip(str(absent))
         except InputError as error:
             _fail(str(error))
-        return result_folder.load_result(folder)
+        return stored_result.load_result(folder)
 
     def figure(self, path: str) -> Any:
         """What stands in result.json at a dotted path, as in [expect]."""

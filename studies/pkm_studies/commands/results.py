@@ -35,13 +35,13 @@ def report(
 ) -> int:
     """Write HTML and PDF again from result.json, or a comparison of several results."""
     from pkm_studies.base import files
-    from pkm_studies.results import stored_result
+    from pkm_studies.results import report_files
 
     if len(folders) == 1:
-        paths = stored_result.write_report(folders[0])
+        paths = report_files.write_report(folders[0])
     else:
         files.check_writable(out)
-        paths = stored_result.write_comparison(folders, out)
+        paths = report_files.write_comparison(folders, out)
     for path in paths:
         print(f"Report: {path}")
     return DONE

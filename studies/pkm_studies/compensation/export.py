@@ -33,7 +33,7 @@ from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.workspace import regular
-from pkm_studies.stages import result_folder
+from pkm_studies.results import stored_result
 from pkm_studies.stages.corrected.table_grid import COMMANDS
 from pkm_studies.stages.rounding import format_number
 from pkm_studies.study import Study
@@ -86,7 +86,7 @@ def export_folder(
     Raises InputError, and BadFitError where the fit is bad.
     """
     controller = catalogue.controller_format(reference, Origin.command(consent))
-    result = result_folder.load_result(folder)
+    result = stored_result.load_result(folder)
     study = result_study(result, folder, study_file, consent)
     if firmware is not None:
         study = _with_version(study, controller, firmware)

@@ -222,12 +222,12 @@ def compensation_files(folder: Path, word: str) -> dict[str, Any]:
 
 def comparison(folders: list[Path]) -> str:
     """The report of two results side by side, as HTML. Raises InputError."""
-    from pkm_studies.results import stored_result
+    from pkm_studies.results import report_files
 
     if len(folders) != 2:
         raise InputError("two results are compared", "choose two")
     with tempfile.TemporaryDirectory(prefix="oed-") as place:
-        paths = stored_result.write_comparison(folders, Path(place))
+        paths = report_files.write_comparison(folders, Path(place))
         page = next(path for path in paths if path.suffix == ".html")
         return page.read_text(encoding="utf-8")
 

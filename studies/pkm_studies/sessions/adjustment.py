@@ -32,9 +32,9 @@ from pkm_studies.resolve import earlier_result
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
+from pkm_studies.results import result_folder, stored_result
 from pkm_studies.sessions.acceptance.promise import covariances
 from pkm_studies.sessions.verification import refuse_bad_fit
-from pkm_studies.stages import result_folder
 from pkm_studies.study import Study
 
 CSV, NOMINAL = "adjust.csv", "adjusted.toml"
@@ -57,7 +57,7 @@ def adjust_folder(
     Raises InputError where nothing was identified or nothing is adjustable, and
     BadFitError where the fit promises nothing.
     """
-    result = result_folder.load_result(folder)
+    result = stored_result.load_result(folder)
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     machine = adjustable_machine(result, study, folder, wanted)

@@ -20,10 +20,9 @@ from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.component_values import component_values
-from pkm_studies.results import comparison
+from pkm_studies.results import comparison, stored_result
 from pkm_studies.results.comparison import SessionReport
 from pkm_studies.sessions.acceptance.promise import promised_accuracy
-from pkm_studies.stages import result_folder
 from pkm_studies.stages.run_state import Stream
 
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
@@ -97,7 +96,7 @@ def _sessions(folders: Sequence[Path]) -> Sessions:
             f"a history needs two sessions or more, here are {len(found_in)}",
             "name folders with a result.json, or a folder that holds them",
         )
-    loaded = [result_folder.load_result(path) for path in found_in]
+    loaded = [stored_result.load_result(path) for path in found_in]
     comparison.refuse_same_sessions(loaded, found_in)
     dates = [_date(path) for path in found_in]
     known = [date for date in dates if date is not None]

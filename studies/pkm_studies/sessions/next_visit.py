@@ -9,7 +9,8 @@ from pathlib import Path
 from oed.base import units
 from oed.result import ChosenRun, GapSection, StudyResult
 from pkm_studies.base.errors import InputError
-from pkm_studies.stages.result_folder import VISIT, load_result
+from pkm_studies.results.result_folder import VISIT
+from pkm_studies.results.stored_result import load_result
 from pkm_studies.study import Study
 
 

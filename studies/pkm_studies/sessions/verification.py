@@ -28,6 +28,7 @@ from pkm_studies.compensation.export import BadFitError
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
+from pkm_studies.results import result_folder, stored_result
 from pkm_studies.sessions.acceptance import plan
 from pkm_studies.sessions.acceptance.healthy import (
     healthy_accuracy,
@@ -36,7 +37,6 @@ from pkm_studies.sessions.acceptance.healthy import (
 from pkm_studies.sessions.acceptance.judge import judge_file
 from pkm_studies.sessions.acceptance.plan import AXES
 from pkm_studies.sessions.acceptance.promise import promised_accuracy
-from pkm_studies.stages import result_folder
 from pkm_studies.stages.run_state import Stream
 
 FILE = "acceptance.csv"
@@ -73,7 +73,7 @@ def plan_folder(
 
     Raises InputError, and BadFitError where the fit promises nothing.
     """
-    result = result_folder.load_result(folder)
+    result = stored_result.load_result(folder)
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     machine = study_machine(study)
@@ -105,7 +105,7 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
     Raises InputError where the folder has no acceptance plan, and BadFitError where the
     fit promises nothing.
     """
-    result = result_folder.load_result(folder)
+    result = stored_result.load_result(folder)
     if result.acceptance is None:
         raise InputError(
             "this result has no acceptance plan",
