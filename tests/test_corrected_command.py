@@ -14,10 +14,10 @@ import sample
 from oed.result import CoefficientRecord, StudyResult
 from pkm_studies.commands import cli
 from pkm_studies.results import stored_result
+from pkm_studies.results.budget_advice import improvements
 from pkm_studies.stages import outcome
 from pkm_studies.stages.accuracy_table import shown_components
 from pkm_studies.stages.gap import implausible
-from pkm_studies.stages.predict.budget import improvements
 
 
 def run(*arguments: str | Path) -> int:

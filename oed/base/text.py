@@ -17,6 +17,11 @@ def rounded(value: float, digits: int = 2) -> str:
     return f"{float(f'{value:.{digits}g}'):g}"
 
 
+def format_number(value: float) -> str:
+    """Three significant digits, without an exponent in the usual range."""
+    return f"{value:.0f}" if 1000 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
 def percent(share: float) -> str:
     """A share between 0 and 1 in percent, such as `83 %` or `99.6 %`.
 

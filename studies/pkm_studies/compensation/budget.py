@@ -36,7 +36,7 @@ from pkm_studies.catalogue.controller_format import (
     Texts,
 )
 from pkm_studies.resolve.earlier_result import mixture_of
-from pkm_studies.stages.predict.budget import advice_on, quantities
+from pkm_studies.results.budget_advice import advice_on, quantities
 
 #: end of the name of the file with the budget
 BUDGET_FILE = "_budget.json"

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from oed.base.own_files import write_own
-from oed.base.text import quantity
+from oed.base.text import format_number, quantity
 from oed.compensate import (
     compensated_joints,
     component_errors,
@@ -35,7 +35,6 @@ from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.workspace import regular
 from pkm_studies.results import stored_result
 from pkm_studies.stages.corrected.table_grid import COMMANDS
-from pkm_studies.stages.rounding import format_number
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
+from oed.base.text import format_number
 from pkm_studies.base import console
 from pkm_studies.resolve.earlier_result import corrects_effects
+from pkm_studies.results.budget_advice import improvements
 from pkm_studies.stages.headline import REFERENCES, without_drive
-from pkm_studies.stages.predict.budget import improvements
-from pkm_studies.stages.rounding import format_number
 
 if TYPE_CHECKING:
     from oed.result import PredictionSection, StudyResult, UsualEffects

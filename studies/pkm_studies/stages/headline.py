@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from oed.base.text import format_number
 from oed.result import (
     IMPORTANCE,
     CorrectedSection,
@@ -21,6 +22,7 @@ from oed.result import (
     verdict,
 )
 from oed.result.verdict import accuracy_verdicts
+from pkm_studies.results.budget_advice import unmodelled_sentence
 from pkm_studies.stages.design.phrases import (
     design_sentences,
     effects_sentences,
@@ -30,9 +32,7 @@ from pkm_studies.stages.forecast import words as forecast_words
 from pkm_studies.stages.gap import scatter
 from pkm_studies.stages.gap.words import join_words, plain_name
 from pkm_studies.stages.plan.phrases import bound_sentences, plan_sentences
-from pkm_studies.stages.predict.budget import unmodelled_sentence
 from pkm_studies.stages.recording_words import recording_sentences
-from pkm_studies.stages.rounding import format_number
 
 MAX_SENTENCES = 5
 #: verdicts of held-out readings that raise no doubt of the fit

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from oed.base.text import format_number, guaranteed_percent
 from oed.result import DesignSection, PlanScore
-from pkm_studies.stages.rounding import format_number, percent_rounded_down
 
 
 def gain_sentences(section: DesignSection | None) -> list[str]:
@@ -54,8 +54,8 @@ def _proof(section: DesignSection) -> str:
         return " (proven optimal)"
     if section.efficiency is None:
         return ""
-    share = percent_rounded_down(section.efficiency)
-    return f" (certified to {share} % of the best possible)"
+    share = guaranteed_percent(section.efficiency)
+    return f" (certified to {share:.1f} % of the best possible)"
 
 
 def effects_sentences(section: DesignSection | None) -> list[str]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
+from oed.base.text import guaranteed_percent
 from oed.identifiability.assessment import Assessment
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, DesignSection, PlannedReading, RobustSummary
@@ -21,7 +22,6 @@ from pkm_studies.stages.design import effects
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.plan_scores import plan_scores
 from pkm_studies.stages.design.select import ChosenDesign
-from pkm_studies.stages.rounding import percent_rounded_down
 
 #: slack of the bound (log of an efficiency) from which it is worth saying
 SLACK = 0.01
@@ -153,8 +153,8 @@ def _certificate(chosen: ChosenDesign, what: str) -> str:
             f"The best choice of {what} that the search found; no bound is known for"
             f" {choice.criterion} under these rules"
         )
-    share = percent_rounded_down(choice.efficiency)
-    text = f"Certified to {share} % of the best possible choice of {what}"
+    share = guaranteed_percent(choice.efficiency)
+    text = f"Certified to {share:.1f} % of the best possible choice of {what}"
     if chosen.bound_ignores_setups:
         text += (
             " (the bound allows any number of set-ups: the choice is better than this"
@@ -198,14 +198,14 @@ def _shortfall(chosen: ChosenDesign) -> str:
 def _robust_certificate(robust: RobustSummary, what: str) -> str:
     risk = {
         "mean": "on average",
-        "cvar": f"over the worst {percent_rounded_down(robust.level)} %",
+        "cvar": f"over the worst {guaranteed_percent(robust.level):.1f} %",
         "worst": "for the worst one",
     }
-    share = percent_rounded_down(robust.efficiency)
+    share = guaranteed_percent(robust.efficiency)
     gain = 100.0 * (np.exp(robust.value - robust.nominal) - 1.0)
     return (
         f"Chosen for {robust.scenarios} machines drawn from the tolerances,"
-        f" {risk[robust.risk]}: certified to {share} % of the best possible choice of"
+        f" {risk[robust.risk]}: certified to {share:.1f} % of the best possible choice of"
         f" {what} for them, and {gain:.1f} % better there than the plan for the nominal"
         " machine"
     )

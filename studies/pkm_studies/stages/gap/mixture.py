@@ -14,6 +14,7 @@ from oed.accuracy.maps import Reference
 from oed.accuracy.prediction import least_error
 from oed.base import units
 from oed.base.arrays import Array, Index
+from oed.base.text import format_number
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.fit import CorrectedEstimate
 from oed.compensate.effects.mixture import (
@@ -38,7 +39,6 @@ from pkm_studies.stages.gap.words import format_probability, join_words, plain_n
 from pkm_studies.stages.predict import knowledge
 from pkm_studies.stages.predict.accuracy import accuracy_section, with_wanted
 from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowledge
-from pkm_studies.stages.rounding import format_number
 
 #: ends of a 95 % interval
 INTERVAL = (0.025, 0.975)
