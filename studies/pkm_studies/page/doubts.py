@@ -15,9 +15,9 @@ from oed.checks.ranges import predict_ranges
 from oed.dataset.columns import written
 from oed.measurement.measurement import Measurement, Series
 from oed.result import trust
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.page import typed
 from pkm_studies.sessions.next_reading import Adviser, FittedReadings
-from pkm_studies.stages.run_state import Stream
 
 #: half width of an interval in standard deviations: one good reading in ten thousand
 #: lies outside, as `oed.checks.ranges.FALSE_ALARM` says

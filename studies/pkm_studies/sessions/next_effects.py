@@ -26,6 +26,7 @@ from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.process import stated_laws
 from oed.result.verdict import SURE
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.resolve.planned_effects import (
     NONE,
     UNKNOWNS,
@@ -33,7 +34,7 @@ from pkm_studies.resolve.planned_effects import (
     named_effects,
     pose_error_slopes,
 )
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.run_state import RunState
 
 #: machines that are drawn for an interval or a probability
 MACHINES = 4000

@@ -22,6 +22,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.result import trust
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.progress import Silent
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.resolve import quantities, roles
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.sessions.next_effects import (
@@ -34,7 +35,7 @@ from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, sentences
 from pkm_studies.sessions.skipped_poses import SkippedPose, allowed, skipped_in_file
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.fit.estimate import estimate_section
-from pkm_studies.stages.run_state import Measured, RunState, Stream, start
+from pkm_studies.stages.run_state import Measured, RunState, start
 from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.fit import with_finding

@@ -23,6 +23,7 @@ from oed.result import (
 from oed.result.verdict import Judgement
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.export import BadFitError
 from pkm_studies.compensation.stored_study import result_study
@@ -37,7 +38,6 @@ from pkm_studies.sessions.acceptance.healthy import (
 from pkm_studies.sessions.acceptance.judge import judge_file
 from pkm_studies.sessions.acceptance.plan import AXES
 from pkm_studies.sessions.acceptance.promise import promised_accuracy
-from pkm_studies.stages.run_state import Stream
 
 FILE = "acceptance.csv"
 CONCLUSIONS: Final[dict[Judgement, str]] = {

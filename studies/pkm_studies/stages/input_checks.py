@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import order, select
 from pkm_studies.stages.gap.virtual_readings import check_coefficients
-from pkm_studies.stages.run_state import RunState, Stream
+from pkm_studies.stages.run_state import RunState
 from pkm_studies.stages.steps import readings
 
 #: candidates at which an effect is asked for its coefficients

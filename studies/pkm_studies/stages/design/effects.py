@@ -14,6 +14,7 @@ from oed.estimation.effect_sizes import HEALTHY
 from oed.identifiability.information import prior_information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.resolve.component_values import with_fine_units
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.planned_effects import (
@@ -29,7 +30,6 @@ from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.stages.recording import PlanToRecord, recording_section
-from pkm_studies.stages.run_state import Stream
 from pkm_studies.study.tables import DesignTable
 
 

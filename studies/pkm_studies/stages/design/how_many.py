@@ -16,10 +16,10 @@ from oed.design.how_many import AccuracyGoal, SizeCurve
 from oed.design.rules import Rules
 from oed.result import HowManySummary
 from pkm_studies.base.errors import Place
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.resolve import quantities
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
-from pkm_studies.stages.run_state import Stream
 from pkm_studies.study.tables import HowManyTable
 
 

@@ -23,6 +23,7 @@ from oed.estimation.identification import IdentificationError
 from oed.gap.data.signature import untestable
 from oed.model.effect import Effect
 from oed.posterior import laplace, posterior
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve.effect_sizes import sized
 from pkm_studies.resolve.gap import GapRequest
@@ -32,7 +33,7 @@ from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.effects import readings_with_covariates
 from pkm_studies.stages.fit.noise import with_noise
 from pkm_studies.stages.fit.posterior import sampler_options, sampling_warnings
-from pkm_studies.stages.run_state import Fitted, Stream
+from pkm_studies.stages.run_state import Fitted
 
 if TYPE_CHECKING:
     from oed.result import CorrectedSection, GapSection

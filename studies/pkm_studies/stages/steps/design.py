@@ -5,6 +5,7 @@ from __future__ import annotations
 from oed.identifiability.assessment import assess
 from oed.identifiability.information import Scaling
 from oed.result import PolishSummary
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.stages import describe, headline
 from pkm_studies.stages.design import cost, section, select
@@ -12,7 +13,7 @@ from pkm_studies.stages.fit import identifiability
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.section import PlanOutcome
-from pkm_studies.stages.run_state import RunState, ScheduledT, Stream
+from pkm_studies.stages.run_state import RunState, ScheduledT
 
 #: of a study with both tables: which file and which number belong to which
 PLAN_AND_DESIGN = (

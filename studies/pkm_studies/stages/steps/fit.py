@@ -15,6 +15,7 @@ from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import GoodnessSection
 from oed.result.verdict import percent
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.estimate import (
     combination_estimates,
@@ -37,7 +38,7 @@ from pkm_studies.stages.fit.posterior import (
     sampling_warnings,
     with_checks,
 )
-from pkm_studies.stages.run_state import Fitted, Measured, Stream, promote
+from pkm_studies.stages.run_state import Fitted, Measured, promote
 
 
 def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:

@@ -7,12 +7,13 @@ import msgspec
 from oed.base import units
 from oed.design.rules import Rules
 from oed.measurement.measurement import Measurement
+from pkm_studies.base.random_streams import Stream
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
 from pkm_studies.resolve.planned_effects import CATALOGUE, NONE
 from pkm_studies.stages.gap import detectability, second_visit, section
 from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
-from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT, Stream
+from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT
 
 #: the only advice after a fit that failed its check, where no effect explains it
 AFTER_BAD_FIT = (
