@@ -53,7 +53,7 @@ KERNEL_ERRORS = {
 }
 
 #: what is refused because the fit is bad, as a claim that fails
-BAD_FIT = {"pkm_studies.compensation.export": "BadFitError"}
+BAD_FIT = {"pkm_studies.results.bad_fit": "BadFitError"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

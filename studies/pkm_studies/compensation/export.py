@@ -34,6 +34,7 @@ from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.workspace import regular
 from pkm_studies.results import stored_result
+from pkm_studies.results.bad_fit import BadFitError
 from pkm_studies.stages.corrected.table_grid import COMMANDS
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
@@ -53,10 +54,6 @@ class Export:
 
     paths: tuple[Path, ...]
     sentences: tuple[str, ...]
-
-
-class BadFitError(Exception):
-    """The fit is too bad to be compensated."""
 
 
 def export_folder(

@@ -19,6 +19,7 @@ from pkm_studies.page.job import BackgroundCommand
 from pkm_studies.page.readings_log import StaleError
 from pkm_studies.page.session import DoubtfulError, MachineSession
 from pkm_studies.page.shelf import Shelf
+from pkm_studies.results.bad_fit import BadFitError
 
 #: time between two looks at the readings file, s
 PAUSE: Final = 0.5
@@ -214,7 +215,7 @@ def compensation_files(folder: Path, word: str) -> dict[str, Any]:
         raise InputError("no such format", "choose one of the list", value=word)
     try:
         written = export.export_folder(folder, word)
-    except export.BadFitError as error:
+    except BadFitError as error:
         raise InputError(str(error), "look for the cause first") from error
     texts = {path.name: path.read_text(encoding="utf-8") for path in written.paths}
     return {"files": texts, "sentences": list(written.sentences)}

@@ -16,20 +16,18 @@ from oed.base.text import rounded
 from oed.result import (
     AcceptanceSection,
     PromiseRecord,
-    StudyResult,
     VerificationSection,
-    trust,
 )
 from oed.result.verdict import Judgement
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.random_streams import Stream
 from pkm_studies.base.user_code import Consent
-from pkm_studies.compensation.export import BadFitError
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.results import result_folder, stored_result
+from pkm_studies.results.bad_fit import refuse_bad_fit
 from pkm_studies.sessions.acceptance import plan
 from pkm_studies.sessions.acceptance.healthy import (
     healthy_accuracy,
@@ -118,16 +116,6 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
     result = msgspec.structs.replace(result, verification=section)
     result_folder.rewrite(folder, result)
     return section
-
-
-def refuse_bad_fit(result: StudyResult) -> None:
-    """Raises BadFitError where the fit promises nothing."""
-    objections = trust.objections(result)
-    if objections:
-        raise BadFitError(
-            f"{'; '.join(objections)}: such a fit promises no accuracy;"
-            f" {trust.remedy(result)}"
-        )
 
 
 def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
