@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
+from pkm_studies.base.exit_codes import DONE, FAILED
 from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import AllowCode, StudyPath
-from pkm_studies.stages.outcome import DONE, FAILED
 
 Wanted = Annotated[
     str,

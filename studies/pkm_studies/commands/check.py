@@ -9,10 +9,10 @@ import typer
 
 from pkm_studies.base import console
 from pkm_studies.base.errors import InputError
+from pkm_studies.base.exit_codes import BAD_INPUT, DONE, FAILED
 from pkm_studies.commands.options import (
     AllowCode,
 )
-from pkm_studies.stages.outcome import BAD_INPUT, DONE, FAILED
 
 
 def check(

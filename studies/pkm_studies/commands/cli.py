@@ -16,8 +16,8 @@ import typer
 
 from pkm_studies.base import console, files
 from pkm_studies.base.errors import InputError, shorten
+from pkm_studies.base.exit_codes import BAD_INPUT, DONE, FAILED
 from pkm_studies.commands.subcommands import SubcommandGroup
-from pkm_studies.stages.outcome import BAD_INPUT, DONE, FAILED
 
 app = typer.Typer(
     name="oed",

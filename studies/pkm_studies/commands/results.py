@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from oed.result.verdict import all_pass
+from pkm_studies.base.exit_codes import DONE, FAILED
 from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import (
     AllowCode,
@@ -16,7 +17,6 @@ from pkm_studies.commands.options import (
     ResultFolder,
     StoredResult,
 )
-from pkm_studies.stages.outcome import DONE, FAILED
 
 
 def report(

@@ -9,6 +9,7 @@ import typer
 
 from oed.base import own_files
 from pkm_studies.base import console
+from pkm_studies.base.exit_codes import DONE, FAILED
 from pkm_studies.commands.options import (
     AllowCode,
     OutFolder,
@@ -17,7 +18,7 @@ from pkm_studies.commands.options import (
     StudyPath,
     Verbose,
 )
-from pkm_studies.stages.outcome import DONE, FAILED, report_outcome
+from pkm_studies.stages.outcome import report_outcome
 
 if TYPE_CHECKING:
     from pkm_studies.study import Study

@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 from pkm_studies.base.errors import InputError
+from pkm_studies.base.exit_codes import DONE, FAILED
 from pkm_studies.base.user_code import Consent, consent
 from pkm_studies.commands.options import AllowCode, MachineStudy, StoredResult
-from pkm_studies.stages.outcome import DONE, FAILED
 
 
 def verify(

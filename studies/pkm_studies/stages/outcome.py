@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pkm_studies.base import console
+from pkm_studies.base.exit_codes import DONE, FAILED
 
 if TYPE_CHECKING:
     from oed.result import Claim, StudyResult
-
-DONE, FAILED, BAD_INPUT = 0, 1, 2
 
 
 def report_outcome(
