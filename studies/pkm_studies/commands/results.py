@@ -181,8 +181,7 @@ def compensate(
     allow_code: AllowCode = False,
 ) -> int:
     """Write what the controller reads: parameters, tables, measuring poses."""
-    from pkm_studies.compensation import export
-    from pkm_studies.stages.corrected import table_grid
+    from pkm_studies.compensation import export, table_grid
 
     written = export.export_folder(
         folder,

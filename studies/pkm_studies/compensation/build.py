@@ -18,11 +18,10 @@ from pkm_studies.catalogue.controller_format import (
     ControllerFormat,
     MeasuringPose,
 )
-from pkm_studies.compensation import identified
+from pkm_studies.compensation import identified, table_grid
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.workspace import workspace_axes, workspace_commands
-from pkm_studies.stages.corrected import table_grid
 from pkm_studies.study import Study
 
 #: characters of a comment, which holds text of results

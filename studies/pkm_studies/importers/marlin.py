@@ -11,15 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Final
 
-from pkm_studies.importers import facts, gcode, marlin_grid, marlin_home
-from pkm_studies.importers.base import ImportedSession, ImportRequest
-from pkm_studies.importers.delta_probe import delta_session
-from pkm_studies.importers.delta_study import DeltaGeometry, Firmware
-from pkm_studies.importers.gcode import Command, TextLine
-from pkm_studies.importers.marlin_home import Home
-from pkm_studies.importers.marlin_log import Settings, probing
-from pkm_studies.importers.marlin_means import points_of_contacts
-from pkm_studies.importers.marlin_version import (
+from pkm_studies.compensation.formats.marlin_version import (
     HEADINGS,
     NOT_READ,
     RADIUS,
@@ -30,6 +22,14 @@ from pkm_studies.importers.marlin_version import (
     possible_rules,
     printed_version,
 )
+from pkm_studies.importers import facts, gcode, marlin_grid, marlin_home
+from pkm_studies.importers.base import ImportedSession, ImportRequest
+from pkm_studies.importers.delta_probe import delta_session
+from pkm_studies.importers.delta_study import DeltaGeometry, Firmware
+from pkm_studies.importers.gcode import Command, TextLine
+from pkm_studies.importers.marlin_home import Home
+from pkm_studies.importers.marlin_log import Settings, probing
+from pkm_studies.importers.marlin_means import points_of_contacts
 from pkm_studies.importers.probed_point import ProbedPoint
 from pkm_studies.importers.words import (
     HARMLESS,

@@ -10,6 +10,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 
+from pkm_studies.compensation.formats.marlin_version import INNER, RADIUS, PossibleRules
 from pkm_studies.importers import gcode
 from pkm_studies.importers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_studies.importers.marlin_means import (
@@ -19,7 +20,6 @@ from pkm_studies.importers.marlin_means import (
     Contact,
     mean_contact,
 )
-from pkm_studies.importers.marlin_version import INNER, RADIUS, PossibleRules
 
 HEIGHT = re.compile(rf"\b(c|x|y|z|yz|zx|xy):\s*({NUMBER}){ENDS}")
 PRINTED_RADIUS = re.compile(r"\bat radius:\s*" + f"({NUMBER})")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
-from pkm_studies.importers.gcode import Command
-from pkm_studies.importers.marlin_log import Settings
-from pkm_studies.importers.marlin_version import (
+from pkm_studies.compensation.formats.marlin_version import (
     STEPS_PER_MM,
     PossibleRules,
     dead_band,
     home_offset,
 )
+from pkm_studies.importers.gcode import Command
+from pkm_studies.importers.marlin_log import Settings
 from pkm_studies.study.tables import NOT_KNOWN
 
 TOWERS = "XYZ"

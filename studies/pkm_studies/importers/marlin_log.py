@@ -12,11 +12,15 @@ import re
 from collections.abc import Mapping, Sequence
 
 from pkm_studies.base.errors import InputError
+from pkm_studies.compensation.formats.marlin_version import (
+    NOT_READ,
+    RADIUS,
+    PossibleRules,
+)
 from pkm_studies.importers import gcode
 from pkm_studies.importers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_studies.importers.marlin_g33 import ReportScan, report_contacts
 from pkm_studies.importers.marlin_means import Contact
-from pkm_studies.importers.marlin_version import NOT_READ, RADIUS, PossibleRules
 
 #: a probed point: `Bed X: 0 Y: 0 Z: 0.1`, in old versions `Bed x:` or `Bed Position X:`
 BED = re.compile(

@@ -341,7 +341,7 @@ def write_compensation(
     ['compensation.json']
     """
     from pkm_studies.compensation.export import export
-    from pkm_studies.stages.corrected.table_grid import COMMANDS
+    from pkm_studies.compensation.table_grid import COMMANDS
 
     given = view.state.study.consent
     controller = catalogue.controller_format(to, Origin.command(given))

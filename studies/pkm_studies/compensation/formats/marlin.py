@@ -15,6 +15,7 @@ from pkm_studies.catalogue.controller_format import (
     Texts,
 )
 from pkm_studies.compensation.build import sentences_of
+from pkm_studies.compensation.formats import marlin_version
 from pkm_studies.compensation.formats.delta import (
     ANGLES,
     DeltaNumbers,
@@ -25,8 +26,7 @@ from pkm_studies.compensation.formats.delta import (
     trim_notes,
     trims,
 )
-from pkm_studies.importers import marlin_version
-from pkm_studies.importers.marlin_version import (
+from pkm_studies.compensation.formats.marlin_version import (
     LEAST_STEPS,
     NOT_READ,
     RADIUS,

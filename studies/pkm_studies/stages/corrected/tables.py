@@ -19,9 +19,9 @@ from oed.compensate.effects.tables import (
 )
 from oed.model.machine import Machine
 from oed.result import EffectTable, PredictionSection
+from pkm_studies.compensation import table_grid
 from pkm_studies.resolve.quantities import column, display_unit
 from pkm_studies.stages import describe
-from pkm_studies.stages.corrected import table_grid
 
 #: largest number of commands of the effects' tables
 COMMANDS = 1000
