@@ -22,7 +22,7 @@ from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 from oed.checks.times import wrong_times
 from oed.measurement.measurement import Measurement
-from oed.result.trust import ALARM
+from oed.result.fit_limits import ALARM
 
 #: values from which on mistakes are tried: fewer fit too many of them
 LEAST_VALUES = 8
@@ -129,7 +129,7 @@ def check_session(
 
     `rng` draws machines where ranges are not linear. Where the noise law is estimated, as
     in a fit, what it holds is no misfit; where the stated noise is a guess, residuals up
-    to `oed.result.trust.GUESS` times as large are no bad fit. Raises AssemblyError where
+    to `oed.result.fit_limits.GUESS` times as large are no bad fit. Raises AssemblyError where
     the nominal machine cannot be read.
     """
     ranges = predict_ranges(session, rng)

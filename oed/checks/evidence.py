@@ -30,7 +30,7 @@ from oed.noise.prior import (
 )
 from oed.noise.process import Laws, Whitening
 from oed.noise.structure import ReadingStructure
-from oed.result.trust import GUESS
+from oed.result.fit_limits import GUESS
 
 #: coordinates of the laws that are looked at: error of a run, carried share and reach
 LEVELS, SHARES, REACHES = (-2.0, 0.0, 1.5, 3.0), (-1.5, 0.3, 1.8), (0.0, 1.5)

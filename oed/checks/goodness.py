@@ -12,7 +12,7 @@ from oed.base.arrays import Array, Mask
 from oed.checks.fit import Fit, residual_weights
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
-from oed.result.trust import ALARM, GUESS, noise_ratio
+from oed.result.fit_limits import ALARM, GUESS, noise_ratio
 
 
 @dataclasses.dataclass(frozen=True)

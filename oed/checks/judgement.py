@@ -33,7 +33,7 @@ from oed.noise.prior import KNOWN_TO, LEAST_FREEDOM, noise_prior
 from oed.noise.process import Laws, stated_laws
 from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
-from oed.result.trust import ALARM, GUESS
+from oed.result.fit_limits import ALARM, GUESS
 
 #: rounds of tails and law
 ROUNDS = 3

@@ -21,8 +21,8 @@ from oed.checks.session import SessionReadings
 from oed.checks.typed import other_number
 from oed.checks.words import NAMED, capital, listing
 from oed.dataset.file_rows import Row
+from oed.result.fit_limits import GUESS
 from oed.result.goodness import without_rows
-from oed.result.trust import GUESS
 
 #: ratio of probabilities below which readings do not tell two mistakes apart
 TIE = 10.0

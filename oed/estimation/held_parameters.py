@@ -27,7 +27,7 @@ from oed.base.arrays import Array
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
 from oed.result.fit import HeldParameter
-from oed.result.trust import FAR
+from oed.result.fit_limits import FAR
 
 #: probability that a study whose held values are exact has one reported
 LEVEL = 0.01

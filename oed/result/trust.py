@@ -1,27 +1,18 @@
 """Whether a fit is to be trusted: one verdict for all that rests on a result.
 
 Exit codes, reports, exports, acceptance tests, comparisons and campaigns ask here, and
-judge nothing on their own. The check of the readings and the fits use these limits.
+judge nothing on their own. The limits are those of fits and checks (`fit_limits`).
 """
 
 from __future__ import annotations
 
 from oed.result.corrected import CorrectedSection
 from oed.result.fit import EstimateSection
+from oed.result.fit_limits import ALARM, FAR, GUESS, chi2_is_large, noise_ratio
 from oed.result.gap import GapSection
 from oed.result.goodness import GoodnessSection
 from oed.result.mixture import NOTHING
 from oed.result.study import StudyResult
-
-#: probability of a tail below which residuals are too large or too small
-ALARM = 1e-5
-#: residuals over the stated noise up to which a noise that is to be estimated, and was
-#: stated as a guess, explains them
-GUESS = 10.0
-#: degrees of freedom below which residuals say nothing of the noise
-LEAST_DOF = 1.0
-#: tolerances from nominal from which on an estimate is far off
-FAR = 4.0
 
 
 def objections(result: StudyResult) -> list[str]:
@@ -85,20 +76,6 @@ def far_parameters(section: EstimateSection | CorrectedSection) -> list[str]:
         for name, p in section.parameters.items()
         if abs(p.value - p.nominal) > FAR * p.prior_sd
     ]
-
-
-def noise_ratio(chi2: float | None, dof: float | None) -> float | None:
-    """Residuals over the stated noise; None where too little freedom judges it."""
-    if chi2 is None or dof is None or dof < LEAST_DOF:
-        return None
-    return float((chi2 / dof) ** 0.5)
-
-
-def chi2_is_large(chi2: float, dof: float) -> bool:
-    """Whether the stated noise does not explain chi2."""
-    from scipy import special
-
-    return noise_ratio(chi2, dof) is not None and special.chdtrc(dof, chi2) < ALARM
 
 
 def _fails_check(goodness: GoodnessSection | None) -> bool:

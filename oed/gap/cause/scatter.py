@@ -33,7 +33,7 @@ from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import UNKNOWN_SIZES
 from oed.noise.law import STATED_LAW, NoiseLaw
 from oed.noise.prior import KNOWN_TO
-from oed.result.trust import chi2_is_large
+from oed.result.fit_limits import chi2_is_large
 
 #: share of an unknown alone that recurs at each pose and is not smooth: as likely
 ROUGH_SHARE = 0.5

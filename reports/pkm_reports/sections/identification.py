@@ -14,8 +14,8 @@ from oed.result import (
     GoodnessSection,
     ParameterEstimate,
     StudyResult,
-    trust,
 )
+from oed.result.fit_limits import chi2_is_large
 from pkm_reports.figures import parameters, residuals, run_curves
 from pkm_reports.page import missing, text
 from pkm_reports.page.blocks import (
@@ -82,7 +82,7 @@ def _fit(estimate: EstimateSection, checked: GoodnessSection | None) -> str:
         return " ".join([*sentences, noise.goodness(checked)])
     chi2, dof = text.number(estimate.chi2), text.number(estimate.dof)
     judgement = noise.judgement(
-        estimate.dof, is_large=trust.chi2_is_large(estimate.chi2, estimate.dof)
+        estimate.dof, is_large=chi2_is_large(estimate.chi2, estimate.dof)
     )
     sentences.append(f"χ² is {chi2} for {dof} degrees of freedom: {judgement}.")
     return " ".join(sentences)

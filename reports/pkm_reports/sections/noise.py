@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import GoodnessSection, NoiseRecord
-from oed.result.trust import ALARM, LEAST_DOF
+from oed.result.fit_limits import ALARM, LEAST_DOF
 from pkm_reports.page import text
 from pkm_reports.page.blocks import Block, Notice, Table, TableColumn, number_columns
 from pkm_reports.page.missing import or_nan

@@ -14,7 +14,7 @@ from oed.checks import CheckFinding, Severity
 from oed.checks.ranges import predict_ranges
 from oed.dataset.columns import written
 from oed.measurement.measurement import Measurement, Series
-from oed.result import trust
+from oed.result.fit_limits import GUESS
 from pkm_studies.base.random_streams import Stream
 from pkm_studies.page import typed
 from pkm_studies.sessions.next_reading import Adviser, FittedReadings
@@ -60,7 +60,7 @@ def interval(
 def _noise_factor(fitted: FittedReadings) -> float:
     """How much larger than stated the noise may be."""
     if fitted.state.noise_is_a_guess:
-        return float(trust.GUESS)
+        return float(GUESS)
     estimate = fitted.estimate
     if estimate.dof < LEAST_DOF:
         return 1.0

@@ -24,6 +24,7 @@ from oed.result import (
     study,
     trust,
 )
+from oed.result.fit_limits import ALARM, chi2_is_large, noise_ratio
 from oed.result.record import Record
 
 
@@ -98,13 +99,13 @@ def test_a_gap_that_is_less_likely_than_none_bends_nothing() -> None:
 
 
 def test_chi2_is_large_by_its_law() -> None:
-    limit = stats.chi2.isf(trust.ALARM, 30)
-    assert not trust.chi2_is_large(0.999 * limit, 30)
-    assert trust.chi2_is_large(1.001 * limit, 30)
-    assert not trust.chi2_is_large(1e6, 0.5)
-    assert trust.noise_ratio(80.0, 20.0) == pytest.approx(2.0)
-    assert trust.noise_ratio(80.0, 0.9) is None
-    assert trust.noise_ratio(None, 20.0) is None
+    limit = stats.chi2.isf(ALARM, 30)
+    assert not chi2_is_large(0.999 * limit, 30)
+    assert chi2_is_large(1.001 * limit, 30)
+    assert not chi2_is_large(1e6, 0.5)
+    assert noise_ratio(80.0, 20.0) == pytest.approx(2.0)
+    assert noise_ratio(80.0, 0.9) is None
+    assert noise_ratio(None, 20.0) is None
 
 
 def test_rows_left_out_are_counted_in_words() -> None:

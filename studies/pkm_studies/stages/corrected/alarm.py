@@ -14,7 +14,8 @@ from oed.base.text import rounded
 from oed.checks import CheckFinding, Severity
 from oed.checks.mistakes import PHYSICAL
 from oed.compensate.effects.senses import TurnedRuns
-from oed.result import CorrectedSection, GoodnessSection, MistakeRecord, trust
+from oed.result import CorrectedSection, GoodnessSection, MistakeRecord
+from oed.result.fit_limits import noise_ratio
 
 
 def resolves(corrected: CorrectedSection, findings: Sequence[CheckFinding]) -> bool:
@@ -42,7 +43,7 @@ def resolved_sentences(
     corrected: CorrectedSection, findings: Sequence[CheckFinding]
 ) -> dict[str, str]:
     """Alarms of the fit without effects, and what is true with them."""
-    ratio = trust.noise_ratio(corrected.chi2, corrected.dof)
+    ratio = noise_ratio(corrected.chi2, corrected.dof)
     effects = " and ".join(corrected.constants)
     opening = (
         f"With {effects} in the model {_fit(ratio)}, and the corrected values count."

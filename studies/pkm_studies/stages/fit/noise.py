@@ -12,7 +12,8 @@ from oed.estimation.estimate import Estimate
 from oed.estimation.noise_summary import noise_numbers
 from oed.model.instrument import Setup
 from oed.noise.law import reach_words
-from oed.result import GoodnessSection, NoiseRecord, trust
+from oed.result import GoodnessSection, NoiseRecord
+from oed.result.fit_limits import ALARM, noise_ratio
 
 
 def with_noise(
@@ -50,8 +51,8 @@ def with_assumption(
             amounts.append(f"{channel.name} {units.number(sigma, unit):.3g} {unit}")
     freedom = max(estimate.dof, 0.0)
     verdict = "which these readings cannot test"
-    ratio = trust.noise_ratio(section.chi2, section.dof)
-    is_small = section.p_low is not None and section.p_low < trust.ALARM
+    ratio = noise_ratio(section.chi2, section.dof)
+    is_small = section.p_low is not None and section.p_low < ALARM
     if is_small and ratio is not None:
         verdict = f"and too large: the residuals are {rounded(ratio)} times it"
     sentence = (
