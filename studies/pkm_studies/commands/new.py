@@ -86,12 +86,12 @@ def _new_study(
             "it is not said what to start from",
             "give --machine, a name or a file of your own, or --from STUDY",
         )
-    from pkm_studies.importers import template
+    from pkm_studies.importers import drafts
 
-    model = template.model_of(machine, origin, loops)
+    model = drafts.model_of(machine, origin, loops)
     for sentence in model.sentences:
         print(f"{sentence[0].upper()}{sentence[1:]}.")
     if instrument is None:
-        instrument, others = template.default_instrument(model.machine, origin)
+        instrument, others = drafts.default_instrument(model.machine, origin)
         print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
-    return template.write(name, model, instrument, origin)
+    return drafts.write(name, model, instrument, origin)

@@ -23,7 +23,8 @@ from pkm_studies.base import files, user_code
 from pkm_studies.base.errors import Place
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
-from pkm_studies.importers import column_sources, template
+from pkm_studies.importers import column_sources
+from pkm_studies.importers.axis_lines import prediction_table
 from pkm_studies.importers.base import ImportRequest, readings_name
 from pkm_studies.resolve.machine import described_machine, study_machine
 from pkm_studies.study import decode, loader
@@ -155,7 +156,7 @@ def imported_study(
     }
     comment = f"Imported from {', '.join(path.name for path in request.files)}."
     head = f"# {comment}\n# `oed run` runs it; see `oed schema study`."
-    prediction = template.prediction_table(model.machine, errors)
+    prediction = prediction_table(model.machine, errors)
     return f"{head}\n\n{tomli_w.dumps(tables)}\n{prediction}"
 
 

@@ -21,8 +21,8 @@ from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.base.user_code import Consent, Origin
 from pkm_studies.catalogue import catalogue
-from pkm_studies.importers import template
-from pkm_studies.importers.template_grid import SHARES, format_numbers
+from pkm_studies.importers import drafts, template
+from pkm_studies.importers.axis_lines import SHARES, format_numbers
 from pkm_studies.page import typed
 from pkm_studies.resolve.machine import described_machine
 from pkm_studies.resolve.quantities import column
@@ -80,7 +80,7 @@ class StudyForm:
 
     def instruments(self, machine: str) -> list[str]:
         """Instruments that can read a machine as it stands, the usual one first."""
-        first, others = template.default_instrument(self._model(machine), self.origin)
+        first, others = drafts.default_instrument(self._model(machine), self.origin)
         return [first, *others]
 
     def sizes(self, machine: str) -> list[SizeField]:
@@ -130,8 +130,8 @@ class StudyForm:
         if tool.single:
             tool = tool.take_channels([tool.channels[0].name])
         study = path.name.removesuffix(SUFFIX)
-        drafts = (self._draft(form, study, machine, tool, share) for share in SHARES)
-        text = template.first_sound(drafts, path, self.origin)
+        texts = (self._draft(form, study, machine, tool, share) for share in SHARES)
+        text = drafts.first_sound(texts, path, self.origin)
         return files.write_whole(path, text)
 
     def _draft(
