@@ -77,6 +77,11 @@ class ParameterVector:
         return self.tolerance > 0.0
 
     @property
+    def free_names(self) -> list[str]:
+        """Names of the entries of theta that are unknown, in their order."""
+        return [self.names[k] for k in np.flatnonzero(self.free)]
+
+    @property
     def bounds(self) -> Array:
         """Least and largest values (n, 2) that theta's entries can have, SI."""
         return np.array([p.bounds for p in self.parameters])

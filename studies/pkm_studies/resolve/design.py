@@ -229,7 +229,7 @@ def _check_needs(study: Study, table: DesignTable, name: str, place: Place) -> N
 def _interest(
     table: DesignTable, measurement: Measurement, place: Place
 ) -> tuple[str, ...]:
-    free = lookup.free_parameters(measurement)
+    free = measurement.free_names
     if not table.interest:
         return tuple(name for name in free if "." not in name)
     return tuple(lookup.matching_names(table.interest, free, place))
@@ -238,7 +238,7 @@ def _interest(
 def _combination(
     table: DesignTable, measurement: Measurement, place: Place
 ) -> dict[str, float]:
-    free = lookup.free_parameters(measurement)
+    free = measurement.free_names
     for name in table.combination:
         lookup.known_name(name, free, place.key(name), "parameter")
     if table.combination and not any(table.combination.values()):

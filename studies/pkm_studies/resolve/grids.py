@@ -24,6 +24,11 @@ from pkm_studies.resolve import poses, quantities
 from pkm_studies.resolve.command_ranges import check_tool_workspace, command_units
 from pkm_studies.resolve.lookup import known_name
 from pkm_studies.resolve.quantities import format_value
+from pkm_studies.resolve.reach import (
+    REACH_REMEDY,
+    check_joint_range,
+    reach_problem,
+)
 from pkm_studies.study.tables import Axis, GridTable, Span
 
 #: most poses of one grid
@@ -256,52 +261,6 @@ def planned_series(
         )
     check_joint_range(measurement.machine, series.command, series.q, place)
     return series.expand_passes(measurement.setups[setup].protocol)
-
-
-#: remedy for poses out of reach
-REACH_REMEDY = (
-    "keep to poses the machine can reach; check tool and units, and well inside the"
-    " workspace the model's guess"
-)
-
-
-def check_joint_range(
-    machine: Machine,
-    command: Array,
-    q: Array,
-    place: Place,
-    remedy: str = "keep to poses within",
-) -> None:
-    """Raises InputError where joints (n, nq) at commands (n, n_dof) leave their range."""
-    outside = machine.joints_out_of_range(q)
-    if not outside:
-        return
-    first = [entry for entry in outside if entry[1] == outside[0][1]]
-    row, name, value, lower, upper = max(
-        first, key=lambda entry: max(entry[3] - entry[2], entry[2] - entry[4])
-    )
-    unit = next(joint.unit for joint in machine.joints if joint.name == name)
-    needed, low, high = (format_value(v, unit) for v in (value, lower, upper))
-    pose = pose_words(machine, command[row])
-    raise place.error(
-        f"the pose {pose} needs {name} = {needed}, outside the joint's range",
-        f"{name} goes from {low} to {high}: {remedy}",
-    )
-
-
-def pose_words(machine: Machine, command: Array) -> str:
-    """A command (n_dof,), SI, in the units in which a person writes it."""
-    values = zip(machine.command, command, strict=True)
-    return ", ".join(f"{c.name} = {format_value(v, c.unit)}" for c, v in values)
-
-
-def reach_problem(error: AssemblyError, machine: Machine) -> str:
-    """How many commands cannot be reached, the first one, and why."""
-    if error.first is None:
-        return str(error)
-    poses = "1 pose" if len(error.indices) == 1 else f"{len(error.indices)} poses"
-    first = pose_words(machine, error.first)
-    return f"{poses} cannot be reached, the first at {first}: {error.reason}"
 
 
 def run_labels(

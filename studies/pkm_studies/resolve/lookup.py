@@ -5,7 +5,6 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 
-from oed.measurement.measurement import Measurement
 from pkm_studies.base.errors import Place, suggest
 
 
@@ -54,9 +53,3 @@ def names_of_one_unit(
             f"parameters of different kinds: {kinds}", "make one table for each kind"
         )
     return matched, next(iter(example))
-
-
-def free_parameters(measurement: Measurement) -> list[str]:
-    """Names of the parameters that readings identify, in their order."""
-    pairs = zip(measurement.names, measurement.free, strict=True)
-    return [name for name, is_free in pairs if is_free]

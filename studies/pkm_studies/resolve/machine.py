@@ -16,7 +16,7 @@ from pkm_studies.base import user_code
 from pkm_studies.base.errors import Place
 from pkm_studies.base.user_code import Origin
 from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve import grids, quantities
+from pkm_studies.resolve import quantities, reach
 from pkm_studies.resolve.adjustments import with_adjustments
 from pkm_studies.study import Study
 from pkm_studies.study.tables import MachineTable
@@ -133,7 +133,7 @@ def unreachable(kinematics: Kinematics) -> str | None:
         return None
     return (
         f"{rows.size} of {len(command)} poses at the ends and middles of the workspace"
-        f" {why}, the first at {grids.pose_words(machine, command[rows[0]])}"
+        f" {why}, the first at {reach.pose_words(machine, command[rows[0]])}"
     )
 
 
@@ -282,4 +282,4 @@ def check_home(kinematics: Kinematics, place: Place) -> None:
     except AssemblyError as error:
         problem = f"the home pose fails: {error}"
         raise place.error(problem, REACH_REMEDY) from error
-    grids.check_joint_range(machine, home, q, place, REACH_REMEDY)
+    reach.check_joint_range(machine, home, q, place, REACH_REMEDY)

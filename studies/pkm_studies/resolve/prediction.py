@@ -16,7 +16,7 @@ from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from pkm_studies.base.errors import Place
-from pkm_studies.resolve import command_ranges, grids, quantities
+from pkm_studies.resolve import command_ranges, grids, quantities, reach
 from pkm_studies.study import Study
 from pkm_studies.study.tables import PredictionTable
 
@@ -69,8 +69,8 @@ def check_reach(
         try:
             kinematics.inverse(machine.with_tool(request.command, tool), tool=tool)
         except AssemblyError as error:
-            problem = grids.reach_problem(error, machine)
-            raise at.error(problem, grids.REACH_REMEDY) from error
+            problem = reach.reach_problem(error, machine)
+            raise at.error(problem, reach.REACH_REMEDY) from error
 
 
 def check_states(study: Study, covariates: pd.DataFrame) -> None:

@@ -13,7 +13,7 @@ from oed.model.instrument import Instrument, Protocol, Setup, mount
 from oed.model.machine import Machine
 from pkm_studies.base.errors import Place
 from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve import command_ranges, grids, quantities
+from pkm_studies.resolve import command_ranges, quantities, reach
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
 from pkm_studies.study.tables import SetupTable
@@ -158,6 +158,6 @@ def _check_teach_pose(kinematics: Kinematics, setup: Setup, place: Place) -> Non
     try:
         series = Measurement(machine, [setup], kinematics).series(setup.name, command)
     except AssemblyError as error:
-        problem = grids.reach_problem(error, machine)
+        problem = reach.reach_problem(error, machine)
         raise place.error(problem, "give a pose the machine can reach") from error
-    grids.check_joint_range(machine, series.command, series.q, place)
+    reach.check_joint_range(machine, series.command, series.q, place)

@@ -23,7 +23,6 @@ from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.resolve.component_values import with_fine_units
 from pkm_studies.resolve.design import DesignRequest
-from pkm_studies.resolve.lookup import free_parameters
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.study.tables import DesignTable
 
@@ -121,13 +120,13 @@ class StudyCriteria:
         return scale[measurement.free]
 
     def _interest(self, measurement: Measurement) -> Array:
-        names = free_parameters(measurement)
+        names = measurement.free_names
         wanted = [k for k, n in enumerate(names) if n in self.request.interest]
         return np.eye(int(measurement.free.sum()))[:, wanted]
 
     def _combination(self, measurement: Measurement) -> Array:
         coefficients = self.request.combination
-        row = [coefficients.get(name, 0.0) for name in free_parameters(measurement)]
+        row = [coefficients.get(name, 0.0) for name in measurement.free_names]
         return (np.array(row) * self._scale(measurement))[None]
 
     def _mean_accuracy(

@@ -21,7 +21,6 @@ from oed.design.exchange import Choice
 from oed.design.plan_limits import SetupLimit
 from oed.design.rules import MAX_COMBINATIONS, Rules
 from oed.design.setups import rank_combinations
-from pkm_studies.resolve.lookup import free_parameters
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,7 +66,7 @@ class DesignProblem:
         """Identity columns (n, r) of the machine's parameters and of some set-ups'."""
         candidates = self.candidates
         chosen = [candidates.setups[k] for k in setup_indices]
-        names = free_parameters(candidates.measurement)
+        names = candidates.measurement.free_names
         columns = [
             k
             for k, name in enumerate(names)

@@ -17,7 +17,6 @@ from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import StudyResult
 from pkm_studies.resolve.earlier_result import known_parameters
-from pkm_studies.resolve.lookup import free_parameters
 from pkm_studies.resolve.plan import PlanRequest, request_of
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
 from pkm_studies.stages.forecast.task import EstimatedParameters
@@ -50,7 +49,7 @@ def read_earlier_session(
     """
     machine = resolved.machine
     measurement = resolved.measurement_with(())
-    free = free_parameters(measurement)
+    free = measurement.free_names
     value, covariance, source = known_parameters(stored, machine.name, free, folder)
     identified = dict(zip(free, value, strict=True))
     parameters = [
@@ -86,7 +85,7 @@ def stored_knowledge(
     if stored.final_estimate is None:
         return None
     machine = resolved.machine
-    free = free_parameters(resolved.measurement_with(()))
+    free = resolved.measurement_with(()).free_names
     value, covariance, _ = known_parameters(stored, machine.name, free, folder)
     at = [machine.index(name) for name in free]
     values = machine.nominal.copy()
