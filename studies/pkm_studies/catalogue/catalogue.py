@@ -86,7 +86,7 @@ def machine(
     from oed.model.machine import Machine
     from pkm_studies.catalogue import machine_check as soundness
 
-    machine = _lookup(reference, "machines", Machine, origin, place)
+    machine = lookup(reference, "machines", Machine, origin, place)
     if ":" in reference or user_code.is_file(reference):
         soundness.check_machine(machine, place, assembled=assembled)
     return machine
@@ -96,24 +96,14 @@ def instrument(reference: str, origin: Origin, place: Place) -> Any:
     """The `oed.model.instrument.Instrument` that `reference` names. Raises InputError."""
     from oed.model.instrument import Instrument
 
-    return _lookup(reference, "instruments", Instrument, origin, place)
+    return lookup(reference, "instruments", Instrument, origin, place)
 
 
 def effect(reference: str, origin: Origin, place: Place) -> Any:
     """The `oed.model.effect.Effect` that `reference` names. Raises InputError."""
     from oed.model.effect import Effect
 
-    return _lookup(reference, "effects", Effect, origin, place)
-
-
-def controller_format(reference: str, origin: Origin) -> Any:
-    """The `ControllerFormat` that `reference` names.
-
-    Raises InputError.
-    """
-    from pkm_studies.catalogue.controller_format import ControllerFormat
-
-    return _lookup(reference, "formats", ControllerFormat, origin, Place("--to"))
+    return lookup(reference, "effects", Effect, origin, place)
 
 
 def function(reference: str, origin: Origin, place: Place) -> Callable[..., Any]:
@@ -194,9 +184,13 @@ def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
         yield point, item
 
 
-def _lookup(
+def lookup(
     reference: str, kind: str, wanted: type, origin: Origin, place: Place
 ) -> Any:
+    """The item of a kind that `reference` names, of the class `wanted`.
+
+    Raises InputError.
+    """
     module_name = user_code.file_name(reference)
     if not module_name:
         return _by_short_name(reference, kind, place)

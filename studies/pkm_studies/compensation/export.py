@@ -20,7 +20,7 @@ from oed.compensate import (
 from oed.result import StudyResult, trust, verdict
 from oed.result.verdict import accuracy_verdicts
 from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
+from pkm_studies.base.errors import InputError, Place
 from pkm_studies.base.user_code import Consent, Origin
 from pkm_studies.catalogue import catalogue
 from pkm_studies.catalogue.controller_format import (
@@ -81,7 +81,7 @@ def export_folder(
 
     Raises InputError, and BadFitError where the fit is bad.
     """
-    controller = catalogue.controller_format(reference, Origin.command(consent))
+    controller = named_format(reference, Origin.command(consent))
     result = stored_result.load_result(folder)
     study = result_study(result, folder, study_file, consent)
     if firmware is not None:
@@ -100,6 +100,14 @@ def export_folder(
         commands=commands,
         notes=notes,
     )
+
+
+def named_format(reference: str, origin: Origin) -> ControllerFormat:
+    """The format that `reference` names. Raises InputError."""
+    controller: ControllerFormat = catalogue.lookup(
+        reference, "formats", ControllerFormat, origin, Place("--to")
+    )
+    return controller
 
 
 def _held_notes(result: StudyResult) -> tuple[str, ...]:

@@ -19,7 +19,6 @@ from oed.result import StudyResult
 from pkm_studies import pipeline
 from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Origin, consent
-from pkm_studies.catalogue import catalogue
 from pkm_studies.notebook.views import (
     AccuracyView,
     DesignView,
@@ -340,11 +339,11 @@ def write_compensation(
     >>> [path.name for path in oed.write_compensation(estimate, "json", "out/control")]
     ['compensation.json']
     """
-    from pkm_studies.compensation.export import export
+    from pkm_studies.compensation.export import export, named_format
     from pkm_studies.compensation.table_grid import COMMANDS
 
     given = view.state.study.consent
-    controller = catalogue.controller_format(to, Origin.command(given))
+    controller = named_format(to, Origin.command(given))
     result, study, folder = _result(view.state), view.state.study, Path(out)
     largest = COMMANDS if commands is None else commands
     return export(
