@@ -31,7 +31,7 @@ from oed.posterior import checkpoint
 from pkm_models.machines import linear_delta
 from pkm_studies.base.errors import InputError
 from pkm_studies.commands import cli
-from pkm_studies.results import report_files
+from pkm_studies.results import result_folder
 
 NAME = "pkm_canary"
 #: modules and files that lie where data might lead to: all exist
@@ -230,7 +230,7 @@ def test_reports(draw: st.DataObject) -> None:
         replace_some(plain, draw, folder)
         (folder / "result.json").write_bytes(msgspec.json.encode(plain))
         with nothing_runs(folder), contextlib.suppress(InputError):
-            report_files.write_report(folder, pdf=False)
+            result_folder.write_report(folder, pdf=False)
 
 
 @EXAMPLES

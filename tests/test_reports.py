@@ -25,7 +25,7 @@ from pkm_reports import sections, write_report
 from pkm_reports.page import document
 from pkm_reports.page import html as html_writer
 from pkm_reports.page import pdf as pdf_writer
-from pkm_studies.results import report_files, stored_result
+from pkm_studies.results import result_folder, stored_result
 
 pytestmark = pytest.mark.pictures
 
@@ -237,7 +237,7 @@ def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
     assert loaded.design is not None
     assert loaded.design.value == full["design"]["value"]
     assert (loaded.headline, loaded.claims, loaded.gap) == ([], [], None)
-    report_files.write_report(tmp_path, pdf=False)
+    result_folder.write_report(tmp_path, pdf=False)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "How good the plan is" in page
     assert "Residual accuracy" not in page

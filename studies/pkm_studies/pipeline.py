@@ -18,7 +18,7 @@ from oed.result.verdict import accuracy_verdicts
 from pkm_studies.base import files
 from pkm_studies.base.progress import Progress, Silent
 from pkm_studies.resolve.counted import counted
-from pkm_studies.results import claims, report_files, result_folder, stored_result
+from pkm_studies.results import claims, result_folder, stored_result
 from pkm_studies.stages import describe, headline, run_files
 from pkm_studies.stages.plan.earlier import read_earlier_session, stored_knowledge
 from pkm_studies.stages.run_state import (
@@ -328,7 +328,7 @@ def _finish(
     study_result = run_files.write(out, study_result, state, sheet=options.pdf)
     if report and (options.html or options.pdf):
         state.progress.stage("report")
-        report_files.write_report(out, html=options.html, pdf=options.pdf)
+        result_folder.write_report(out, html=options.html, pdf=options.pdf)
     return study_result
 
 

@@ -1,4 +1,4 @@
-"""Prints on any terminal: encodings without σ, closed pipes, one line for an error."""
+"""Prints on any terminal: encodings without σ, closed pipes; exit codes."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import os
 import sys
 from typing import Any
 
+#: exit codes: fine; a claim not met or a fit not to be trusted; what cannot be used
+DONE, FAILED, BAD_INPUT = 0, 1, 2
 #: the standard output in messages
 OUTPUT = "standard output"
 #: errors of writing: full disk, quota, largest file, device, closed stream

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.exit_codes import DONE, FAILED
+from pkm_studies.base.console import DONE, FAILED
 from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import AllowCode, StudyPath
 

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from pkm_studies.base import console
+from pkm_studies.base.console import BAD_INPUT, DONE, FAILED
 from pkm_studies.base.errors import InputError
-from pkm_studies.base.exit_codes import BAD_INPUT, DONE, FAILED
 from pkm_studies.commands.options import (
     AllowCode,
 )

@@ -15,8 +15,8 @@ from collections.abc import Mapping, Sequence
 import typer
 
 from pkm_studies.base import console, files
+from pkm_studies.base.console import BAD_INPUT, DONE, FAILED
 from pkm_studies.base.errors import InputError, shorten
-from pkm_studies.base.exit_codes import BAD_INPUT, DONE, FAILED
 from pkm_studies.commands.subcommands import SubcommandGroup
 
 app = typer.Typer(
@@ -53,7 +53,7 @@ KERNEL_ERRORS = {
 }
 
 #: what is refused because the fit is bad, as a claim that fails
-BAD_FIT = {"pkm_studies.results.bad_fit": "BadFitError"}
+BAD_FIT = {"pkm_studies.results.stored_result": "BadFitError"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from oed.result.verdict import all_pass
-from pkm_studies.base.exit_codes import DONE, FAILED
+from pkm_studies.base.console import DONE, FAILED
 from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import (
     AllowCode,
@@ -35,13 +35,13 @@ def report(
 ) -> int:
     """Write HTML and PDF again from result.json, or a comparison of several results."""
     from pkm_studies.base import files
-    from pkm_studies.results import report_files
+    from pkm_studies.results import result_folder
 
     if len(folders) == 1:
-        paths = report_files.write_report(folders[0])
+        paths = result_folder.write_report(folders[0])
     else:
         files.check_writable(out)
-        paths = report_files.write_comparison(folders, out)
+        paths = result_folder.write_comparison(folders, out)
     for path in paths:
         print(f"Report: {path}")
     return DONE

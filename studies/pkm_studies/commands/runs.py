@@ -9,7 +9,7 @@ import typer
 
 from oed.base import own_files
 from pkm_studies.base import console
-from pkm_studies.base.exit_codes import DONE, FAILED
+from pkm_studies.base.console import DONE, FAILED
 from pkm_studies.commands.options import (
     AllowCode,
     OutFolder,

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pkm_studies.base.console import DONE, FAILED
 from pkm_studies.base.errors import InputError
-from pkm_studies.base.exit_codes import DONE, FAILED
 from pkm_studies.base.user_code import Consent, consent
 from pkm_studies.commands.options import AllowCode, MachineStudy, StoredResult
 

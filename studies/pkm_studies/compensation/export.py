@@ -35,7 +35,7 @@ from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.compensation.table_grid import COMMANDS
 from pkm_studies.resolve.workspace import regular
 from pkm_studies.results import stored_result
-from pkm_studies.results.bad_fit import BadFitError
+from pkm_studies.results.stored_result import BadFitError
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
 

@@ -11,7 +11,7 @@ import msgspec
 
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
-from pkm_studies.results.bad_fit import BadFitError
+from pkm_studies.results.stored_result import BadFitError
 from pkm_studies.sessions import verification
 
 #: bytes of a file to fill in

@@ -19,7 +19,7 @@ from pkm_studies.page.job import BackgroundCommand
 from pkm_studies.page.readings_log import StaleError
 from pkm_studies.page.session import DoubtfulError, MachineSession
 from pkm_studies.page.shelf import Shelf
-from pkm_studies.results.bad_fit import BadFitError
+from pkm_studies.results.stored_result import BadFitError
 
 #: time between two looks at the readings file, s
 PAUSE: Final = 0.5
@@ -223,12 +223,12 @@ def compensation_files(folder: Path, word: str) -> dict[str, Any]:
 
 def comparison(folders: list[Path]) -> str:
     """The report of two results side by side, as HTML. Raises InputError."""
-    from pkm_studies.results import report_files
+    from pkm_studies.results import result_folder
 
     if len(folders) != 2:
         raise InputError("two results are compared", "choose two")
     with tempfile.TemporaryDirectory(prefix="oed-") as place:
-        paths = report_files.write_comparison(folders, Path(place))
+        paths = result_folder.write_comparison(folders, Path(place))
         page = next(path for path in paths if path.suffix == ".html")
         return page.read_text(encoding="utf-8")
 

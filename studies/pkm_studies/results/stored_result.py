@@ -1,4 +1,4 @@
-"""Reads stored results; it loads nothing that computes or draws."""
+"""Reads stored results, and refuses bad fits; loads nothing that computes or draws."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ from pathlib import Path
 
 import msgspec
 
-from oed.result import StudyResult, relations
+from oed.result import StudyResult, relations, trust
 from pkm_studies.base import files
 from pkm_studies.base.errors import Place
 from pkm_studies.base.names import check_name
 
 #: bytes of the largest result that is read
 LIMIT = 1 << 28
+
+
+class BadFitError(Exception):
+    """The fit is too bad for what is asked of it."""
 
 
 def load_result(folder: Path) -> StudyResult:
@@ -42,3 +46,13 @@ def read_result(path: Path) -> StudyResult:
         ) from error
     check_name(result.study, place.key("study"))
     return result
+
+
+def refuse_bad_fit(result: StudyResult) -> None:
+    """Raises BadFitError where the fit promises nothing."""
+    objections = trust.objections(result)
+    if objections:
+        raise BadFitError(
+            f"{'; '.join(objections)}: such a fit promises no accuracy;"
+            f" {trust.remedy(result)}"
+        )

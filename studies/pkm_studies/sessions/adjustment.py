@@ -33,7 +33,7 @@ from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.results import result_folder, stored_result
-from pkm_studies.results.bad_fit import refuse_bad_fit
+from pkm_studies.results.stored_result import refuse_bad_fit
 from pkm_studies.sessions.acceptance.promise import covariances
 from pkm_studies.study import Study
 

@@ -9,8 +9,7 @@ from oed.base import own_files, units
 from oed.result.certificate import Certificate
 from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.stored_study import result_study
-from pkm_studies.results.bad_fit import refuse_bad_fit
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.results.stored_result import load_result, refuse_bad_fit
 from pkm_studies.sessions.certificate import build, dcc, head
 
 XML = "certificate.xml"

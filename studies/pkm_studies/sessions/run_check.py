@@ -25,7 +25,7 @@ from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.results import result_folder, stored_result
-from pkm_studies.results.bad_fit import refuse_bad_fit
+from pkm_studies.results.stored_result import refuse_bad_fit
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.run_curves import ReadingCurves
 from pkm_studies.stages.run_state import start

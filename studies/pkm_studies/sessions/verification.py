@@ -27,7 +27,7 @@ from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.results import result_folder, stored_result
-from pkm_studies.results.bad_fit import refuse_bad_fit
+from pkm_studies.results.stored_result import refuse_bad_fit
 from pkm_studies.sessions.acceptance import plan
 from pkm_studies.sessions.acceptance.healthy import (
     healthy_accuracy,

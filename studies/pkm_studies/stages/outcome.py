@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pkm_studies.base import console
-from pkm_studies.base.exit_codes import DONE, FAILED
+from pkm_studies.base.console import DONE, FAILED
 
 if TYPE_CHECKING:
     from oed.result import Claim, StudyResult
