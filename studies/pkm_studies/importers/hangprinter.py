@@ -14,6 +14,8 @@ from typing import Final
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.mechanism.kinematics import Kinematics
+from oed.model.machine import Machine
 from pkm_models.machines import cable_robot
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
@@ -23,7 +25,6 @@ from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.column_map import Model, imported_study
 from pkm_studies.importers.gcode import Command
 from pkm_studies.importers.line_times import read_tables
-from pkm_studies.importers.motor_angles import check_unit
 from pkm_studies.importers.rrf_sequence import execution_order
 from pkm_studies.importers.words import (
     HARMLESS,
@@ -72,6 +73,10 @@ NOISE: Final = {
     **{f"read_{axis}_mm": 1.0 for axis in "xyz"},
     "gap_mm": 0.5,
 }
+#: share of the nearest anchor's distance within which all poses say nothing of a machine
+NEAR_ORIGIN = 0.02
+#: factor between recorded and expected angles from which on they are no such angles
+OTHER_UNIT_FACTOR = 1.5
 
 
 class HangprinterImporter:
@@ -109,7 +114,7 @@ class HangprinterImporter:
         )
         machine = described_machine(table, Origin.command(request.consent), Place(""))
         file = next(t.file for t in tables if set(MOTORS) <= set(t.header))
-        check_unit(machine, motors, places, file)
+        check_motor_unit(machine, motors, places, file)
         setups = [{"name": "lines", "instrument": "redundancy"}]
         if len(places):
             setups.append({"name": "camera", "instrument": "camera_known_frame"})
@@ -249,3 +254,53 @@ def _rows(motors: Array, places: Array) -> list[Row]:
         label = {"setup": "lines", "run": "1", "order": str(k + 1)}
         rows.append(label | pose | {"gap_mm": "0"})
     return rows
+
+
+# -- whether motor angles are degrees --------------------------------------------------
+
+
+def check_motor_unit(machine: Machine, motors: Array, places: Array, file: str) -> None:
+    """Raises InputError where the motors do not turn as the places and lines want.
+
+    motors  (n, 4) angles, deg
+    places  (k, 3) of the mover at the first of these poses, mm; may be none
+    """
+    kinematics = Kinematics(machine)
+    if len(places):
+        expected = np.degrees(kinematics.inverse(places / 1e3)[1])
+        _check_motor_factor(motors[: len(places)], expected, file)
+        return
+    anchors = [p.nominal for p in machine.parameters if p.name.startswith("anchor")]
+    distances = np.linalg.norm(np.reshape(anchors, (-1, 3)), axis=1)
+    around = NEAR_ORIGIN * distances.min() * np.vstack([np.eye(3), -np.eye(3)])
+    least = np.abs(np.degrees(kinematics.inverse(around)[1])).max()
+    if np.abs(motors).max() < least:
+        raise _motor_refusal(
+            f"no motor turns by more than {np.abs(motors).max():.3g} deg, which moves the"
+            f" lines by less than {1e3 * NEAR_ORIGIN * distances.min():.3g} mm",
+            file,
+        )
+
+
+def _check_motor_factor(motors: Array, expected: Array, file: str) -> None:
+    """Raises InputError where angles (k, 4) are a multiple of the expected ones, deg."""
+    square = float(np.sum(expected**2))
+    if square == 0.0:
+        return
+    factor = float(np.sum(motors * expected)) / square
+    if 1.0 / OTHER_UNIT_FACTOR < factor < OTHER_UNIT_FACTOR:
+        return
+    raise _motor_refusal(
+        f"the motors turn by {factor:.3g} times what the places and M669, M666 give",
+        file,
+    )
+
+
+def _motor_refusal(problem: str, file: str) -> InputError:
+    return InputError(
+        problem,
+        "give degrees since the origin, positive where a line is paid out; radians times"
+        " 57.2958",
+        file=file,
+        field="A, B, C, D",
+    )
