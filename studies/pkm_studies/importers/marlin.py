@@ -338,7 +338,7 @@ def mesh_grids(
     mesh = BedMesh("G29", tuple(points), heights.size - len(points), OUTSIDE_GRID)
     notes = []
     if len(starts) > 1:
-        notes.append(f"Not read: {len(starts) - 1} earlier mesh_grids of G29.")
+        notes.append(f"Not read: {len(starts) - 1} earlier grids of G29.")
     return [mesh], notes
 
 

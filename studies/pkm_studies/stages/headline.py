@@ -9,12 +9,14 @@ from oed.base.text import format_number
 from oed.result import (
     IMPORTANCE,
     CorrectedSection,
+    DesignSection,
     EstimateSection,
     GapBeforeSection,
     GoodnessSection,
     HeldOutSection,
     IdentifiabilitySection,
     MachineInfo,
+    PlanSection,
     PosteriorSection,
     PredictionSection,
     StudyResult,
@@ -31,8 +33,7 @@ from pkm_studies.stages.design.phrases import (
 from pkm_studies.stages.forecast import words as forecast_words
 from pkm_studies.stages.gap import scatter
 from pkm_studies.stages.gap.words import join_words, plain_name
-from pkm_studies.stages.plan.phrases import bound_sentences, plan_sentences
-from pkm_studies.stages.recording_words import recording_sentences
+from pkm_studies.stages.plan.phrases import bound_sentences, percent, plan_sentences
 
 MAX_SENTENCES = 5
 #: verdicts of held-out readings that raise no doubt of the fit
@@ -42,6 +43,10 @@ REFERENCES = {
     "absolute": "in the base frame",
     "best_fit": "after best alignment",
 }
+#: share of the error from which a choice is named
+LEAST_GAIN = 0.01
+#: choices that are named, at most
+NAMED = 3
 
 
 def sentences(
@@ -317,3 +322,25 @@ def _change(name: str, before: float, after: float, unit: str) -> str:
     if format_number(before) == format_number(after):
         return f"{name} stays at {format_number(after)} {unit}"
     return f"{name} from {format_number(before)} to {format_number(after)} {unit}"
+
+
+# -- what else to record ---------------------------------------------------------------
+
+
+def recording_sentences(*sections: PlanSection | DesignSection | None) -> list[str]:
+    """What else to record beside the plans, the best first; none without effects."""
+    sentences = []
+    for section in sections:
+        effects = None if section is None else section.effects
+        recording = None if effects is None else effects.recording
+        choices = [] if recording is None else recording.choices
+        parts = []
+        for choice in [c for c in choices if c.gain >= LEAST_GAIN][:NAMED]:
+            worth = "as no number of further readings does without"
+            if choice.readings is not None:
+                worth = f"worth {choice.readings} further readings"
+            share = percent(choice.gain)
+            parts.append(f"{choice.words} (errors {share} smaller, {worth})")
+        if parts:
+            sentences.append(f"What else to record: {'; '.join(parts)}.")
+    return sentences

@@ -1,0 +1,31 @@
+"""What writing a report loads: nothing that models or solves."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import report_fixture
+import result_sample
+
+
+def test_a_report_loads_neither_models_nor_solvers(tmp_path: Path) -> None:
+    result = report_fixture.bare() | {"gap": result_sample.gap()}
+    (tmp_path / "result.json").write_text(json.dumps(result), encoding="utf-8")
+    heavy = ["casadi", "oed.mechanism", "oed.measurement", "oed.estimation", "oed.gap"]
+    code = (
+        "import sys; from pkm_studies.commands import cli;"
+        " print(cli.main(['report', '.']));"
+        f" print(sorted(set({heavy}) & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+    )
+    assert "report.html" in done.stdout
+    assert done.stdout.splitlines()[-2:] == ["0", "[]"]
