@@ -85,8 +85,12 @@ def test_parameters_far_from_nominal_are_named() -> None:
 
 
 def test_a_gap_bends_a_fit_without_it() -> None:
-    (sentence,) = trust.objections(good(gap=whole()["gap"]))
+    """Unless all that rests on the result is over all answers."""
+    gap = whole()["gap"]
+    (sentence,) = trust.objections(good(gap=gap | {"mixture": None}))
     assert "reports a gap (effect)" in sentence
+    assert gap["mixture"] is not None
+    assert trust.objections(good(gap=gap)) == []
 
 
 def test_a_gap_that_is_less_likely_than_none_bends_nothing() -> None:
