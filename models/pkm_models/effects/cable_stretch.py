@@ -22,10 +22,7 @@ def columns(state: State) -> Iterable[Column]:
     """
     tension = np.nan_to_num(state.tension)
     change = state.joint_per_length * state.strut_length * tension
-    yield Column("cables", COMPLIANCE, "", terms.all_joints(change))
-    for i in state.limbs:
-        leg = f"leg {i + 1}"
-        yield terms.adapting(leg, COMPLIANCE, leg, {i: change[:, i]})
+    return terms.alike("cables", COMPLIANCE, change)
 
 
 effect = Effect(

@@ -22,10 +22,7 @@ def columns(state: State) -> Iterable[Column]:
     horizontal = state.strut_direction * np.array([1.0, 1.0, 0.0])
     shift = np.nan_to_num(state.tension)[..., None] * horizontal
     change = terms.joint_change(state, shift)
-    yield Column("posts", COMPLIANCE, "", terms.all_joints(change))
-    for i in state.limbs:
-        leg = f"leg {i + 1}"
-        yield terms.adapting(leg, COMPLIANCE, leg, {i: change[:, i]})
+    return terms.alike("posts", COMPLIANCE, change)
 
 
 effect = Effect(

@@ -26,13 +26,9 @@ def columns(state: State) -> Iterable[Column]:
     """
     angle = np.arccos(np.clip(state.strut_direction[..., 2], -1.0, 1.0))
     worth = state.joint_per_length
-    change = worth * (angle - np.sin(angle))
-    yield Column("pulleys", RADIUS, "", terms.all_joints(change))
     turned = terms.all_joints(worth * angle)
+    yield from terms.alike("pulleys", RADIUS, worth * (angle - np.sin(angle)))
     yield terms.adapting("pulleys, arc", RADIUS, "", turned)
-    for i in state.limbs:
-        leg = f"leg {i + 1}"
-        yield terms.adapting(leg, RADIUS, leg, {i: change[:, i]})
 
 
 effect = Effect(

@@ -337,6 +337,14 @@ def all_joints(change: Array) -> dict[int, Array]:
     return {i: change[:, i] for i in range(change.shape[1])}
 
 
+def alike(name: str, size: float, change: Array) -> Iterator[Column]:
+    """One coefficient of changes (m, nq) for all joints; shape: one each."""
+    yield Column(name, size, "", all_joints(change))
+    for i in range(change.shape[1]):
+        leg = f"leg {i + 1}"
+        yield adapting(leg, size, leg, {i: change[:, i]})
+
+
 def harmonics(state: State, period: float, size: float) -> Iterator[Column]:
     """Sine and cosine of each joint's place in a period a leg; shape: two in a period."""
     for i in state.limbs:
