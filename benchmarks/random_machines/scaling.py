@@ -30,6 +30,7 @@ LENGTHS = ("um", "mm", "m", "mm_min")
 SIZES = {
     "backlash": 10.0,
     "bar_length": 10.0,
+    "drum_runout": 50.0,
     "encoder_subdivision": 0.1,
     "frame_bending": 20.0,
     "friction": 4.0,
@@ -39,22 +40,25 @@ SIZES = {
     "joint_runout": 4.0,
     "mount_drift": 5.0,
     "pitch_accumulation": 10.0,
+    "pulley_radius": 1000.0,
     "screw_cyclic": 3.0,
     "step": 20.0,
+    "target_offset": 100.0,
 }
-#: lead of the screws and period of the scales, m
-LEAD, PERIOD = 5e-3, 20e-6
+#: lead of the screws, period of the scales and circumference of the drums, m
+LEAD, PERIOD, DRUM = 5e-3, 20e-6, 0.15
 #: a file of effects with these
 DRIVES = '''"""Cyclic errors with the lead and the period of this machine."""
 
 import dataclasses
 
-from pkm_models.effects import encoder_subdivision, screw_cyclic
+from pkm_models.effects import drum_runout, encoder_subdivision, screw_cyclic
 
 lead = dataclasses.replace(screw_cyclic.effect, constants={{"pitch": ({lead},)}})
 period = dataclasses.replace(
     encoder_subdivision.effect, constants={{"period": ({period},)}}
 )
+drum = dataclasses.replace(drum_runout.effect, constants={{"circumference": ({drum},)}})
 '''
 #: machines, their gaps and instruments of the table
 CASES = (
@@ -88,7 +92,7 @@ def largest(usual: Probabilities, other: Probabilities) -> float:
 def prepared(case: Case, factor: float) -> tuple[GapProblem, Sequence[Effect]]:
     """The residuals of a case and the effects that its study tries.
 
-    factor   on the sizes, the lead and the period that the study states
+    factor   on the sizes, the lead, the period and the drum that the study states
     """
     with tempfile.TemporaryDirectory() as folder:
         path = cases.write(case, Path(folder))
@@ -129,10 +133,10 @@ def _with_sizes(
 ) -> dict[str, Any]:
     """The study with stated sizes of effects, and a lead and period of its own."""
     drives = folder / "drives.py"
-    text = DRIVES.format(lead=LEAD * factor, period=PERIOD * factor)
+    text = DRIVES.format(lead=LEAD * factor, period=PERIOD * factor, drum=DRUM * factor)
     drives.write_text(text, encoding="utf-8")
     effects = {f"{name}_um": factor * size for name, size in SIZES.items()}
-    gap = {"effects": ["all", "drives.py:lead", "drives.py:period"]}
+    gap = {"effects": ["all", "drives.py:lead", "drives.py:period", "drives.py:drum"]}
     return {**study, "effects": effects, "gap": gap}
 
 
