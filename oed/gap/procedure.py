@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
+from oed.base.arrays import Array
 from oed.gap.cause import advice, answers, closure, withheld
 from oed.gap.cause.compare import Comparison, compare_expanded, probabilities
 from oed.gap.cause.explained import explain, nearest_effects
@@ -150,10 +151,6 @@ def conclude(
         scatter = excess_scatter(search.given, law)
     unstated = unstated_scatter(search.given, law)
     is_law_known = all(s.law is searched[0].law for s in searched)
-    marginal = {
-        name: sum(p for h, p in zip(hypotheses, shares, strict=True) if name in h.names)
-        for name in (*search.library.effects, UNKNOWN)
-    }
     diagnosis = Diagnosis(
         **vars(explain(search.given, search, best, named)),
         problem=search.given,
@@ -161,7 +158,10 @@ def conclude(
         scatter=scatter,
         answers=ranked,
         set95=answers.credible_set(groups),
-        marginal={name: float(p) for name, p in marginal.items()},
+        marginal={
+            name: _probability_of(name, hypotheses, shares)
+            for name in (*search.library.effects, UNKNOWN)
+        },
         law=law,
         noise_words=describe(law, problem.longest),
         likeness=_likeness(search, best),
@@ -179,6 +179,15 @@ def conclude(
         contents=_contents(searched, leading),
     )
     return diagnosis, best
+
+
+def _probability_of(
+    name: str, hypotheses: Sequence[Hypothesis], shares: Array
+) -> float:
+    """Probability that an effect acts, or something unknown, whatever else does."""
+    return float(
+        sum(p for h, p in zip(hypotheses, shares, strict=True) if name in h.names)
+    )
 
 
 def _contents(

@@ -15,6 +15,8 @@ from oed.result.gap_before import ChosenRun, SeparationRecord
 from oed.result.mixture import MixtureSection
 from oed.result.record import Record
 
+#: closure below which a figure says no more than that the gap more than doubles
+LEAST_CLOSURE = -1.0
 #: probability of an effect from which it more likely acts than not
 EVEN = 0.5
 #: cost of a missed gap over that of one further test in vain: no gap is reported where

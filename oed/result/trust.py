@@ -48,8 +48,12 @@ def section_objections(
             f"these ended more than {FAR:.0f} tolerances from nominal: {', '.join(far)};"
             " the nominal numbers are those of another machine, or [prior] is too narrow"
         )
-    is_covered = gap is not None and gap.mixture is not None
-    if corrected is None and gap is not None and gap.effect_likely and not is_covered:
+    if (
+        corrected is None
+        and gap is not None
+        and gap.mixture is None
+        and gap.effect_likely
+    ):
         sentences.append(
             f"the diagnosis reports a gap ({gap.verdict}), which bends the parameters of"
             " a fit without it"

@@ -22,12 +22,7 @@ CIRCUMFERENCES = tuple(1e-3 * math.pi * diameter for diameter in DIAMETERS_MM)
 def columns(state: State, circumference: float) -> Iterable[Column]:
     """Sine and cosine of the drum's angle a cable; shape: twice a turn."""
     angle = 2.0 * np.pi * state.strut_length / circumference
-    for i in state.limbs:
-        leg, worth = f"leg {i + 1}", state.joint_per_length[:, i]
-        for turns, column in ((1, Column), (2, terms.adapting)):
-            for name, wave in (("sin", np.sin), ("cos", np.cos)):
-                change = {i: worth * wave(turns * angle[:, i])}
-                yield column(f"{leg} {name} {turns}", ECCENTRICITY, leg, change)
+    return terms.turns(angle, state.joint_per_length, ECCENTRICITY)
 
 
 effect = Effect(

@@ -14,9 +14,8 @@ from oed.model.effect import Column, Effect, State
 from oed.model.machine import Machine
 from pkm_models.effects import natures, terms
 
-TURN = (
-    2e-4  # rad, amplitude: 20 um of runout at a radius of 50 mm, half of it either way
-)
+#: amplitude, rad: 20 um of runout at a radius of 50 mm, half of it either way
+TURN = 2e-4
 #: turns of a wheel a turn of the joint: the output wheel, and usual single stages
 RATIOS = (1.0, 3.0, 5.0, 7.0, 10.0, 20.0, 30.0, 50.0, 100.0)
 

@@ -15,9 +15,8 @@ import numpy as np
 from oed.model.effect import Column, Effect, State
 from pkm_models.effects import natures, terms
 
-RADIUS = (
-    1e-3  # m, of what a controller leaves: ball bearings used as guides have 5 to 20 mm
-)
+#: m, of what a controller leaves: ball bearings used as guides have 5 to 20 mm
+RADIUS = 1e-3
 
 
 def columns(state: State) -> Iterable[Column]:

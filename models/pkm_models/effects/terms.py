@@ -347,9 +347,17 @@ def alike(name: str, size: float, change: Array) -> Iterator[Column]:
 
 def harmonics(state: State, period: float, size: float) -> Iterator[Column]:
     """Sine and cosine of each joint's place in a period a leg; shape: two in a period."""
-    for i in state.limbs:
+    return turns(2.0 * np.pi * state.joints / period, np.ones(state.joints.shape), size)
+
+
+def turns(angle: Array, worth: Array, size: float) -> Iterator[Column]:
+    """Sine and cosine of an angle (m, nq) a leg; shape: of twice the angle.
+
+    worth  (m, nq) change of the joint per unit
+    """
+    for i in range(angle.shape[1]):
         leg = f"leg {i + 1}"
         for k, column in ((1, Column), (2, adapting)):
-            angle = 2.0 * np.pi * k * state.joints[:, i] / period
-            for name, value in (("sin", np.sin(angle)), ("cos", np.cos(angle))):
-                yield column(f"{leg} {name} {k}", size, leg, {i: value})
+            for name, wave in (("sin", np.sin), ("cos", np.cos)):
+                change = {i: worth[:, i] * wave(k * angle[:, i])}
+                yield column(f"{leg} {name} {k}", size, leg, change)

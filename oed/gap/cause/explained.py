@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.gap.cause.compare import RIVAL
+from oed.gap.cause.compare import RIVAL, posterior_mean
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.diagnosis import Explained, Size
@@ -92,18 +92,16 @@ def nearest_effects(search: Search, h: Hypothesis) -> tuple[str, ...]:
     problem, library = search.problem, search.library
     metric = Metric(problem, search.law)
     columns = h.columns(library, search.processes)
-    mean, _ = metric.posterior(columns, problem.residual)
+    coefficients, _ = metric.posterior(columns, problem.residual)
     of_process = len(search.processes.atoms[h.process].columns)
-    change = columns[:, -of_process:] @ mean[-of_process:]
+    change = columns[:, -of_process:] @ coefficients[-of_process:]
     grams = WhitenedColumns(
         problem.with_residual(change), metric, library.columns
     ).grams()
     shares: dict[str, float] = {}
     for atom in library.atoms:
-        at = atom.columns
-        b = grams.b[at]
-        inner = grams.gram[np.ix_(at, at)] + np.eye(len(at)) / RIVAL**2
-        share = float(b @ np.linalg.solve(inner, b)) / grams.energy
+        mean = posterior_mean(grams, atom.columns, RIVAL)
+        share = float(grams.b[atom.columns] @ mean) / grams.energy
         shares[atom.effect] = max(share, shares.get(atom.effect, 0.0))
     near = [name for name, share in shares.items() if share >= NEAR]
     return tuple(sorted(near, key=lambda name: -shares[name])[:MOST_NEAR])

@@ -24,7 +24,6 @@ predict better, with 95 %. The others share its probability.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -67,11 +66,13 @@ def pooled(
     asked = [h for h, share in pairs if share > ASKED or not h.effects]
     if len(asked) < 2:
         return list(hypotheses)
-    others = functools.cache(lambda law: _others_of_folds(searches[law].problem))
+    # laws share their readings: folds are laid out once for each set of these
+    problems = {id(s.problem): s.problem for s in (searches[h.law] for h in asked)}
+    others = {key: _others_of_folds(problem) for key, problem in problems.items()}
     predicted = {}
     for h in asked:
         search = searches[h.law]
-        density = log_withheld(search, h, others(h.law))
+        density = log_withheld(search, h, others[id(search.problem)])
         predicted[h.key] = density + search.log_form_prior(h)
     refuted = {h.key for h in asked if _is_refuted(searches[h.law], h, predicted, rng)}
     remaining = [h for h in asked if h.key not in refuted]

@@ -15,6 +15,7 @@ from oed.result import (
     StudyResult,
     Trace,
 )
+from oed.result.gap import LEAST_CLOSURE
 from oed.result.record import Number
 from pkm_reports.figures.gap import effects
 from pkm_reports.figures.gap import map as gap_map
@@ -139,8 +140,8 @@ def _name(block: str) -> str:
 
 
 SPLITS: Final = {"within": "stretches of runs", "whole": "whole runs"}
-#: shares beyond which an end of an interval is not written in figures
-HIGHEST, LOWEST = 1.0, -1.0
+#: share beyond which an end of an interval is not written in figures
+HIGHEST: Final = 1.0
 #: a gap of which no more than the noise is left
 ALL: Final = "all of it"
 #: share from which percent are rounded down, never up to the whole
@@ -197,7 +198,7 @@ def _end(value: float) -> str:
     """An end of an interval; far off what a share can be, it says no more than that."""
     if value > HIGHEST:
         return f"over 100{text.NO_BREAK}%"
-    if value < LOWEST:
+    if value < LEAST_CLOSURE:
         return f"under {text.MINUS}100{text.NO_BREAK}%"
     return _share(value)
 

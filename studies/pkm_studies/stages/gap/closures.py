@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 
-from oed.result.gap import ClosureRecord, GapSection
+from oed.result.gap import LEAST_CLOSURE, ClosureRecord, GapSection
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
 
 SPLITS = {
     "within": "on held-out stretches of runs",
     "whole": "on whole held-out runs",
 }
-#: closure below which a figure says no more than that the gap more than doubles
-DOUBLED = -1.0
 
 
 def sentences(gap: GapSection) -> list[str]:
@@ -70,7 +68,7 @@ def _closure(closure: ClosureRecord, value: float) -> str:
 def _growth(closure: ClosureRecord, value: float) -> str:
     """`40 % (90 % more to 10 % less) on whole held-out runs`, of a closure below 0."""
     size = "over 100 %"
-    if value >= DOUBLED:
+    if value >= LEAST_CLOSURE:
         size = f"{-100.0 * value:.0f} %{_interval(closure, 0)}"
     return f"{size} {SPLITS.get(closure.split, closure.split)}"
 
@@ -87,7 +85,7 @@ def _interval(closure: ClosureRecord, digits: int) -> str:
 
 def _bound_in_words(share: float) -> str:
     """`40 % more` or `10 % less`: an end of the interval of a share by which it shrinks."""
-    if share < DOUBLED:
+    if share < LEAST_CLOSURE:
         return "over 100 % more"
     return f"{abs(100.0 * min(share, 1.0)):.0f} % {'more' if share < 0.0 else 'less'}"
 
