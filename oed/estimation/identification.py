@@ -27,6 +27,7 @@ from oed.estimation.fit_stages import (
 from oed.estimation.law_stage import (
     integrate_settled,
     integrated_stage,
+    mode_of,
     settle_law,
     structure_and_prior,
 )
@@ -48,6 +49,7 @@ def identify(
     estimate_noise: bool = False,
     noise: Noise | Array | None = None,
     start: Array | None = None,
+    near: Estimate | None = None,
     max_iterations: int = 100,
     discrepancy: Discrepancy | None = None,
     rng: np.random.Generator | None = None,
@@ -62,6 +64,8 @@ def identify(
                     otherwise the noise is as stated
     noise           of the readings; as stated by default
     start           (n,) where to begin; by default nominal, or as the controller holds
+    near            an estimate of the same parameters from these readings, as with other
+                    effects: its noise law is where that of this fit is sought from
     max_iterations  of each solution
     discrepancy     what effects that the model lacks can do to the readings. They are
                     integrated over with the noise law, which is then estimated
@@ -101,11 +105,12 @@ def identify(
         if discrepancy is not None:
             rng = np.random.default_rng(0) if rng is None else rng
             estimate = _stage_with_effects(
-                fit, stated, theta, residuals, stages[-1], discrepancy, rng
+                fit, stated, theta, residuals, stages[-1], discrepancy, rng, near
             )
+        elif estimate_noise:
+            estimate = integrated_stage(fit, stated, theta, residuals, stages[-1], near)
         else:
-            last = integrated_stage if estimate_noise else last_stage
-            estimate = last(fit, stated, theta, residuals, stages[-1])
+            estimate = last_stage(fit, stated, theta, residuals, stages[-1])
     except AssemblyError as error:
         raise IdentificationError(
             "every reading has a pose at the start, and after a step of the fit"
@@ -133,13 +138,17 @@ def _stage_with_effects(
     patterns: Sequence[str],
     discrepancy: Discrepancy,
     rng: np.random.Generator,
+    near: Estimate | None,
 ) -> Estimate:
     """The last stage from theta (n,), with effects and noise law integrated over."""
     exact = last_stage(fit, stated, theta, start_residuals, patterns)
     structure, prior = structure_and_prior(fit, exact, discrepancy.columns.shape[1])
-    settled = settle_law(fit, stated, exact, structure, prior)
-    without = settled.coordinates.to_theta(settled.model.centre)
-    starts = [EffectsStart(without, settled.mode)]
+    without, mode = theta, mode_of(near, prior)
+    if mode is None:
+        settled = settle_law(fit, stated, exact, structure, prior)
+        without = settled.coordinates.to_theta(settled.model.centre)
+        mode = settled.mode
+    starts = [EffectsStart(without, mode)]
     if not discrepancy.is_small:  # what is large can pass for noise
         starts.insert(0, EffectsStart(exact.theta, None))
 

@@ -60,8 +60,11 @@ def integrated_stage(
     theta: Array,
     start_residuals: Array,
     patterns: Sequence[str],
+    near: Estimate | None = None,
 ) -> Estimate:
     """The last stage from theta (n,), with the noise law integrated over.
+
+    near  an estimate from these readings, whose law is where the law is sought from
 
     Where the readings speak against the law's weights (`oed.estimation.law_check`), they
     have the stated ones, and the parameters the covariance that the law then gives them.
@@ -72,13 +75,14 @@ def integrated_stage(
     first = last_stage(fit, stated, theta, start_residuals, patterns)
     structure, with_course = structure_and_prior(fit, first)
     prior = with_course.without(COURSE)
-    settled = settle_law(fit, stated, first, structure, prior)
+    settled = settle_law(fit, stated, first, structure, prior, mode_of(near, prior))
     model = settled.model
     about_nominal = model.residual + model.slopes @ model.centre
     check = check_law(structure, settled.law, about_nominal, model.slopes)
     robust = settled.robust
     if COURSE in with_course.names:
-        settled = settle_law(fit, stated, first, structure, with_course)
+        mode = mode_of(near, with_course)
+        settled = settle_law(fit, stated, first, structure, with_course, mode)
     if not check.is_contradicted:
         estimate = integrate_settled(fit, first, settled)
         return dataclasses.replace(estimate, law_check=check)
@@ -138,6 +142,17 @@ def structure_and_prior(
         statement = dataclasses.replace(structure.statement, is_assumed=False)
         prior = dataclasses.replace(prior, statement=statement)
     return structure, prior
+
+
+def mode_of(estimate: Estimate | None, prior: NoisePrior) -> Array | None:
+    """Coordinates (d,) of an estimate's law under a prior; None where it lacks some."""
+    if estimate is None or estimate.noise_posterior is None:
+        return None
+    posterior = estimate.noise_posterior
+    by_name = dict(zip(posterior.prior.names, posterior.mode, strict=True))
+    if not by_name.keys() >= set(prior.names):
+        return None
+    return np.array([by_name[name] for name in prior.names])
 
 
 def settle_law(

@@ -47,7 +47,7 @@ class NearbyPoses:
             (misfit,) = self._kinematics.equations.misfit(x, q, p)
             step = (self._inverse @ misfit.reshape(m, n, nx, 1)).reshape(m * n, nx)
             x -= step
-            sizes.append(np.abs(step).max(axis=1))
+            sizes.append(np.sqrt(np.einsum("ij,ij->i", step, step)))
         first, second = sizes
         near = (second**2 <= NEAR_ERROR * first) & (second <= LONGEST)
         far = np.flatnonzero(~near)

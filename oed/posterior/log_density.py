@@ -271,13 +271,16 @@ class LogDensity:
 
         A null direction is straight to first order only: turning joints by a
         millimetre's tolerance moves a reading by a micrometre to second order. Two
-        Gauss-Newton steps over the identifiable coordinates take that out.
+        Gauss-Newton steps over the identifiable coordinates take that out. Their prior
+        holds what the readings hardly determine: without it what a second-order change
+        leaves there is divided by next to nothing.
         """
         if not self.coordinates.null_basis.size:
             return theta
         before = theta.reshape(-1, theta.shape[-1])
         after = before + change.reshape(before.shape)
-        step = np.linalg.pinv(self._slope).T @ self.coordinates.basis.T
+        precision = self._slope.T @ self._slope + np.eye(self.r)
+        step = self._slope @ np.linalg.solve(precision, self.coordinates.basis.T)
         # readings of all draws of a long session would not fit into memory
         few, readings = max(VALUES // len(self._y), 1), self._readings_along_null
         for k in range(0, len(before), few):

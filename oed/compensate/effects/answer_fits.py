@@ -180,6 +180,7 @@ class AnswerFits:
             self.readings.y,
             estimate_noise=True,
             start=fit.estimate.theta,
+            near=fit.estimate,
             discrepancy=columns.discrepancy,
             max_iterations=self.max_iterations,
             rng=self.rng,

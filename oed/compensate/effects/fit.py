@@ -195,6 +195,7 @@ class _JointFit:
         groups = groups_by_effect(forms)
         parts = [np.full(len(f.signature.names), f.size) for f in forms]
         sizes = np.maximum(np.concatenate(parts), 1.0)
+        near: Estimate | None = None
         for _ in range(ROUNDS):
             problem = self.readings.problem(theta)
             measurement = _linearised(self.readings, problem, forms, sizes, beta)
@@ -205,9 +206,10 @@ class _JointFit:
                 stages=patterns,
                 estimate_noise=self.estimate_noise,
                 start=np.concatenate([theta, beta]) if start.settled else None,
+                near=near,
                 max_iterations=self.max_iterations,
             )
-            patterns = [["*"]]
+            patterns, near = [["*"]], estimate
             moved = np.abs(estimate.theta - np.concatenate([theta, beta]))
             theta, beta = np.split(estimate.theta, [len(theta)])
             before = sizes

@@ -92,6 +92,21 @@ def test_lost_directions_are_followed_as_by_all_readings() -> None:
     assert moved / tolerance == pytest.approx(exact / tolerance, abs=1e-4)
 
 
+def test_what_readings_hardly_determine_stays_within_its_prior() -> None:
+    """Second-order changes are not divided by a slope that is next to nothing."""
+    target = density(circles())
+    rng = np.random.default_rng(7)
+    coordinates = target.coordinates
+    weak = target._slope.copy()
+    weak[:, -1] *= 1e-9
+    target._slope = weak
+    theta = coordinates.to_theta(target.starts(rng, 20)[:, : target.r])
+    change = rng.standard_normal((20, coordinates.null_basis.shape[1]))
+    moved = target.move_along_null(theta, change @ coordinates.null_basis.T)
+    steps = (moved - theta - change @ coordinates.null_basis.T) @ coordinates.dual.T
+    assert np.abs(steps[:, -1]).max() < 1.0
+
+
 def test_random_places_are_interpolated_as_exactly_or_not_at_all() -> None:
     target = density(scattered())
     points = target.starts(np.random.default_rng(8), 20)
