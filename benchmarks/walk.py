@@ -16,7 +16,7 @@ from typing import Any
 
 import pkm_studies.commands.cli as cli
 
-ROOM = re.compile(r"/(oed|pkm_models|pkm_studies|pkm_reports)/([^/]+?)(?:\.py|/)")
+ROOM = re.compile(r"/(oed|pkm_[a-z]+)/([^/]+?)(?:\.py|/)")
 
 
 @functools.cache

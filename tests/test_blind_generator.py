@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
 
 
-TOOLKIT = {"oed", "pkm_models", "pkm_studies", "pkm_reports"}
+TOOLKIT = {"oed", "pkm_models", "pkm_studies", "pkm_reports", "pkm_certificate"}
 
 
 NAMES = (

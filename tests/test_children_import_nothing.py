@@ -23,7 +23,7 @@ import pkm_models
 import pkm_reports
 import pkm_studies
 from oed.base import child_process
-from pkm_studies.commands.subcommands import FUNCTIONS
+from pkm_studies.commands.subcommands import Subcommands
 from pkm_studies.page.job import BackgroundCommand
 
 #: as the script that pip installs; its folder takes the place of the current one
@@ -120,7 +120,7 @@ def test_a_command_imports_nothing_of_the_current_folder(
 
 
 def test_every_command_is_among_them() -> None:
-    assert {*CALLS} | BY_A_TEST_OF_ITS_OWN == {*FUNCTIONS}
+    assert {*CALLS} | BY_A_TEST_OF_ITS_OWN == {*Subcommands()}
 
 
 def test_the_page_s_commands_import_nothing_of_the_current_folder(

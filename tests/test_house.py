@@ -18,6 +18,7 @@ PACKAGES = {name: ROOT / folder / name for name, folder in {
     "oed": ".",
     "pkm_models": "models",
     "pkm_studies": "studies",
+    "pkm_certificate": "studies",
     "pkm_reports": "reports",
 }.items()}  # fmt: skip
 
@@ -68,7 +69,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     ]
 
 
-def test_wheel_holds_exactly_the_four_packages_and_the_studies(
+def test_wheel_holds_exactly_the_packages_and_the_studies(
     wheel: list[str],
 ) -> None:
     expected = {

@@ -1,14 +1,12 @@
-"""Subcommands on stored results: report, compare, history, adjust, certificate, compensate."""
+"""Subcommands on stored results: report, compare, history, adjust, compensate."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from oed.result.verdict import all_pass
 from pkm_studies.base.console import DONE, FAILED
 from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import (
@@ -105,37 +103,10 @@ def adjust(
     section, paths = adjustment.adjust_folder(
         folder, wanted=wanted, study_file=study, consent=given
     )
-    return _print_written(adjustment.sentences(section), paths)
-
-
-def certificate(
-    folder: ResultFolder,
-    head: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Laboratory, customer, dates, tolerances [DIR/certificate.toml].",
-            show_default=False,
-        ),
-    ] = None,
-    study: MachineStudy = None,
-    allow_code: AllowCode = False,
-) -> int:
-    """Write a calibration certificate: XML for machines (DCC), PDF for persons."""
-    from pkm_studies.sessions import certify
-
-    given = consent(allow_code=allow_code)
-    written, paths = certify.certify_folder(
-        folder, head_file=head, study_file=study, consent=given
-    )
-    _print_written(certify.sentences(written), paths)
-    stated = (v for v in written.verdicts if v is not None)
-    return DONE if all_pass(stated) else FAILED
-
-
-def _print_written(sentences: Iterable[str], paths: Sequence[Path]) -> int:
-    for line in [*sentences, *(f"Written: {path}" for path in paths)]:
+    for line in adjustment.sentences(section):
         print(line)
+    for path in paths:
+        print(f"Written: {path}")
     return DONE
 
 

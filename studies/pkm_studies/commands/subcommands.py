@@ -6,7 +6,7 @@ Reading the signatures of all takes longer than the work of a light command.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, cast
 
 import typer
@@ -14,10 +14,12 @@ from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from pkm_studies.base.errors import InputError
+from pkm_studies.base.plugins import project_plugins
 
 #: options that name readings, of which none may be left out without a word
 READINGS = {"--readings", "--after"}
-#: module of this package and function in it, by subcommand, in the order of the help
+#: module of this package and function in it, by subcommand, in the order of the help; the
+#: entry points `pkm_oed.commands` follow
 FUNCTIONS = {
     "run": ("runs", "run"),
     "check": ("check", "check"),
@@ -35,7 +37,6 @@ FUNCTIONS = {
     "forecast": ("runs", "forecast"),
     "verify": ("verify", "verify"),
     "adjust": ("results", "adjust"),
-    "certificate": ("results", "certificate"),
     "history": ("results", "history"),
     "campaign": ("campaign", "campaign"),
     "next": ("at_machine", "next_reading"),
@@ -69,19 +70,26 @@ class Subcommands(Mapping[str, Any]):
     """typer's command by name. Raises KeyError for a name that is none."""
 
     def __getitem__(self, name: str) -> Any:
-        module_name, function_name = FUNCTIONS[name]
-        module = importlib.import_module(f"pkm_studies.commands.{module_name}")
         single = typer.Typer(
             add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
         )
-        single.command(name=name, cls=Subcommand)(getattr(module, function_name))
+        single.command(name=name, cls=Subcommand)(_function(name))
         return get_command(single)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(FUNCTIONS)
+        return iter([*FUNCTIONS, *project_plugins("commands")])
 
     def __len__(self) -> int:
-        return len(FUNCTIONS)
+        return len(FUNCTIONS) + len(project_plugins("commands"))
+
+
+def _function(name: str) -> Callable[..., int]:
+    """The function of a subcommand, of this package or another. Raises KeyError."""
+    if name not in FUNCTIONS:
+        return cast(Callable[..., int], project_plugins("commands")[name].load())
+    module_name, function_name = FUNCTIONS[name]
+    module = importlib.import_module(f"pkm_studies.commands.{module_name}")
+    return cast(Callable[..., int], getattr(module, function_name))
 
 
 class SubcommandGroup(TyperGroup):

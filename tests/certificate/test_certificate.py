@@ -20,12 +20,12 @@ from scipy import stats
 from oed.accuracy import conformity
 from oed.result import StudyResult, VerdictRecord, VerificationSection
 from oed.result.certificate import Certificate
+from pkm_certificate import certify
+from pkm_certificate.dcc import product
 from pkm_studies.commands import cli
-from pkm_studies.sessions import certify
-from pkm_studies.sessions.certificate.dcc import product
 
 Run = Callable[..., tuple[int, str, str]]
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 #: dcc.xsd of version 3.2.1 and SI_Format.xsd of version 2.1.0, as published by PTB
 SCHEMAS = Path(os.environ.get("DCC_SCHEMAS", ROOT.parent / "shared" / "dcc_schema"))
 #: signatures are no part of the certificate

@@ -1,0 +1,39 @@
+"""The subcommand `oed certificate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.base.console import DONE, FAILED
+from pkm_studies.base.user_code import consent
+from pkm_studies.commands.options import AllowCode, MachineStudy, ResultFolder
+
+
+def certificate(
+    folder: ResultFolder,
+    head: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Laboratory, customer, dates, tolerances [DIR/certificate.toml].",
+            show_default=False,
+        ),
+    ] = None,
+    study: MachineStudy = None,
+    allow_code: AllowCode = False,
+) -> int:
+    """Write a calibration certificate: XML for machines (DCC), PDF for persons."""
+    from oed.result.verdict import all_pass
+    from pkm_certificate.certify import certify_folder, sentences
+
+    given = consent(allow_code=allow_code)
+    written, paths = certify_folder(
+        folder, head_file=head, study_file=study, consent=given
+    )
+    for line in [*sentences(written), *(f"Written: {path}" for path in paths)]:
+        print(line)
+    stated = (v for v in written.verdicts if v is not None)
+    return DONE if all_pass(stated) else FAILED

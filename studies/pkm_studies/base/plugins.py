@@ -1,0 +1,28 @@
+"""What is added from outside this package: entry points `pkm_oed.KIND` of installed packages.
+
+The packages beside this one add in the same way as those of others. So this package
+names none of them, and each is imported when it is used.
+"""
+
+from __future__ import annotations
+
+from importlib import metadata
+from importlib.metadata import EntryPoint
+
+#: how the groups of entry points begin
+GROUPS = "pkm_oed."
+#: name under which the packages of this project are installed
+PROJECT = "pkm-oed"
+
+
+def project_plugins(kind: str) -> dict[str, EntryPoint]:
+    """Entry points of this project by name; no other package's metadata is read."""
+    points = metadata.distribution(PROJECT).entry_points
+    return {point.name: point for point in points.select(group=f"{GROUPS}{kind}")}
+
+
+def plugins(kind: str) -> list[EntryPoint]:
+    """Entry points of all installed packages, by name: first those of this project."""
+    first = [*project_plugins(kind).values()]
+    points = sorted(metadata.entry_points(group=f"{GROUPS}{kind}"))
+    return [*first, *(point for point in points if point not in first)]

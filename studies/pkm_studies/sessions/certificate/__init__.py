@@ -1,1 +1,0 @@
-"""Calibration certificates: what they state, their head as the user fills it in, XML."""
