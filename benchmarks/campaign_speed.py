@@ -28,9 +28,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from pkm_campaign import Campaign, load_campaign, run_cases
 from pkm_studies.base.user_code import Consent
-from pkm_studies.campaign import runner, tables
-from pkm_studies.campaign.tables import Campaign
 
 WORKERS = 2
 #: of a long campaign
@@ -94,14 +93,14 @@ def measured(run: Callable[[], None], times: Callable[[], list[float]]) -> Measu
 def in_one_process(campaign: Campaign, out: Path) -> Measured:
     """All cases in this process."""
     return measured(
-        lambda: runner.run_cases(campaign, out, workers=1),
+        lambda: run_cases(campaign, out, workers=1),
         lambda: [time.process_time()],
     )
 
 
 def in_two_processes(campaign: Campaign, out: Path) -> Measured:
     """All cases in processes of this computer, their start included; the clock alone."""
-    return measured(lambda: runner.run_cases(campaign, out, workers=WORKERS), list)
+    return measured(lambda: run_cases(campaign, out, workers=WORKERS), list)
 
 
 def on_cluster(campaign: Campaign, out: Path) -> Measured:
@@ -124,14 +123,14 @@ def on_cluster(campaign: Campaign, out: Path) -> Measured:
             return [*(workers[key] for key in sorted(workers)), time.process_time()]
 
         return measured(
-            lambda: runner.run_cases(campaign, out, workers=1, scheduler=address),
+            lambda: run_cases(campaign, out, workers=1, scheduler=address),
             times,
         )
 
 
 def _import() -> None:
     """What a worker needs before its first case."""
-    import pkm_studies.campaign.runner  # noqa: F401
+    from pkm_campaign import run_cases  # noqa: F401
 
 
 def empty(folder: Path, seeds: int) -> Campaign:
@@ -139,7 +138,7 @@ def empty(folder: Path, seeds: int) -> Campaign:
     path = folder / "empty.campaign.toml"
     path.write_text(EMPTY_CAMPAIGN.format(seeds=seeds), encoding="utf-8")
     (folder / "empty.py").write_text(EMPTY_CASE, encoding="utf-8")
-    return tables.load_campaign(path, consent=Consent.GIVEN)
+    return load_campaign(path, consent=Consent.GIVEN)
 
 
 def compare(campaign: Campaign) -> None:
@@ -189,7 +188,7 @@ def main() -> None:
     parser.add_argument("--empty", type=int, help="cases that compute nothing")
     options = parser.parse_args()
     if options.empty is None:
-        compare(tables.load_campaign(options.campaign).first(options.seeds))
+        compare(load_campaign(options.campaign).first(options.seeds))
         return
     for seeds in (options.empty // 2, options.empty):
         with tempfile.TemporaryDirectory() as folder:

@@ -25,7 +25,14 @@ ROOT = Path(__file__).resolve().parents[1]
 BLIND = ROOT / "benchmarks" / "blind"
 
 
-TOOLKIT = {"oed", "pkm_models", "pkm_studies", "pkm_reports", "pkm_certificate"}
+TOOLKIT = {
+    "oed",
+    "pkm_models",
+    "pkm_studies",
+    "pkm_reports",
+    "pkm_campaign",
+    "pkm_certificate",
+}
 
 
 NAMES = (

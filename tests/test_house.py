@@ -18,6 +18,7 @@ PACKAGES = {name: ROOT / folder / name for name, folder in {
     "oed": ".",
     "pkm_models": "models",
     "pkm_studies": "studies",
+    "pkm_campaign": "studies",
     "pkm_certificate": "studies",
     "pkm_reports": "reports",
 }.items()}  # fmt: skip

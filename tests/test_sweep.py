@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import pipeline
+from pkm_studies import pipeline, sweep
 from pkm_studies.base.errors import Place
-from pkm_studies.campaign import sweep
 from pkm_studies.study import load, vary
 
 #: nothing to choose and nothing to fit: a plan is looked at

@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.blind import entries, loading, oracle
 from benchmarks.blind.selection import reaches
-from pkm_studies.campaign import pool
+from pkm_campaign import pool
 
 
 def write(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.blind.case import ALL, DIAGNOSED, PAIRS, WITHHELD
-from pkm_studies.campaign.jobs import read_row
+from pkm_campaign import read_row
 
 #: a diagnosis as `run` records it
 Record = Mapping[str, Any]

@@ -29,7 +29,7 @@ from oed.gap.forms import library as library_of
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from oed.result.gap import AnswerRecord, ClosureRecord
-from pkm_studies.campaign.jobs import Row
+from pkm_campaign import Row
 
 if TYPE_CHECKING:
     import pandas as pd

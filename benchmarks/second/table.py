@@ -11,7 +11,7 @@ from benchmarks.blind.row import Row
 from benchmarks.second import cases, score
 from benchmarks.second.run import LAWS
 from benchmarks.second.score import Scored
-from pkm_studies.campaign.jobs import read_row
+from pkm_campaign import read_row
 
 #: (machine, name) of a case
 Key = tuple[str, str]

@@ -22,6 +22,7 @@ PACKAGES = {
     "pkm_models": ("models", True),
     "pkm_reports": ("reports", False),
     "pkm_studies": ("studies", False),
+    "pkm_campaign": ("studies", False),
     "pkm_certificate": ("studies", False),
 }
 

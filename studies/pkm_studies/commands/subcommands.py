@@ -38,7 +38,6 @@ FUNCTIONS = {
     "verify": ("verify", "verify"),
     "adjust": ("results", "adjust"),
     "history": ("results", "history"),
-    "campaign": ("campaign", "campaign"),
     "next": ("at_machine", "next_reading"),
     "serve": ("at_machine", "serve"),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from pkm_campaign.tables import Campaign
 from pkm_reports.figures import campaign as figures
 from pkm_reports.page import text
 from pkm_reports.page.blocks import (
@@ -15,7 +16,6 @@ from pkm_reports.page.blocks import (
     TableColumn,
     number_columns,
 )
-from pkm_studies.campaign.tables import Campaign
 
 Rows = list[dict[str, Any]]
 

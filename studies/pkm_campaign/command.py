@@ -40,7 +40,7 @@ def campaign(
     """Run settings x seeds over cases; again: go on where it was."""
     import os
 
-    from pkm_studies.campaign import report, results, runner, tables
+    from pkm_campaign import report, results, runner, tables
     from pkm_studies.notebook import display
 
     loaded = tables.load_campaign(file, consent(allow_code=allow_code))

@@ -17,9 +17,9 @@ from oed.estimation.coordinates import coordinates_of_readings
 from oed.identifiability.assessment import assess
 from oed.mechanism.compiled.switch import begin_job
 from oed.result import trust
+from pkm_campaign.interval import HALF_WIDTH
 from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent
-from pkm_studies.campaign.interval import HALF_WIDTH
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.stages.run_state import (
     Fitted,

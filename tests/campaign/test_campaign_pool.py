@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-from pkm_studies.campaign import pool
+from pkm_campaign import pool
 
 
 @dataclasses.dataclass(eq=False)
@@ -98,7 +98,7 @@ import resource
 
 import numpy as np
 
-from pkm_studies.campaign.pool import keep_freed_memory
+from pkm_campaign.pool import keep_freed_memory
 
 
 def faults():

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import oed
+from pkm_campaign import function_report, machine_report
+from pkm_campaign.tables import Campaign
 from pkm_reports.page import document
 from pkm_reports.page.blocks import Code, Items, Section
 from pkm_reports.page.document import Content
 from pkm_reports.report import write_document
-from pkm_studies.campaign import function_report, machine_report
-from pkm_studies.campaign.tables import Campaign
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,11 +12,11 @@ import numpy as np
 
 from oed.base import csv_text
 from oed.base.own_files import write_own
-from pkm_studies.campaign import jobs
-from pkm_studies.campaign.case import COLUMNS, ERROR, PROCESSOR_TIME
-from pkm_studies.campaign.interval import mean_interval
-from pkm_studies.campaign.runner import case_paths
-from pkm_studies.campaign.tables import Campaign
+from pkm_campaign import jobs
+from pkm_campaign.case import COLUMNS, ERROR, PROCESSOR_TIME
+from pkm_campaign.interval import mean_interval
+from pkm_campaign.runner import case_paths
+from pkm_campaign.tables import Campaign
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from oed.mechanism.compiled.switch import begin_job
+from pkm_campaign import pool
 from pkm_studies.base import files
-from pkm_studies.campaign import pool
 
 #: digits of case numbers in messages and files that a row may hold: plain JSON
 Row = dict[str, Any]

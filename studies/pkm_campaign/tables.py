@@ -9,13 +9,13 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 
 from oed.mechanism.kinematics import AssemblyError
+from pkm_campaign.case import COLUMNS, Figures
+from pkm_campaign.case_function import CaseFunction, UserFunction
+from pkm_campaign.virtual_machine import VirtualMachine
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, Place, shorten
 from pkm_studies.base.names import Name
 from pkm_studies.base.user_code import Consent, Origin
-from pkm_studies.campaign.case import COLUMNS, Figures
-from pkm_studies.campaign.case_function import CaseFunction, UserFunction
-from pkm_studies.campaign.virtual_machine import VirtualMachine
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import Study, decode, load, shipped, vary
 

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from oed.base import own_files
+from pkm_campaign import jobs
+from pkm_campaign.case import ERROR, SEED, Case, evaluate
+from pkm_campaign.case_function import CaseFunctionError
+from pkm_campaign.jobs import Job
+from pkm_campaign.tables import Campaign
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
-from pkm_studies.campaign import jobs
-from pkm_studies.campaign.case import ERROR, SEED, Case, evaluate
-from pkm_studies.campaign.case_function import CaseFunctionError
-from pkm_studies.campaign.jobs import Job
-from pkm_studies.campaign.tables import Campaign
 
 #: cases that a process takes at once: neighbours share a combination, and its plan
 BATCH = 10

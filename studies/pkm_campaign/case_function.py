@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from pkm_campaign.case import COLUMNS, EXPECTED
 from pkm_studies.base.errors import Place, shorten
 from pkm_studies.base.user_code import Origin
-from pkm_studies.campaign.case import COLUMNS, EXPECTED
 from pkm_studies.catalogue import catalogue
 
 #: characters of a failure that are shown

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from pkm_campaign.tables import Campaign
 from pkm_reports.page import text
 from pkm_reports.page.blocks import Section, Table, TableColumn, number_columns
-from pkm_studies.campaign.tables import Campaign
 
 Rows = list[dict[str, Any]]
 #: columns of figures that a table holds beside those of the cases

@@ -1,1 +1,0 @@
-"""Campaigns: a product of settings and seeds over virtual machines of one study."""
