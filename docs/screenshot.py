@@ -17,9 +17,7 @@ import uvicorn
 from playwright.sync_api import sync_playwright
 
 from oed.measurement import simulation
-from pkm_studies.page import serve
-from pkm_studies.page.machine_page import MachinePage
-from pkm_studies.page.server import Switch
+from pkm_page import MachinePage, PageOptions, Switch, open_page
 
 PORT, READINGS = 8766, 12
 
@@ -43,8 +41,8 @@ def measure(page: MachinePage) -> None:
 def main(out: Path) -> None:
     """Write serve.png into a folder."""
     with tempfile.TemporaryDirectory() as folder:
-        options = serve.PageOptions(Path(folder) / "poses.csv")
-        page, shelf = serve.open_page(Path("a3_ball_bar"), options)
+        options = PageOptions(Path(folder) / "poses.csv")
+        page, shelf = open_page(Path("a3_ball_bar"), options)
         if page is None:
             raise SystemExit("no study")
         measure(page)

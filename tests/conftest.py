@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -134,39 +133,3 @@ def blind_case_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
         kinds=["null", "single", "pair", "exact"],
     )
     return folder
-
-
-# -- the page at the machine: see page_server ------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def page_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    import page_server
-
-    path = tmp_path_factory.mktemp("study") / "mine.study.toml"
-    path.write_text(page_server.STUDY, encoding="utf-8")
-    return path
-
-
-@pytest.fixture(scope="module")
-def page(page_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A served page and its client; tests of a module share them."""
-    import page_server
-
-    from pkm_studies.page import serve
-
-    readings = tmp_path_factory.mktemp("machine") / "poses.csv"
-    options = serve.PageOptions(readings)
-    with page_server.served(page_study, options) as (opened, port):
-        yield opened, page_server.Client(port)
-
-
-@pytest.fixture
-def machine(page: Any) -> Any:
-    """The page without any reading, its client and an operator."""
-    import page_server
-
-    opened, client = page
-    opened.session.log.path.unlink(missing_ok=True)
-    opened.session.refresh()
-    return opened, client, page_server.Operator(opened)

@@ -31,6 +31,7 @@ TOOLKIT = {
     "pkm_studies",
     "pkm_reports",
     "pkm_campaign",
+    "pkm_page",
     "pkm_certificate",
 }
 

@@ -12,10 +12,10 @@ import pytest
 
 from oed.model.machine import Machine
 from pkm_models.machines import linear_delta
+from pkm_page import PageOptions, open_page
 from pkm_studies.base.errors import InputError
 from pkm_studies.commands import cli
 from pkm_studies.compensation.formats import body_names
-from pkm_studies.page import serve
 from pkm_studies.resolve.quantities import column
 from pkm_studies.study import parse
 
@@ -46,7 +46,7 @@ def test_the_name_of_a_study_is_no_path(tmp_path: Path, name: str) -> None:
     folder = stored(tmp_path / "theirs", study=name)
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(InputError, match=r"result.json: study = .*no name for a study"):
-        serve.open_page(folder, serve.PageOptions())
+        open_page(folder, PageOptions())
     assert sorted(tmp_path.rglob("*")) == before
 
 

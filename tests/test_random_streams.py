@@ -32,7 +32,7 @@ def test_streams_of_stages_and_sizes_are_no_streams_of_the_study() -> None:
 
 
 def test_the_study_s_seed_is_used_through_a_stream_alone() -> None:
-    folder = Path(pkm_studies.__file__).parent
+    folder = Path(pkm_studies.__file__).parents[1]
     plain = re.compile(r"default_rng\([\w.]*(study|result)\.seed\)|int\(Stream\.")
     for path in sorted(folder.rglob("*.py")):
         assert not plain.search(path.read_text(encoding="utf-8")), path

@@ -23,6 +23,7 @@ PACKAGES = {
     "pkm_reports": ("reports", False),
     "pkm_studies": ("studies", False),
     "pkm_campaign": ("studies", False),
+    "pkm_page": ("studies", False),
     "pkm_certificate": ("studies", False),
 }
 

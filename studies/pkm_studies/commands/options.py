@@ -43,6 +43,13 @@ StoredResult = Annotated[
         metavar="DIR", help="Folder with a result.json.", show_default=False
     ),
 ]
+Wanted = Annotated[
+    str,
+    typer.Option(
+        metavar="z_um=30,...",
+        help="Rms errors at which to stop [the study's]; plan: those of its plan.",
+    ),
+]
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed in place of the study's.")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", help="Print only errors and failing claims.")

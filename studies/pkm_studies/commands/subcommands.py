@@ -39,7 +39,6 @@ FUNCTIONS = {
     "adjust": ("results", "adjust"),
     "history": ("results", "history"),
     "next": ("at_machine", "next_reading"),
-    "serve": ("at_machine", "serve"),
 }
 
 

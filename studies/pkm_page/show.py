@@ -12,12 +12,12 @@ from oed.base import units
 from oed.dataset.columns import column_name, written
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import Setup
+from pkm_page import approach, doubts, known, rows
+from pkm_page.readings_log import REMARK, FileContent
+from pkm_page.session import MachineSession, Pose, SessionState
 from pkm_reports.page import text
 from pkm_reports.view import scene
 from pkm_reports.view.scene import PageView, ViewReading
-from pkm_studies.page import approach, doubts, known, rows
-from pkm_studies.page.readings_log import REMARK, FileContent
-from pkm_studies.page.session import MachineSession, Pose, SessionState
 from pkm_studies.sessions.next_sentences import stop
 from pkm_studies.stages import describe
 from pkm_studies.stages.fit.estimate import estimate_section

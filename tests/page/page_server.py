@@ -19,10 +19,10 @@ import uvicorn
 
 from oed.base.arrays import Array
 from oed.measurement import simulation
-from pkm_studies.page import serve as page
-from pkm_studies.page.guard import Guard, hosts_of
-from pkm_studies.page.machine_page import MachinePage
-from pkm_studies.page.server import Switch
+from pkm_page import serving as page
+from pkm_page.guard import Guard, hosts_of
+from pkm_page.machine_page import MachinePage
+from pkm_page.server import Switch
 
 STUDY = sample.changed(
     sample.STUDY,

@@ -21,8 +21,8 @@ from typing import Final
 
 from oed.base import units
 from oed.dataset.columns import parse_column
+from pkm_page import typed
 from pkm_studies.base.errors import InputError
-from pkm_studies.page import typed
 
 #: time between two looks at a file, and before a lost line is opened again, s
 PAUSE, AGAIN = 0.3, 2.0

@@ -8,9 +8,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from page_server import Client, rows, served, take
-
-from pkm_studies.page import serve
+from page.page_server import Client, rows, served, take
+from pkm_page import serving
 
 Request = Mapping[str, Any]
 SCRIPT = "<script>alert(1)</script>"
@@ -168,7 +167,7 @@ def test_a_script_in_a_remark_is_text(machine: Any) -> None:
 
 def test_other_computers_need_the_token(page_study: Path, tmp_path: Path) -> None:
     with served(
-        page_study, serve.PageOptions(tmp_path / "poses.csv"), token="right"
+        page_study, serving.PageOptions(tmp_path / "poses.csv"), token="right"
     ) as (
         _,
         port,

@@ -12,9 +12,9 @@ from typing import Final
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
+from pkm_page import rows
+from pkm_page.readings_log import FileContent
 from pkm_studies.base.errors import InputError
-from pkm_studies.page import rows
-from pkm_studies.page.readings_log import FileContent
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.study import Study
 

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from page_server import rows
 
+from page.page_server import rows
+from pkm_page import feed
+from pkm_page.feed import Feed, LineBuffer, Offer
+from pkm_page.rows import clean_remark
 from pkm_studies.base.errors import InputError
-from pkm_studies.page import feed
-from pkm_studies.page.feed import Feed, LineBuffer, Offer
-from pkm_studies.page.rows import clean_remark
 
 
 @pytest.mark.parametrize(

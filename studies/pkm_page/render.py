@@ -11,10 +11,10 @@ from typing import Any, Final
 
 import jinja2
 
+from pkm_page.guard import POLICY
 from pkm_reports.page import text
 from pkm_reports.view import scene
 from pkm_reports.view.scene import PageView
-from pkm_studies.page.guard import POLICY
 
 #: scripts of the report that the page takes over, and its own
 SHARED: Final = ("page.js", "camera.js", "residuals.js", "view.js")
@@ -72,7 +72,7 @@ def report_policy() -> str:
 
 @cache
 def _environment() -> jinja2.Environment:
-    templates = jinja2.PackageLoader("pkm_studies.page")
+    templates = jinja2.PackageLoader("pkm_page")
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([templates, jinja2.PackageLoader("pkm_reports")]),
         autoescape=True,
@@ -87,7 +87,7 @@ def _environment() -> jinja2.Environment:
 @cache
 def _script(name: str) -> str:
     shared = resources.files("pkm_reports").joinpath("templates")
-    folder = resources.files("pkm_studies.page").joinpath("templates")
+    folder = resources.files("pkm_page").joinpath("templates")
     texts = [shared.joinpath(n).read_text(encoding="utf-8") for n in SHARED]
     texts += [
         folder.joinpath(n).read_text(encoding="utf-8") for n in (OWN, f"{name}.js")

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import page_server
 import pytest
 import sample
-from page_server import rows, take
 
-from pkm_studies.page import serve
+from page import page_server
+from page.page_server import rows, take
+from pkm_page import serving
 
 
 def page_of(tmp_path: Path, lines: str) -> Any:
@@ -18,7 +18,7 @@ def page_of(tmp_path: Path, lines: str) -> Any:
     study = tmp_path / "mine.study.toml"
     stated = ("length_mm = 300.0\n", f"length_mm = 300.0\n{lines}")
     study.write_text(sample.changed(page_server.STUDY, stated), encoding="utf-8")
-    return page_server.served(study, serve.PageOptions(tmp_path / "poses.csv"))
+    return page_server.served(study, serving.PageOptions(tmp_path / "poses.csv"))
 
 
 def chosen(part: str) -> str:

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from page_server import rows, take
 
-from pkm_studies.page import readings_log, typed
-from pkm_studies.page.job import BackgroundCommand
-from pkm_studies.page.readings_log import ReadingsLog, StaleError
+from page.page_server import rows, take
+from pkm_page import readings_log, typed
+from pkm_page.job import BackgroundCommand
+from pkm_page.readings_log import ReadingsLog, StaleError
 from pkm_studies.sessions.next_reading import Adviser
 from pkm_studies.sessions.next_sentences import sentences
 from pkm_studies.study import load

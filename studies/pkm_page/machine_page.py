@@ -12,13 +12,13 @@ from typing import Any, Final
 import msgspec
 
 from oed.dataset.columns import column_name, parse_column
+from pkm_page import render, rows, show
+from pkm_page.feed import Feed, Offer
+from pkm_page.job import BackgroundCommand
+from pkm_page.readings_log import StaleError
+from pkm_page.session import DoubtfulError, MachineSession
+from pkm_page.shelf import Shelf
 from pkm_studies.base.errors import InputError
-from pkm_studies.page import render, rows, show
-from pkm_studies.page.feed import Feed, Offer
-from pkm_studies.page.job import BackgroundCommand
-from pkm_studies.page.readings_log import StaleError
-from pkm_studies.page.session import DoubtfulError, MachineSession
-from pkm_studies.page.shelf import Shelf
 from pkm_studies.results.stored_result import BadFitError
 
 #: time between two looks at the readings file, s

@@ -22,9 +22,9 @@ from oed.dataset.columns import column_name, parse_column
 from oed.estimation.identification import IdentificationError
 from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
+from pkm_page import approach, doubts, rows, typed
+from pkm_page.readings_log import REMARK, FileContent, ReadingsLog, StaleError
 from pkm_studies.base.errors import InputError
-from pkm_studies.page import approach, doubts, rows, typed
-from pkm_studies.page.readings_log import REMARK, FileContent, ReadingsLog, StaleError
 from pkm_studies.sessions.next_reading import Adviser, FittedReadings
 from pkm_studies.sessions.next_sentences import Advice
 from pkm_studies.sessions.skipped_poses import skipped_in_rows

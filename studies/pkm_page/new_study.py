@@ -16,6 +16,7 @@ from oed.base import units
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
 from oed.model.machine import Dimension, Machine
+from pkm_page import typed
 from pkm_reports.view.scene import PageView, ViewLine
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError, Place
@@ -23,7 +24,6 @@ from pkm_studies.base.user_code import Consent, Origin
 from pkm_studies.catalogue import catalogue
 from pkm_studies.importers import drafts, template
 from pkm_studies.importers.axis_lines import SHARES, format_numbers
-from pkm_studies.page import typed
 from pkm_studies.resolve.machine import described_machine
 from pkm_studies.resolve.quantities import column
 from pkm_studies.study import SUFFIX, shipped

@@ -8,12 +8,12 @@ from typing import Any
 import msgspec
 import pytest
 import report_fixture
-from page_server import Client, served
 
 from oed.result import acceptance
+from page.page_server import Client, served
+from pkm_page import serving
+from pkm_page.new_study import FieldError, NewStudy, StudyForm
 from pkm_studies.base.errors import InputError
-from pkm_studies.page import serve
-from pkm_studies.page.new_study import FieldError, NewStudy, StudyForm
 from pkm_studies.study import load
 
 
@@ -94,7 +94,7 @@ def test_results_of_a_folder_are_cards(tmp_path: Path) -> None:
         folder.mkdir(parents=True)
         (folder / "result.json").write_bytes(result)
     (shelf / "link").symlink_to(outside)
-    with served(shelf, serve.PageOptions()) as (opened, port):
+    with served(shelf, serving.PageOptions()) as (opened, port):
         assert opened is None
         client = Client(port)
         text = client.ask("GET", "/results")[1].decode()
@@ -126,7 +126,7 @@ def test_an_acceptance_test_is_judged(tmp_path: Path) -> None:
     folder = tmp_path / "a"
     folder.mkdir()
     (folder / "result.json").write_bytes(msgspec.json.encode(result))
-    with served(tmp_path, serve.PageOptions()) as (_, port):
+    with served(tmp_path, serving.PageOptions()) as (_, port):
         client = Client(port)
         text = client.ask("GET", "/results")[1].decode()
         key = text.partition('data-result="')[2].partition('"')[0]

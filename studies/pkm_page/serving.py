@@ -13,14 +13,14 @@ from typing import Final
 
 import uvicorn
 
+from pkm_page.feed import Feed
+from pkm_page.guard import Guard, hosts_of
+from pkm_page.machine_page import MachinePage
+from pkm_page.server import Switch
+from pkm_page.session import MachineSession
+from pkm_page.shelf import RESULT, Shelf
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent
-from pkm_studies.page.feed import Feed
-from pkm_studies.page.guard import Guard, hosts_of
-from pkm_studies.page.machine_page import MachinePage
-from pkm_studies.page.server import Switch
-from pkm_studies.page.session import MachineSession
-from pkm_studies.page.shelf import RESULT, Shelf
 from pkm_studies.sessions.next_reading import Adviser
 from pkm_studies.study import SUFFIX, Study, load, shipped
 

@@ -16,19 +16,19 @@ from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.page import acceptance, machine_page, render
-from pkm_studies.page.machine_page import (
+from pkm_page import acceptance, machine_page, render
+from pkm_page.machine_page import (
     Change,
     MachinePage,
     ReadingEntry,
     ResultChoice,
 )
-from pkm_studies.page.new_study import FieldError, NewStudy, StudyForm
-from pkm_studies.page.readings_log import StaleError
-from pkm_studies.page.session import DoubtfulError
-from pkm_studies.page.shelf import Shelf, study_files
+from pkm_page.new_study import FieldError, NewStudy, StudyForm
+from pkm_page.readings_log import StaleError
+from pkm_page.session import DoubtfulError
+from pkm_page.shelf import Shelf, study_files
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
 
 #: time between two looks for news, and from one sign of life to the next, s
 PAUSE, ALIVE = 0.1, 15.0

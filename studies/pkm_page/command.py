@@ -1,0 +1,65 @@
+"""The subcommand `oed serve`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pkm_studies.base.console import DONE
+from pkm_studies.base.user_code import consent
+from pkm_studies.commands.options import AllowCode, Wanted
+
+
+def serve(
+    target: Annotated[
+        Path,
+        typer.Argument(
+            metavar="STUDY|DIR",
+            help="A study, a result, or a folder of studies and results.",
+            show_default=False,
+        ),
+    ],
+    readings: Annotated[
+        Path | None,
+        typer.Option(metavar="CSV", help="Readings file [poses.csv of the results]."),
+    ] = None,
+    wanted: Wanted = "",
+    host: Annotated[
+        str, typer.Option(help="Address to serve on; others than this need a token.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port; 0: a free one.")
+    ] = 8765,
+    source: Annotated[
+        str,
+        typer.Option(
+            "--from",
+            metavar="SOURCE",
+            help="Readings from a file, a folder, tcp://HOST:PORT or serial:DEVICE,BAUD.",
+        ),
+    ] = "",
+    pattern: Annotated[
+        str,
+        typer.Option(
+            metavar="REGEX", help="Columns in a line, as (?P<length_mm>[-+0-9.]+)."
+        ),
+    ] = "",
+    take: Annotated[
+        bool, typer.Option("--take", help="Take what arrives without a key.")
+    ] = False,
+    allow_code: AllowCode = False,
+) -> int:
+    """Open the page at the machine: measure, see what is known, decide."""
+    from pkm_page import serving
+
+    options = serving.PageOptions(
+        readings, wanted, source, pattern, take, consent(allow_code=allow_code)
+    )
+
+    def say(address: str) -> None:
+        print(f"Page: {address}  (Ctrl-C ends it)", flush=True)
+
+    serving.serve(target, options, host, port, say)
+    return DONE

@@ -1,1 +1,0 @@
-"""The page at the machine: a local server of one study and its readings file."""
