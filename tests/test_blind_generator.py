@@ -33,6 +33,7 @@ TOOLKIT = {
     "pkm_campaign",
     "pkm_page",
     "pkm_certificate",
+    "pkm_printers",
 }
 
 

@@ -57,6 +57,7 @@ shop_play = shop_models:play
 shop_table = shop_models:table
 [pkm_oed.importers]
 shop_files = shop_models:files
+klipper = shop_models:files
 shop_broken = shop_models:absent
 """
 NAMES = {
@@ -102,7 +103,7 @@ def test_other_parts_of_the_catalogue(kind: str) -> None:
 def test_importers_of_a_package(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A broken one is named, and only who asks for it is refused."""
+    """A broken one is named, and only who asks for it is refused; no name is taken over."""
     with pytest.warns(UserWarning, match="shop_broken.*AttributeError"):
         assert main(["list", "importers", "--json"]) == 0
     listed = {
@@ -114,6 +115,8 @@ def test_importers_of_a_package(
     (tmp_path / "a.txt").write_text("1")
     source, out = str(tmp_path / "a.txt"), str(tmp_path / "out")
     assert main(["import", "shop_files", source, "--out", out]) == 0
+    assert 'model = "planar_2dof"' in (tmp_path / "out" / "a.study.toml").read_text()
+    assert "0.01,500.01" in (tmp_path / "out" / "a.readings.csv").read_text()
     assert main(["import", "klipper", source, "--out", out, "--name", "b"]) == 2
     assert "rotation_distance: missing" in capsys.readouterr().err
     assert main(["import", "shop_broken", source, "--out", out]) == 2

@@ -20,6 +20,7 @@ PACKAGES = {name: ROOT / folder / name for name, folder in {
     "pkm_studies": "studies",
     "pkm_campaign": "studies",
     "pkm_page": "studies",
+    "pkm_printers": "studies",
     "pkm_certificate": "studies",
     "pkm_reports": "reports",
 }.items()}  # fmt: skip

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from pkm_studies.base.errors import InputError
-from pkm_studies.importers import facts, gcode, klipper_config
 from pkm_studies.importers.base import ImportRequest
 from pkm_studies.importers.bodies import mjcf_file, urdf_file
 from pkm_studies.importers.column_map import load
@@ -89,20 +88,3 @@ def test_a_column_map_that_is_nested_too_deeply_is_refused(
     request = ImportRequest(files=(), name="x", map=tmp_path / "map.toml")
     with pytest.raises(InputError, match="nested too deeply"):
         load(request)
-
-
-def test_lines_of_blanks_and_brackets_take_no_longer_than_others(
-    tmp_path: Path,
-) -> None:
-    blanks = " " * 100_000
-    printer = tmp_path / "printer.cfg"
-    printer.write_text(f"[printer{blanks}x{blanks}\n[printer]\nkey{blanks}y\nz: 1\n")
-    start = time.perf_counter()
-    config = klipper_config.read([printer])
-    assert config.number("printer", "z") == 1.0
-    line = gcode.TextLine(f"probe_radius_mm = 8{blanks}0{blanks}", "log", 1)
-    with pytest.raises(InputError, match="not a finite number"):
-        facts.numbers([line])
-    open_brackets = gcode.TextLine("G1 A{" * 20_000, "log", 1)
-    assert len(list(gcode.commands([open_brackets]))) == 20_000
-    assert time.perf_counter() - start < SOON

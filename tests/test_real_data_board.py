@@ -10,7 +10,8 @@ import pytest
 from benchmarks.real_data import page
 from benchmarks.real_data.entries import ENTRIES, STUDIES
 from benchmarks.real_data.run import run
-from pkm_studies.study.data_sources import SOURCES
+from pkm_studies.base.plugins import project_plugins
+from pkm_studies.study.data_sources import jugglebot
 
 
 def test_an_entry_runs(shared_data: Path, tmp_path: Path) -> None:
@@ -37,7 +38,7 @@ def test_entries_name_what_is_there() -> None:
         assert bool(entry.study) != bool(entry.file)
         if entry.study:
             assert (STUDIES / f"{entry.study}.study.toml").is_file()
-            assert entry.folder in SOURCES
+            assert entry.folder in project_plugins("sources")
     assert len({entry.name for entry in ENTRIES}) == len(ENTRIES)
 
 
@@ -47,7 +48,7 @@ def test_quaternions_become_the_angles_of_the_tracker(shared_data: Path) -> None
     folder = shared_data / "jugglebot"
     if not folder.is_dir():
         pytest.skip("the folder jugglebot with real measurements is not there")
-    rows = list(SOURCES["jugglebot"](folder))
+    rows = list(jugglebot.rows(folder))
     assert [row["setup"] for row in rows[:2]] == ["fit", "blind"]
     text = (folder / "poses_108.csv").read_text("utf-8").splitlines()
     for row, line in zip(rows, text[1:], strict=True):

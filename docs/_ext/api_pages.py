@@ -24,6 +24,7 @@ PACKAGES = {
     "pkm_studies": ("studies", False),
     "pkm_campaign": ("studies", False),
     "pkm_page": ("studies", False),
+    "pkm_printers": ("studies", False),
     "pkm_certificate": ("studies", False),
 }
 

@@ -25,6 +25,7 @@ from typing import Any
 
 from pkm_studies.base import user_code
 from pkm_studies.base.errors import Place, shorten, suggest
+from pkm_studies.base.plugins import GROUPS, plugins, project_plugins
 from pkm_studies.base.user_code import Origin
 
 #: characters of an error that are shown
@@ -42,8 +43,6 @@ CLASSES = {
     "effects": ("oed.model.effect", "Effect"),
     "formats": ("pkm_studies.catalogue.controller_format", "ControllerFormat"),
 }
-#: how the groups of entry points begin whose modules have a long name
-GROUPS = "pkm_oed."
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -170,7 +169,7 @@ def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
     One that cannot be loaded is named in a warning and passed over: a broken package
     must not take the catalogue along.
     """
-    for point in sorted(entry_points(group=f"pkm_oed.{kind}")):
+    for point in plugins(kind):
         try:
             item = point.load()
         except Exception as error:  # a user's module may raise anything
@@ -224,14 +223,17 @@ def _by_short_name(name: str, kind: str, place: Place) -> Any:
 
 
 def _shipped_item(name: str, kind: str) -> Any | None:
-    """The shipped item in the module of its name; None where there is none.
+    """The project's item in the module of its name, or at its entry point; else None.
 
-    Importing one module takes less than reading the catalogue, which prefers shipped
-    items to those of other packages.
+    Importing one module takes less than reading the catalogue, which prefers the
+    project's items to those of other packages.
     """
     package = PACKAGES.get(kind, f"pkm_models.{kind}")
-    if not name.isidentifier() or find_spec(f"{package}.{name}") is None:
+    if not name.isidentifier():
         return None
+    if find_spec(f"{package}.{name}") is None:
+        added = project_plugins(kind).get(name)
+        return None if added is None else added.load()
     items = vars(importlib.import_module(f"{package}.{name}")).values()
     item_class = _item_class(kind)
     named = (item for item in items if isinstance(item, item_class))

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from pkm_studies.base.plugins import project_plugins
 from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import AllowCode
 
@@ -17,7 +18,7 @@ def import_files(
         str,
         typer.Argument(
             metavar="KIND",
-            help="klipper, rrf, marlin, maslow, hangprinter, tracker, ballbar, columns, or other.",
+            help=f"{', '.join(project_plugins('importers'))}, or other.",
             show_default=False,
         ),
     ],

@@ -1,35 +1,25 @@
-"""The importers by name: those of this package, and those of entry points."""
+"""The importers by name: entry points `pkm_oed.importers`, those of this project first."""
 
 from __future__ import annotations
 
-import importlib
 import warnings
-from importlib import metadata
+from importlib.metadata import EntryPoint
 
 from pkm_studies.base.errors import InputError, shorten, suggest
+from pkm_studies.base.plugins import plugins
 from pkm_studies.importers.base import Importer
 
-#: group of entry points that add importers
-GROUP = "pkm_oed.importers"
-#: importers of this package: the module's name in this folder
-SHIPPED = (
-    "klipper",
-    "rrf",
-    "marlin",
-    "maslow",
-    "hangprinter",
-    "tracker",
-    "ballbar",
-    "columns",
-)
+KIND = "importers"
 
 
 def importers() -> dict[str, Importer]:
     """Every importer by its name; a warning names those that cannot be loaded."""
-    known = {name: _shipped(name) for name in SHIPPED}
-    for name, entry in _installed().items():
+    known: dict[str, Importer] = {}
+    for entry in plugins(KIND):
+        if entry.name in known:
+            continue
         try:
-            known[name] = _load(entry)
+            known[entry.name] = _load(entry)
         except InputError as error:
             warnings.warn(str(error), stacklevel=2)
     return known
@@ -37,28 +27,15 @@ def importers() -> dict[str, Importer]:
 
 def importer(name: str) -> Importer:
     """The importer of this name; no other one is loaded. Raises InputError."""
-    installed = _installed()
-    if name in SHIPPED:
-        return _shipped(name)
-    if name in installed:
-        return _load(installed[name])
-    remedy = suggest(name, [*SHIPPED, *installed], "known")
-    raise InputError("no such kind of file", remedy, field="KIND", value=name)
+    entries = plugins(KIND)
+    entry = next((entry for entry in entries if entry.name == name), None)
+    if entry is None:
+        remedy = suggest(name, [entry.name for entry in entries], "known")
+        raise InputError("no such kind of file", remedy, field="KIND", value=name)
+    return _load(entry)
 
 
-def _shipped(name: str) -> Importer:
-    module = importlib.import_module(f"pkm_studies.importers.{name}")
-    loaded: Importer = module.importer
-    return loaded
-
-
-def _installed() -> dict[str, metadata.EntryPoint]:
-    """Entry points by name; those of this package's names are not used."""
-    entries = metadata.entry_points(group=GROUP)
-    return {entry.name: entry for entry in entries if entry.name not in SHIPPED}
-
-
-def _load(entry: metadata.EntryPoint) -> Importer:
+def _load(entry: EntryPoint) -> Importer:
     try:
         loaded = entry.load()
     except Exception as error:

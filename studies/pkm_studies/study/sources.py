@@ -10,8 +10,8 @@ from oed.dataset import Dataset, ReadingsError
 from oed.dataset import table as readings_table
 from oed.measurement.measurement import Measurement
 from pkm_studies.base.errors import InputError, SourceAbsentError, suggest
+from pkm_studies.base.plugins import project_plugins
 from pkm_studies.study import Study
-from pkm_studies.study.data_sources import SOURCES
 from pkm_studies.study.data_sources.tables import Row
 from pkm_studies.study.tables import ReadingsTable
 
@@ -97,8 +97,9 @@ def _from_source(
 ) -> Dataset:
     """Readings of a collection in the set-ups that the study knows."""
     place = study.place.key("readings")
-    if source not in SOURCES:
-        remedy = suggest(source, SOURCES)
+    collections = project_plugins("sources")
+    if source not in collections:
+        remedy = suggest(source, collections)
         raise place.key("source").error("no such source", remedy, source)
     if table.path is None:
         raise place.key("path").error(
@@ -112,7 +113,7 @@ def _from_source(
             file=place.file,
             field="readings.path",
         )
-    rows = list(SOURCES[source](folder))
+    rows: list[Row] = list(collections[source].load()(folder))
     known = [row for row in rows if row["setup"] in measurement.setups]
     if not known:
         names = dict.fromkeys(row["setup"] for row in rows)

@@ -18,7 +18,7 @@ class ReadingsTable(StudyTable, frozen=True, kw_only=True):
     """[readings]: from files, from a named collection of data, or simulated.
 
     files     readings files, relative to the study
-    source    name of a collection: delta_v400, hangprinter_hp4 or jugglebot
+    source    name of a collection, an entry point `pkm_oed.sources`: such as jugglebot
     path      folder of the collection, relative to the study
     simulate  whether a virtual machine gives the readings
     draw      whether its parameters are drawn from the tolerances

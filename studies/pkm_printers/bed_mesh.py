@@ -1,0 +1,164 @@
+"""Heights of a bed mesh: each is a contact with the bed that a calibration did not use.
+
+The firmware, with the geometry that it has, believes in a height of the nozzle at each
+contact. That command gives the joints, and the bed is flat: the reading is the same
+everywhere. What the level of a mesh refers to is not the trigger height of the
+calibration, so each mesh has an offset of its own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from oed.base.arrays import Array, Mask
+from pkm_printers.delta_study import slope_lines
+from pkm_printers.probed_point import ProbedPoint, contact_row
+from pkm_studies.importers.base import MeshUse, Row
+
+#: mm; places of a mesh are rounded by as much
+ROUNDING = 0.1
+#: decimals of a sum of heights, mm
+DIGITS = 9
+#: standard deviation, mm, of a mesh's level against that of the calibration
+LEVEL = 1.0
+USES = {
+    "hold-out": "they are predicted, not fitted; --mesh readings fits them",
+    "readings": "they are fitted with the other readings",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class BedMesh:
+    """Heights probed at the nodes of a grid.
+
+    name     of the profile or file
+    points   the probed nodes: place of the nozzle, and height that the firmware had
+    left_out number of nodes that were not probed, and why
+    """
+
+    name: str
+    points: tuple[ProbedPoint, ...]
+    left_out: int = 0
+    because: str = ""
+
+    @property
+    def setup(self) -> str:
+        """Name of the set-up of a study."""
+        stem = re.sub(r"[^A-Za-z0-9_]+", "_", self.name).strip("_")
+        return f"mesh_{stem}" if stem else "mesh"
+
+    @property
+    def radius(self) -> float:
+        """Largest distance of a point from the middle, mm."""
+        return max(math.hypot(p.x, p.y) for p in self.points)
+
+    def rows(self, slope_ppm: tuple[float, float] = (0.0, 0.0)) -> list[Row]:
+        """Rows of the readings file."""
+        points = enumerate(self.points, start=1)
+        return [contact_row(k, p, slope_ppm, self.setup) for k, p in points]
+
+    def rows_at(self, height: float) -> list[Row]:
+        """The same with the height (mm) at which the probe triggers as reading.
+
+        A delta moves along z alike everywhere, so commands are raised by as much.
+        """
+        places = [p._replace(z=round(p.z + height, DIGITS)) for p in self.points]
+        raised = dataclasses.replace(self, points=tuple(places))
+        return [{**row, "height_mm": repr(height)} for row in raised.rows()]
+
+    def setup_table(
+        self,
+        slope_ppm: tuple[float, float] = (0.0, 0.0),
+        *,
+        is_reference: bool = False,
+    ) -> str:
+        """The table [[setup]] of a study; a reference states where the bed is."""
+        level, why = LEVEL, "the level of a mesh is its own"
+        if is_reference:
+            level, why = 0.0, "the firmware takes the trigger height as exact"
+        return f"""
+[[setup]]
+name = "{self.setup}"
+instrument = "contact_probe"
+tolerance = {{ offset_mm = {level} }}  # {why}
+{slope_lines(slope_ppm)}"""
+
+    def sentence(self, use: MeshUse) -> str:
+        """What was read, in words."""
+        without = ""
+        if self.left_out:
+            without = f" {self.left_out} nodes are left out: {self.because}."
+        return (
+            f"Readings: {len(self.points)} heights of the mesh {self.name} as set-up"
+            f" {self.setup}; {USES[use]}.{without}"
+        )
+
+
+def distinct(meshes: Sequence[BedMesh]) -> tuple[list[BedMesh], list[str]]:
+    """Meshes without copies of others and without empty ones; sentences on those."""
+    chosen: list[BedMesh] = []
+    sentences = []
+    for mesh in meshes:
+        copied = [one for one in chosen if one.points == mesh.points]
+        if not mesh.points:
+            sentences.append(f"The mesh {mesh.name} has no probed height: not read.")
+        elif copied:
+            sentences.append(
+                f"The mesh {mesh.name} is a copy of {copied[0].name}: not read."
+            )
+        else:
+            chosen.append(_renamed(mesh, [one.setup for one in chosen]))
+    return chosen, sentences
+
+
+def _renamed(mesh: BedMesh, setups: Collection[str]) -> BedMesh:
+    """The mesh, with a number behind its name where another set-up has that name."""
+    number, renamed = 1, mesh
+    while renamed.setup in setups:
+        number += 1
+        renamed = dataclasses.replace(mesh, name=f"{mesh.name} {number}")
+    return renamed
+
+
+def explanations(meshes: Collection[BedMesh], geometry: str) -> list[str]:
+    """What meshes say of a geometry, taken before its calibration or after it.
+
+    geometry  what the firmware has, `M665 and M666` or the like
+    """
+    if not meshes:
+        return []
+    return [
+        f"The heights of a mesh are turned into carriage positions with {geometry} as"
+        " given. That is right for a mesh that was probed with them: after the last"
+        " calibration was saved. One that was probed before it has the geometry of then,"
+        " and says nothing of these numbers: remove it from a copy of the file, or probe"
+        " it again."
+    ]
+
+
+def copied_margin(x: Array, y: Array, z: Array) -> Mask:
+    """Which nodes (ny, nx) of a round bed's mesh are copies of probed ones.
+
+    x  (nx,), y (ny,), z (ny, nx)
+
+    Outside the circle through the middles of the sides nothing was probed; a node there
+    has the height of the last probed one of its row. Where any has another height the
+    mesh was probed on the whole rectangle, and no node is a copy.
+    """
+    across = x - (x[0] + x[-1]) / 2.0
+    along = y - (y[0] + y[-1]) / 2.0
+    reach = max(across[-1], along[-1]) + ROUNDING
+    outside = np.hypot(across[None, :], along[:, None]) > reach
+    filled = np.array(
+        [
+            np.interp(across, across[~out], row[~out]) if (~out).any() else row
+            for row, out in zip(z, outside, strict=True)
+        ]
+    )
+    is_round = bool(outside.any()) and np.array_equal(filled[outside], z[outside])
+    return outside if is_round else np.zeros_like(outside)

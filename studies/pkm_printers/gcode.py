@@ -1,0 +1,216 @@
+"""Commands and replies in a printer's log or configuration: M665 R100 L250."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pkm_printers.words import WordAccount, WordTable, WrittenWord, account
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
+from pkm_studies.base.plain_number import plain_number
+from pkm_studies.importers.base import line_field
+from pkm_studies.importers.line_times import Stamp, stamp, steps
+
+LIMIT = 16_000_000
+NO_TIME = Stamp(0.0, is_dated=False)
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+#: that a number ends there: no decimal comma follows, and no other sign of one
+ENDS = r"(?![\w.]|,\d)"
+#: what follows a letter: a text in quotes, an expression, or anything up to a blank; a
+#: letter with the rest of an English word is none
+VALUE = r'(?:"[^"]*"|\{[^{}]*\}|(?![a-z]+(?:\s|$))[^\s"{A-Z]*)'
+#: letters of words; G and M start the next command of a line
+LETTER = "[A-FH-LN-Z]"
+COMMAND = re.compile(
+    rf"(?<![\w.])([GM]\d+(?:\.\d+)?)(?![\d.])((?:\s*{LETTER}{VALUE})*)"
+)
+WORD = re.compile(rf"({LETTER})({VALUE})")
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class TextLine:
+    """A line of a file.
+
+    text  without the comment after ;
+    raw   with it
+    """
+
+    text: str
+    file: str
+    number: int
+    raw: str = ""
+
+    def error(self, problem: str, remedy: str, what: str = "") -> InputError:
+        """The error to raise for this line."""
+        field = line_field(self.number, what)
+        return InputError(
+            problem, remedy, file=self.file, field=field, value=self.text.strip()
+        )
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Command:
+    """A command with its words as written: `M665 L250:250:250` has L = "250:250:250".
+
+    lines  of words that stand in other lines than `line`
+    """
+
+    name: str
+    words: dict[str, str]
+    line: TextLine
+    lines: Mapping[str, TextLine] = dataclasses.field(default_factory=dict)
+
+    def line_of(self, letter: str) -> TextLine:
+        """The line that a word is from."""
+        return self.lines.get(letter, self.line)
+
+    def number(self, letter: str, default: float | None = None) -> float:
+        """The number of a word. Raises InputError where it is missing."""
+        text = self.words.get(letter)
+        if text is None and default is not None:
+            return default
+        if not text:
+            problem = f"{self.name} has no {letter}"
+            raise self.line.error(
+                problem, "give the full command, as the printer has it"
+            )
+        return finite(text.split(":")[0], self.line_of(letter))
+
+
+def read(paths: Sequence[Path]) -> list[TextLine]:
+    """Lines of the files, comments after ; cut off, in the order of time.
+
+    Raises InputError for times that rise and fall.
+    """
+    logs = []
+    for path in paths:
+        text = files.read_text(path, limit=LIMIT, what="log or configuration")
+        lines = [
+            TextLine(line.partition(";")[0], str(path), number, line)
+            for number, line in enumerate(text.splitlines(), start=1)
+        ]
+        logs.append(_in_time(lines))
+    dated = [k for k, log in enumerate(logs) if log.start and log.start.is_dated]
+    by_date = sorted((logs[k] for k in dated), key=lambda log: log.start or NO_TIME)
+    for k, log in zip(dated, by_date, strict=True):
+        logs[k] = log
+    return [line for log in logs for line in log.lines]
+
+
+class _Log(NamedTuple):
+    """Lines of a file in the order of time, and the first time."""
+
+    lines: list[TextLine]
+    start: Stamp | None
+
+
+def _in_time(lines: list[TextLine]) -> _Log:
+    """The lines of a file, turned round where the newest stands first.
+
+    A line without a time goes with the last one above it. Raises InputError.
+    """
+    stamps = {k: s for k, line in enumerate(lines) if (s := stamp(line.text))}
+    starts, times = list(stamps), list(stamps.values())
+    between = steps(times)
+    if not (between < 0.0).any():
+        return _Log(lines, times[0] if times else None)
+    if (between > 0.0).any():
+        falls = lines[starts[1 + int(np.argmax(between < 0.0))]]
+        raise falls.error(
+            "the times of this log rise and fall, so that its order is not known",
+            "give one session's lines, in the order of time, or the newest first",
+        )
+    ends = [*starts[1:], len(lines)]
+    blocks = [lines[a:b] for a, b in zip(starts, ends, strict=True)]
+    turned = [line for block in reversed(blocks) for line in block]
+    return _Log([*lines[: starts[0]], *turned], times[-1])
+
+
+def about_order(lines: Sequence[TextLine]) -> list[str]:
+    """A sentence on each log that was turned round."""
+    turned = [
+        b.file
+        for a, b in itertools.pairwise(lines)
+        if a.file == b.file and a.number > b.number
+    ]
+    return [
+        f"Order: in {Path(name).name} the newest line stands first, by its times; it is"
+        " read from its end."
+        for name in dict.fromkeys(turned)
+    ]
+
+
+def commands(lines: Iterable[TextLine], *names: str) -> Iterator[Command]:
+    """Commands of these names, or all, in order."""
+    for line in lines:
+        for match in COMMAND.finditer(line.text):
+            if not names or match[1] in names:
+                # a host ends a command with * and a checksum
+                pairs = WORD.findall(match[2])
+                words = {letter: value.split("*")[0] for letter, value in pairs}
+                yield Command(match[1], words, line)
+
+
+def merged(lines: Sequence[TextLine], name: str, remedy: str) -> Command:
+    """A setting command with the last value of every word. Raises InputError."""
+    words: dict[str, str] = {}
+    places: dict[str, TextLine] = {}
+    last: Command | None = None
+    for command in commands(lines, name):
+        words |= command.words
+        places |= dict.fromkeys(command.words, command.line)
+        last = command
+    if last is None:
+        raise InputError(f"no {name} in it", remedy, file=files_of(lines))
+    return Command(name, words, last.line, places)
+
+
+def files_of(lines: Sequence[TextLine]) -> str:
+    """The files that lines are from, for an error."""
+    return ", ".join(dict.fromkeys(line.file for line in lines))
+
+
+def account_of(lines: Sequence[TextLine], table: WordTable) -> WordAccount:
+    """What becomes of the words of all commands. Raises InputError."""
+    names = [command.name for command in commands(lines)]
+    return account(_written(lines, table), names, table)
+
+
+def _written(lines: Sequence[TextLine], table: WordTable) -> Iterator[WrittenWord]:
+    """Words of the commands in the table; "" stands for the command itself.
+
+    A command without words in the table has no bearing on the geometry with any.
+    """
+    for command in commands(lines, *(name for name in table if table[name])):
+        itself = {"": ""} if "" in table[command.name] else {}
+        for letter, value in (itself | command.words).items():
+            yield WrittenWord(
+                command.name,
+                letter,
+                value,
+                command.line.number,
+                _word_error(command, letter),
+            )
+
+
+def _word_error(command: Command, letter: str) -> Callable[[str, str], InputError]:
+    def error(problem: str, remedy: str) -> InputError:
+        return command.line.error(problem, remedy, f"{command.name} {letter}".rstrip())
+
+    return error
+
+
+def finite(text: str, line: TextLine) -> float:
+    """A number of a reply. Raises InputError."""
+    value = plain_number(text)
+    if value is None or not math.isfinite(value):
+        raise line.error("not a finite number", "correct or remove the line", text)
+    return value

@@ -1,0 +1,346 @@
+"""Klipper: `printer.cfg` of a delta with the heights and distances of DELTA_CALIBRATE.
+
+The saved positions are steps down from each endstop, whatever the geometry was then. The
+noise gets the weights of Klipper's own fit: n distances weigh as much as n / 2 heights
+(`MEASURE_WEIGHT` in klippy/extras/delta_calibrate.py).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from scipy.optimize import brentq
+
+from oed.base.arrays import Array
+from pkm_printers import klipper_config, klipper_mesh
+from pkm_printers.bed_mesh import distinct, explanations
+from pkm_printers.delta_contact import tool_heights
+from pkm_printers.delta_study import (
+    DeltaGeometry,
+    DeltaStudy,
+    Firmware,
+    noise_table,
+)
+from pkm_printers.klipper_account import config_account
+from pkm_printers.klipper_config import Entry, KlipperConfig
+from pkm_studies.base.errors import InputError
+from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
+
+#: distance from the bed, over the height of the lowest endstop, of a position that is wrong
+FAR = 0.2
+#: factors of the steps between which one that fits is sought
+FACTORS = (0.05, 20.0)
+REMEDY = (
+    "these steps were saved with other microsteps, rotation_distance or gear_ratio: give"
+    " those of then, or remove these positions and measure them again"
+)
+STEPPERS = ("stepper_a", "stepper_b", "stepper_c")
+ANGLES = (210.0, 330.0, 90.0)
+SAVED = "delta_calibrate"
+#: weight of a height's square over that of a distance, times heights over distances
+MEASURE_WEIGHT = 0.5
+#: mm; one probed height, with the bed's flatness, and one calliper distance
+HEIGHT_SIGMA, DISTANCE_SIGMA = 0.1, 0.05
+FULL_STEPS = 200.0
+#: a saved position, and what was measured there
+POSITION = re.compile(r"((?:manual_)?height\d+|distance\d+)_pos[12]?")
+#: heights (mm) at which the accuracy is predicted, above the probed ones
+RISES = (0.0, 50.0)
+GEOMETRY_WORDS = "delta_radius, arm_length, angle and position_endstop"
+
+
+class KlipperImporter:
+    """Reads `printer.cfg`, and the files that it includes where they are given too."""
+
+    name = "klipper"
+    about = "Klipper printer.cfg of a delta, with the readings of DELTA_CALIBRATE"
+    unused = ("--machine", "--map")
+
+    def read(self, request: ImportRequest) -> ImportedSession:
+        """Geometry, heights and distances. Raises InputError."""
+        config = klipper_config.read(request.files)
+        _check_delta(config)
+        steps = [_step_distance(config, stepper) for stepper in STEPPERS]
+        _check_partners(config)
+        heights = list(_heights(config, steps))
+        distances = list(_distances(config, steps))
+        if not heights:
+            remedy = "run DELTA_CALIBRATE and SAVE_CONFIG, then import the file again"
+            raise config.missing(SAVED, "height0", remedy)
+        account = config_account(config, request.files)
+        geometry = _geometry(config)
+        check_positions(_positions(config, steps), geometry)
+        count, height = len(distances) // 2, float(heights[0]["height_mm"])
+        meshes, mesh_notes = distinct(klipper_mesh.meshes(config))
+        mesh_notes += [mesh.sentence(request.mesh) for mesh in meshes]
+        mesh_notes += explanations(meshes, GEOMETRY_WORDS)
+        study = DeltaStudy(
+            name=request.name,
+            firmware=Firmware(name="klipper", title="Klipper"),
+            files=", ".join(path.name for path in request.files),
+            geometry=geometry,
+            fixed=("angle3",) if distances else ("angle3", "arm1", "arm2", "arm3"),
+            fixed_because=_fixed_because(bool(distances)),
+            noise=_noise(len(heights), count),
+            calliper=bool(distances),
+            probed_radius=config.positive(SAVED, "radius", geometry.radius / 2.0),
+            heights=tuple(height + rise for rise in RISES),
+            accounts=[*mesh_notes, *account],
+            mesh_setups="".join(mesh.setup_table() for mesh in meshes),
+            mesh_radius=max((mesh.radius for mesh in meshes), default=0.0),
+            predict=[m.setup for m in meshes] if request.mesh == "hold-out" else [],
+        )
+        return ImportedSession(
+            study=study.text(),
+            rows=[
+                *heights,
+                *distances,
+                *(row for mesh in meshes for row in mesh.rows_at(height)),
+            ],
+            statements=[
+                *_statements(config, geometry, steps, len(heights), count),
+                *mesh_notes,
+                *account,
+            ],
+        )
+
+
+importer = KlipperImporter()
+
+
+def _check_delta(config: KlipperConfig) -> None:
+    entry = config.find("printer", "kinematics")
+    if entry is not None and entry.text != "delta":
+        remedy = "this importer is for delta printers; for others take `columns`"
+        raise entry.error("[printer] kinematics", "this is no delta", remedy)
+
+
+def _step_distance(config: KlipperConfig, stepper: str) -> float:
+    """Travel of one microstep, mm."""
+    old = config.find(stepper, "step_distance")
+    if old is not None:
+        return config.positive(stepper, "step_distance")
+    rotation = config.positive(stepper, "rotation_distance")
+    microsteps = config.positive(stepper, "microsteps")
+    full_steps = config.positive(stepper, "full_steps_per_rotation", FULL_STEPS)
+    return rotation / (full_steps * microsteps * _gear_ratio(config, stepper))
+
+
+def _gear_ratio(config: KlipperConfig, stepper: str) -> float:
+    """Product of the ratios in `gear_ratio: 50:10, 2:1`; 1 without."""
+    entry = config.find(stepper, "gear_ratio")
+    if entry is None:
+        return 1.0
+    ratio = 1.0
+    try:
+        for pair in entry.text.split(","):
+            driven, driver = pair.split(":")
+            ratio *= float(driven) / float(driver)
+    except (ValueError, ZeroDivisionError):
+        place = f"[{stepper}] gear_ratio"
+        raise entry.error(place, "this is no gear ratio", "write it as 50:10") from None
+    return ratio
+
+
+def _geometry(config: KlipperConfig) -> DeltaGeometry:
+    """The geometry in use; towers b and c take what they do not say from tower a."""
+    arm = config.positive(STEPPERS[0], "arm_length")
+    endstop = config.number(STEPPERS[0], "position_endstop")
+    geometry = DeltaGeometry(
+        radius=config.positive("printer", "delta_radius"),
+        arms=tuple(config.positive(s, "arm_length", arm) for s in STEPPERS),
+        angles=tuple(
+            config.number(stepper, "angle", angle)
+            for stepper, angle in zip(STEPPERS, ANGLES, strict=True)
+        ),
+        endstops=tuple(config.number(s, "position_endstop", endstop) for s in STEPPERS),
+    )
+    if geometry.radius >= min(geometry.arms):
+        raise InputError(
+            "the arms are not longer than the delta's radius",
+            "correct arm_length or delta_radius",
+            file=config.file,
+            field="[printer] delta_radius",
+            value=f"{geometry.radius:g}",
+        )
+    return geometry
+
+
+def _heights(config: KlipperConfig, steps: list[float]) -> Iterator[Row]:
+    """Rows of probed heights, then of those typed by hand."""
+    order = 0
+    for prefix in ("height", "manual_height"):
+        for i in config.indices(SAVED, rf"{prefix}(\d+)"):
+            key, order = f"{prefix}{i}", order + 1
+            height = config.number(SAVED, key)
+            label = {"setup": "probe", "run": "1", "order": str(order)}
+            joints = _joints(config, f"{key}_pos", steps)
+            yield label | joints | {"height_mm": repr(height)}
+
+
+def _distances(config: KlipperConfig, steps: list[float]) -> Iterator[Row]:
+    """Two rows a distance, of which the first is the reference."""
+    for i in config.indices(SAVED, r"distance(\d+)"):
+        length = config.positive(SAVED, f"distance{i}")
+        label = {"setup": "calliper", "run": f"distance {i}"}
+        first = _joints(config, f"distance{i}_pos1", steps)
+        second = _joints(config, f"distance{i}_pos2", steps)
+        yield label | {"order": "1"} | first
+        yield label | {"order": "2"} | second | {"length_mm": repr(length)}
+
+
+def _check_partners(config: KlipperConfig) -> None:
+    """Refuse positions without their height or distance. Raises InputError."""
+    for section, key in config.entries:
+        match = POSITION.fullmatch(key) if section == SAVED else None
+        if match and config.find(SAVED, match[1]) is None:
+            raise config.entries[section, key].error(
+                f"[{SAVED}] {key}",
+                f"there is no {match[1]} for it",
+                "import the file as SAVE_CONFIG wrote it, or remove the position",
+            )
+
+
+def _positions(
+    config: KlipperConfig, steps: list[float]
+) -> dict[str, tuple[Entry, list[float], float]]:
+    """Saved positions by option: travels (3,), mm, and the height of the tool, mm.
+
+    Distances are measured on the bed.
+    """
+    positions = {}
+    for section, key in config.entries:
+        match = POSITION.fullmatch(key) if section == SAVED else None
+        if match is None:
+            continue
+        is_height = "height" in match[1]
+        height = config.number(SAVED, match[1]) if is_height else 0.0
+        travels = _travels(config, key, steps)
+        positions[key] = (config.entries[section, key], travels, height)
+    return positions
+
+
+def _joints(config: KlipperConfig, key: str, steps: list[float]) -> dict[str, str]:
+    """Carriage travels down from the endstops, q1_mm to q3_mm."""
+    travels = _travels(config, key, steps)
+    return {f"q{k}_mm": repr(travel) for k, travel in enumerate(travels, start=1)}
+
+
+def _travels(config: KlipperConfig, key: str, steps: list[float]) -> list[float]:
+    """Carriage travels (3,), mm. Raises InputError."""
+    entry = config.find(SAVED, key)
+    if entry is None:
+        raise config.missing(SAVED, key, "import the file as SAVE_CONFIG wrote it")
+    counts = klipper_config.numbers(entry, f"[{SAVED}] {key}", len(STEPPERS))
+    return [count * step for count, step in zip(counts, steps, strict=True)]
+
+
+def _noise(heights: int, distances: int) -> str:
+    """The table [noise], with the weights of Klipper's fit."""
+    if not distances:
+        comment = "standard deviation of one reading, the bed's flatness included"
+        return noise_table(comment, 1000.0 * HEIGHT_SIGMA)
+    height = DISTANCE_SIGMA * math.sqrt(MEASURE_WEIGHT * heights / distances)
+    comment = "standard deviation of one reading; Klipper's weights"
+    return noise_table(comment, 1000.0 * height, 1000.0 * DISTANCE_SIGMA)
+
+
+def _unused(config: KlipperConfig) -> list[str]:
+    """Sentences on saved values that the printer does not use."""
+    sections = ("printer", SAVED, *STEPPERS)
+    return [
+        f"[{section}] {key} is {config.entries[section, key].text}, as line"
+        f" {config.entries[section, key].line} has it: Klipper does not use the saved"
+        f" {saved.text} of line {saved.line}."
+        for (section, key), saved in sorted(config.unused.items())
+        if section in sections
+    ]
+
+
+def _fixed_because(distances: bool) -> str:
+    if distances:
+        return "turning all towers together only turns the printer"
+    return "as Klipper does: heights alone do not give the arms"
+
+
+def _statements(
+    config: KlipperConfig,
+    geometry: DeltaGeometry,
+    steps: list[float],
+    heights: int,
+    distances: int,
+) -> list[str]:
+    travel = ", ".join(f"{1000.0 * step:g}" for step in steps)
+    statements = [
+        geometry.sentence(),
+        f"Positions: steps down from the endstops, of {travel} um.",
+        f"Readings: {heights} probed heights as set-up probe.",
+    ]
+    if distances:
+        statements.append(
+            f"Readings: {distances} distances of two positions as set-up calliper."
+        )
+    else:
+        statements.append(
+            "There are no distances, so the arm lengths are held as Klipper holds them."
+        )
+    return [*statements, *_unused(config)]
+
+
+# -- saved positions against where the printer can be ----------------------------------
+#
+# Positions are steps. Where the steps of the configuration were changed since, they are
+# those of another travel, and the tool would be far off the bed, or nowhere.
+
+
+def check_positions(
+    positions: Mapping[str, tuple[Entry, Sequence[float], float]],
+    geometry: DeltaGeometry,
+) -> None:
+    """Refuse positions from which the tool is far from where it was. Raises InputError.
+
+    positions  by option: its entry, travels (3,) in mm, and the height of the tool, mm
+    """
+    limit = FAR * min(geometry.endstops)
+    for option, (entry, travels, height) in positions.items():
+        miss = _tool_height(np.asarray(travels), geometry) - height
+        if abs(miss) <= limit:
+            continue
+        place = f"[delta_calibrate] {option}"
+        raise entry.error(place, _problem(travels, height, miss, geometry), REMEDY)
+
+
+def _problem(
+    travels: Sequence[float], height: float, miss: float, geometry: DeltaGeometry
+) -> str:
+    if np.isnan(miss):
+        where = "the arms cannot reach this position"
+    else:
+        side = "below" if miss < 0.0 else "above"
+        where = f"the tool would be {abs(miss):.0f} mm {side} the bed there"
+    factor = _factor(np.asarray(travels), height, geometry)
+    if factor is None:
+        return where
+    return f"{where}; its steps are {1.0 / factor:.3g} times those that reach the bed"
+
+
+def _factor(travels: Array, height: float, geometry: DeltaGeometry) -> float | None:
+    """Factor of the travels that brings the tool to a height; None where none does."""
+
+    def miss(factor: float) -> float:
+        z = _tool_height(factor * travels, geometry)
+        # travels too far apart to assemble are too long
+        return -1e3 if np.isnan(z) else z - height
+
+    low, high = FACTORS
+    if miss(low) <= 0.0 or miss(high) >= 0.0:
+        return None
+    return float(brentq(miss, low, high, xtol=1e-6))
+
+
+def _tool_height(travels: Array, geometry: DeltaGeometry) -> float:
+    """Height, mm, of the tool at travels (3,); NaN where the arms cannot reach it."""
+    return float(tool_heights(travels[None], geometry)[0])

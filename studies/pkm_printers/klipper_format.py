@@ -1,0 +1,74 @@
+"""Klipper: the sections of a delta in printer.cfg."""
+
+from __future__ import annotations
+
+import configparser
+
+import numpy as np
+
+from oed.base.arrays import Array
+from pkm_printers.delta_numbers import (
+    DeltaNumbers,
+    delta_joints,
+    delta_numbers,
+    home_notes,
+    not_a_delta,
+)
+from pkm_studies.catalogue.controller_format import (
+    Compensation,
+    ControllerFormat,
+    Texts,
+)
+from pkm_studies.compensation.build import sentences_of
+
+NAME, TOWERS = "klipper", "abc"
+WHERE = (
+    "put these values into the sections of your printer.cfg, above the block of"
+    " SAVE_CONFIG: there they win over it"
+)
+
+
+def write(compensation: Compensation) -> Texts:
+    """The options that calibration changes, with Klipper's own six decimals."""
+    numbers = delta_numbers(compensation, NAME)
+    lines = [f"# {sentence}" for sentence in sentences_of(compensation)]
+    lines.append(f"# {WHERE}")
+    lines += ["", "[printer]", f"delta_radius: {numbers.radius:.6f}"]
+    rows = zip(TOWERS, numbers.endstops, numbers.arms, numbers.angles, strict=True)
+    for tower, endstop, arm, angle in rows:
+        lines += ["", f"[stepper_{tower}]", f"position_endstop: {endstop:.6f}"]
+        lines += [f"arm_length: {arm:.6f}", f"angle: {angle:.6f}"]
+    return {".cfg": "\n".join([*lines, ""])}
+
+
+def notes(compensation: Compensation) -> tuple[str, ...]:
+    """What the file does not hold."""
+    return tuple(home_notes(compensation, NAME))
+
+
+def joints(texts: Texts, compensation: Compensation) -> Array:
+    """Travels of a printer with this file."""
+    parser = configparser.ConfigParser()
+    parser.read_string(texts[".cfg"])
+
+    def read(option: str) -> Array:
+        return np.array([parser.getfloat(f"stepper_{t}", option) for t in TOWERS])
+
+    numbers = DeltaNumbers(
+        radius=parser.getfloat("printer", "delta_radius"),
+        arms=read("arm_length"),
+        angles=read("angle"),
+        endstops=read("position_endstop"),
+    )
+    return delta_joints(numbers, numbers.carriages, compensation)
+
+
+controller = ControllerFormat(
+    name=NAME,
+    about="printer.cfg of a delta printer: radius, arms, tower angles, endstops",
+    source="Klipper, klippy/kinematics/delta.py",
+    write=write,
+    joints=joints,
+    unfit=not_a_delta,
+    notes=notes,
+)

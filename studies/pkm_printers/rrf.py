@@ -1,0 +1,291 @@
+"""RepRapFirmware: M665 and M666 of a delta, the points of bed.g, the heights of G32.
+
+`config.g` has M665 and M666, `config-override.g` those that M500 stored, which M501 reads;
+`bed.g` has one `G30 P<n> X Y` a point, and the console's log the line "G32 bed probe
+heights: ..." that `G30 P<n> S-1` gives. Answers of M665 and M666 in the log count as
+commands. G31 X Y says where the probe is, M666 A B how z is raised for a bed that leans.
+
+The third line of `heightmap.csv`, which G29 S0 saves, has the grid, the lines below it a
+row of y each. Heights are those of the nozzle over the trigger height, at the places of
+the probe; a node that was not probed (outside the radius) is written as 0 without
+decimals (`GridProbing` of the firmware).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from pkm_printers import facts, gcode
+from pkm_printers.bed_mesh import BedMesh
+from pkm_printers.delta_probe import delta_session
+from pkm_printers.delta_study import DeltaGeometry, Firmware
+from pkm_printers.gcode import NUMBER, Command, TextLine
+from pkm_printers.probed_point import ProbedPoint
+from pkm_printers.rrf_points import has_heights, mesh_offset, probed_points
+from pkm_printers.rrf_sequence import ExecutionOrder, execution_order
+from pkm_printers.rrf_words import WORDS
+from pkm_studies.base import files
+from pkm_studies.base.errors import InputError
+from pkm_studies.base.plain_number import plain_number
+from pkm_studies.importers.base import ImportedSession, ImportRequest, line_field
+
+DELTA = re.compile(
+    rf"Diagonals?\s+(?P<L>{NUMBER}(?::{NUMBER})*),\s*delta radius\s+(?P<R>{NUMBER}),"
+    rf"\s*homed height\s+(?P<H>{NUMBER}),\s*bed radius\s+(?P<B>{NUMBER}),"
+    rf"\s*X\s+(?P<X>{NUMBER})[^,]*,\s*Y\s+(?P<Y>{NUMBER})[^,]*,\s*Z\s+(?P<Z>{NUMBER})"
+)
+STOPS = re.compile(
+    rf"Endstop adjustments\s+X(?P<X>{NUMBER})\s+Y(?P<Y>{NUMBER})\s+Z(?P<Z>{NUMBER}),"
+    rf"\s*tilt\s+X(?P<A>{NUMBER})%\s+Y(?P<B>{NUMBER})%"
+)
+PROBE = re.compile(
+    rf"Z probe(?: (?P<K>\d+))?: current reading.*offsets\s+X(?P<X>{NUMBER})"
+    rf"\s+Y(?P<Y>{NUMBER})"
+)
+REPLIES = {"M665": DELTA, "M666": STOPS, "G31": PROBE}
+ANGLES = {"X": 210.0, "Y": 330.0, "Z": 90.0}
+#: M666 A and B are in percent
+PERCENT_PPM = 1e4
+VERSION = re.compile(r"RepRapFirmware.*?\b(\d+\.\d+(?:\.\d+)*)")
+MESH_HEADING: Final = re.compile(r"RepRapFirmware height map file v(\d+)")
+MESH_FILE_LIMIT: Final = 4_000_000
+#: mm; no place and no height is beyond it
+LARGEST_MESH_NUMBER: Final = 1e4
+#: mm; numbers of the grid are rounded by as much
+MESH_ROUNDING: Final = 0.02
+#: names of the numbers of the grid, as versions write them
+MESH_GRIDS: Final = (
+    ("xmin", "xmax", "ymin", "ymax", "radius", "spacing", "xnum", "ynum"),
+    ("xmin", "xmax", "ymin", "ymax", "radius", "xspacing", "yspacing", "xnum", "ynum"),
+    (
+        *("axis0", "axis1", "min0", "max0", "min1", "max1"),
+        *("radius", "spacing0", "spacing1", "num0", "num1"),
+    ),
+)
+MESH_REMEDY: Final = "give heightmap.csv as G29 saved it"
+#: letters of axes; other ones have no place on the bed
+MESH_AXES: Final = "XY"
+NODES_NOT_PROBED: Final = "they were not probed"
+
+
+class RrfImporter:
+    """Reads config.g, bed.g and a log, in any order."""
+
+    name = "rrf"
+    about = (
+        "RepRapFirmware delta: config.g (M665, M666), bed.g, log of G32, heightmap.csv"
+    )
+    unused = ("--machine", "--map")
+
+    def read(self, request: ImportRequest) -> ImportedSession:
+        """Geometry and probed points. Raises InputError."""
+        maps = [path for path in request.files if is_height_map(path)]
+        others = [path for path in request.files if path not in maps]
+        texts = gcode.read(others)
+        order = execution_order([_as_command(line) for line in texts])
+        lines = order.lines
+        _check_kinematics(lines)
+        given = facts.numbers(lines)
+        delta = gcode.merged(lines, "M665", "give the config.g that has M665")
+        stops = _adjustments(lines)
+        account = gcode.account_of(lines, WORDS)
+        points: list[ProbedPoint] = []
+        notes: list[str] = []
+        if has_heights(order) or not maps or request.mesh != "readings":
+            points, notes = probed_points(order, given)
+        slope = (
+            PERCENT_PPM * stops.number("A", 0.0),
+            PERCENT_PPM * stops.number("B", 0.0),
+        )
+        if any(slope):
+            notes.append(
+                "Bed: M666 A and B raise z by"
+                f" {slope[0] / PERCENT_PPM:g} % of x and {slope[1] / PERCENT_PPM:g} % of y;"
+                " z of the study counts along the towers, and the export keeps A and B."
+            )
+        return delta_session(
+            name=request.name,
+            firmware=_firmware(order, delta, stops, given),
+            files=", ".join(path.name for path in request.files),
+            geometry=_geometry(delta, stops, given),
+            points=points,
+            accounts=account.sentences(),
+            notes=[*notes, *order.notes, *gcode.about_order(texts)],
+            bed_slope_ppm=slope,
+            meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
+            mesh=request.mesh,
+        )
+
+
+importer = RrfImporter()
+
+
+def _check_kinematics(lines: Sequence[TextLine]) -> None:
+    """Refuse other kinematics than that of a linear delta, K3."""
+    for command in gcode.commands(lines, "M669"):
+        if command.words.get("K", "3") != "3":
+            raise command.line.error(
+                "this is no linear delta (K3)",
+                "this importer is for delta printers; for others take `columns`",
+                "M669 K",
+            )
+
+
+def _adjustments(lines: Sequence[TextLine]) -> Command:
+    """M666; without words where the files have none."""
+    if any(gcode.commands(lines, "M666")):
+        return gcode.merged(lines, "M666", "")
+    return Command("M666", {}, lines[0])
+
+
+def _geometry(
+    delta: Command, stops: Command, given: dict[str, tuple[float, ...]]
+) -> DeltaGeometry:
+    """Carriage i homes to H + sqrt(L_i^2 - R^2) + its adjustment of M666."""
+    cells = [arm for arm in delta.words.get("L", "").split(":") if arm]
+    arms = [gcode.finite(arm, delta.line_of("L")) for arm in cells]
+    if len(arms) not in (1, 3):
+        raise delta.line_of("L").error(
+            "M665 has no L, or not one or three", "give the rods"
+        )
+    trims = given.get("rod_trim_mm", (0.0, 0.0, 0.0))
+    rods = arms * 3 if len(arms) == 1 else arms
+    height = delta.number("H")
+    return DeltaGeometry(
+        radius=delta.number("R"),
+        arms=tuple(rod + trim for rod, trim in zip(rods, trims, strict=True)),
+        angles=tuple(angle + delta.number(t, 0.0) for t, angle in ANGLES.items()),
+        endstops=tuple(height + stops.number(tower, 0.0) for tower in ANGLES),
+        radius_trim=given.get("radius_trim_mm", (0.0, 0.0, 0.0)),
+    )
+
+
+def _firmware(
+    order: ExecutionOrder,
+    delta: Command,
+    stops: Command,
+    given: dict[str, tuple[float, ...]],
+) -> Firmware:
+    """The firmware, with the words that calibration leaves as they are."""
+    lines = order.lines
+    printed = [m[1] for line in lines if (m := VERSION.search(line.raw))]
+    bed = {letter: stops.words[letter] for letter in "AB" if letter in stops.words}
+    reach = {letter: delta.words[letter] for letter in "BS" if letter in delta.words}
+    return Firmware(
+        name="rrf",
+        title="RepRapFirmware",
+        version=facts.version(lines) or (printed[-1] if printed else None),
+        file=order.stored,
+        keep={"M665": _written(reach), "M666": _written(bed)},
+        radius_trim_mm=given.get("radius_trim_mm", ()),
+    )
+
+
+def _written(words: dict[str, str]) -> str:
+    return " ".join(f"{letter}{text}" for letter, text in words.items())
+
+
+# -- replies as commands ---------------------------------------------------------------
+
+
+def _as_command(line: TextLine) -> TextLine:
+    for name, pattern in REPLIES.items():
+        match = pattern.search(line.text)
+        if match is not None:
+            numbers = match.groupdict().items()
+            words = [f"{letter}{text}" for letter, text in numbers if text is not None]
+            return dataclasses.replace(line, text=" ".join([name, *words]))
+    return line
+
+
+# -- heightmap.csv ---------------------------------------------------------------------
+
+
+def is_height_map(path: Path) -> bool:
+    """Whether a file is a height map: by its first line, or its name.
+
+    The firmware has no other CSV. A file that cannot be read is none.
+    """
+    if path.suffix.lower() == ".csv":
+        return True
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            return MESH_HEADING.match(file.readline()) is not None
+    except OSError:
+        return False
+
+
+def height_map(path: Path, offset: tuple[float, float]) -> BedMesh:
+    """The probed nodes of a file. Raises InputError.
+
+    offset  of the probe from the nozzle, mm
+    """
+    lines = files.read_text(path, limit=MESH_FILE_LIMIT, what="height map").splitlines()
+    grid = _mesh_grid(lines, path)
+    x = grid["xmin"] + grid["xspacing"] * np.arange(round(grid["xnum"]))
+    y = grid["ymin"] + grid["yspacing"] * np.arange(round(grid["ynum"]))
+    rows = [(k, line) for k, line in enumerate(lines[3:], start=4) if line.strip()]
+    if len(rows) != len(y):
+        problem = f"{len(rows)} rows of heights, where the grid has {len(y)}"
+        raise _mesh_error(path, len(lines), problem)
+    points = []
+    for (number, line), along in zip(rows, y, strict=True):
+        cells = [cell.strip() for cell in line.split(",")]
+        if len(cells) != len(x):
+            problem = f"{len(cells)} heights, where the grid has {len(x)}"
+            raise _mesh_error(path, number, problem)
+        for across, cell in zip(x, cells, strict=True):
+            if cell == "0":
+                continue
+            height = _mesh_number(cell, path, number)
+            points.append(
+                ProbedPoint(float(across) - offset[0], float(along) - offset[1], height)
+            )
+    for places, axis in ((x, "x"), (y, "y")):
+        if places[-1] > grid[f"{axis}max"] + MESH_ROUNDING:
+            raise _mesh_error(path, 3, f"its nodes go beyond its {axis}max")
+    left_out = len(x) * len(y) - len(points)
+    return BedMesh(path.stem, tuple(points), left_out, NODES_NOT_PROBED)
+
+
+def _mesh_grid(lines: Sequence[str], path: Path) -> dict[str, float]:
+    """Ends, spacing and numbers of nodes along x and y. Raises InputError."""
+    if len(lines) < 3:
+        raise _mesh_error(path, len(lines), "the lines of the grid are missing")
+    names = tuple(name.strip() for name in lines[1].split(","))
+    cells = [cell.strip() for cell in lines[2].split(",")]
+    if names not in MESH_GRIDS or len(cells) != len(names):
+        raise _mesh_error(path, 2, "this version's grid is not known")
+    words = dict(zip(names, cells, strict=True))
+    axes = words.pop("axis0", "X") + words.pop("axis1", "Y")
+    if axes != MESH_AXES:
+        raise _mesh_error(path, 3, f"its axes are {axes}, not {MESH_AXES}")
+    grid = {name: _mesh_number(cell, path, 3) for name, cell in words.items()}
+    for k, axis in enumerate("xy"):
+        for stem in ("min", "max", "spacing", "num"):
+            grid.setdefault(f"{axis}{stem}", grid.get(f"{stem}{k}", np.nan))
+        if "spacing" in grid:
+            grid[f"{axis}spacing"] = grid["spacing"]
+        step, number = (grid[f"{axis}{stem}"] for stem in ("spacing", "num"))
+        if step <= 0.0 or number < 1 or number % 1:
+            raise _mesh_error(
+                path, 3, f"{number:g} nodes {step:g} mm apart are no grid"
+            )
+    return grid
+
+
+def _mesh_number(cell: str, path: Path, line: int) -> float:
+    number = plain_number(cell)
+    if number is None or abs(number) > LARGEST_MESH_NUMBER:
+        raise _mesh_error(path, line, f"{cell} is no number of a height map")
+    return number
+
+
+def _mesh_error(path: Path, line: int, problem: str) -> InputError:
+    return InputError(problem, MESH_REMEDY, file=str(path), field=line_field(line))

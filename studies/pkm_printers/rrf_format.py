@@ -1,0 +1,116 @@
+"""RepRapFirmware: M665 and M666 of a delta."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from oed.base.arrays import Array
+from pkm_printers.delta_numbers import (
+    ANGLES,
+    DeltaNumbers,
+    delta_joints,
+    delta_numbers,
+    firmware_of,
+    home_notes,
+    not_a_delta,
+    trim_notes,
+    trims,
+)
+from pkm_printers.marlin_format import words
+from pkm_studies.catalogue.controller_format import (
+    Compensation,
+    ControllerFormat,
+    Texts,
+)
+from pkm_studies.compensation.build import sentences_of
+
+NAME = "rrf"
+USUAL_FILE = "config.g"
+STORED = (
+    "M501 reads {file} after config.g, so its M665 and M666 win: put these lines there in"
+    " their place, or after M501 in config.g; or send them to the printer, then M500"
+)
+UNKNOWN_WORDS = (
+    "B of M665 (printable radius) and A, B of M666 (bed tilt) are not written, as the study"
+    " does not know them: keep those of the printer"
+)
+
+
+def notes(compensation: Compensation) -> tuple[str, ...]:
+    """Which version and file the lines are for, and what they do not hold."""
+    single = len(set(_rods(delta_numbers(compensation, NAME)))) == 1
+    known = firmware_of(compensation, NAME)
+    file = None if known is None else known.file
+    sentences = [
+        f"for {file or USUAL_FILE} of RepRapFirmware 3"
+        if single
+        else f"for {file or USUAL_FILE}; several lengths after L need RepRapFirmware 3"
+    ]
+    if file is not None:
+        sentences.append(STORED.format(file=file))
+    if known is None:
+        sentences.append(UNKNOWN_WORDS)
+    sentences += home_notes(compensation, NAME)
+    return (*sentences, *trim_notes(compensation, NAME))
+
+
+def write(compensation: Compensation) -> Texts:
+    """Homed height H, and M666 with adjustments of mean zero.
+
+    The firmware homes carriage i to H + sqrt(L_i^2 - R^2) + its adjustment: H plus the
+    adjustment is the height of an endstop.
+    """
+    numbers = delta_numbers(compensation, NAME)
+    lean = numbers.angles - ANGLES
+    height = float(np.mean(numbers.endstops))
+    adjust = numbers.endstops - height
+    arms = _rods(numbers)
+    known = firmware_of(compensation, NAME)
+    retained = {} if known is None else known.keep
+    lines = [f"; {sentence}" for sentence in sentences_of(compensation)]
+    rods = arms[0] if len(set(arms)) == 1 else ":".join(arms)
+    delta = (
+        f"M665 L{rods} R{numbers.radius:.4f}"
+        f" H{height:.4f} X{lean[0]:.4f} Y{lean[1]:.4f} Z{lean[2]:.4f}"
+    )
+    stops = f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}"
+    lines += [
+        f"{delta} {retained.get('M665', '')}".rstrip(),
+        f"{stops} {retained.get('M666', '')}".rstrip(),
+        "",
+    ]
+    return {".g": "\n".join(lines)}
+
+
+def _rods(numbers: DeltaNumbers) -> list[str]:
+    """Lengths of the rods as they are written."""
+    return [f"{arm:.4f}" for arm in numbers.arms]
+
+
+def joints(texts: Texts, compensation: Compensation) -> Array:
+    """Travels of a printer with these commands.
+
+    The study's z counts along the towers, as the firmware's does once it has raised it
+    by M666 A and B.
+    """
+    geometry = words(texts[".g"], "M665")
+    adjust = words(texts[".g"], "M666")
+    numbers = DeltaNumbers(
+        radius=geometry["R"][0],
+        arms=np.array(geometry["L"]) * np.ones(3),
+        angles=np.array(ANGLES) + [geometry[k][0] for k in "XYZ"],
+        endstops=geometry["H"][0] + np.array([adjust[k][0] for k in "XYZ"]),
+        trim=trims(compensation, NAME, "radius_trim_mm"),
+    )
+    return delta_joints(numbers, numbers.carriages, compensation)
+
+
+controller = ControllerFormat(
+    name=NAME,
+    about="RepRapFirmware's M665 and M666 of a delta printer, four decimals",
+    source="RepRapFirmware, src/Movement/Kinematics/LinearDeltaKinematics.cpp",
+    write=write,
+    joints=joints,
+    unfit=not_a_delta,
+    notes=notes,
+)

@@ -1,0 +1,230 @@
+"""`oed import klipper`: printers of an oracle and real ones, to Klipper's own cost."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.delta_trilateration import travel_to
+from oracles.klipper_cost import Delta, cost
+
+import oed
+from oed.base import units
+from pkm_studies.base.errors import InputError
+from pkm_studies.commands.cli import main
+from pkm_studies.importers import session
+
+ARMS = (217.0, 217.0, 217.0)
+#: radius of a printer that no study describes, mm, and its true geometry
+RADIUS = 98.0
+TRUE = Delta(98.6, ARMS, np.radians([210.3, 329.8, 90.0]), (251.4, 250.7, 250.9))
+STEP = 40.0 / (200.0 * 16.0)
+POINTS = [(0.0, 0.0)] + [
+    (70.0 * np.cos(a), 70.0 * np.sin(a)) for a in np.radians(np.arange(0, 360, 45))
+]
+
+
+def printer(heights: list[str]) -> str:
+    """A printer.cfg with these lines in the block [delta_calibrate]."""
+    steppers = "\n".join(
+        f"[stepper_{tower}]\nmicrosteps: 16  # a comment\nrotation_distance = 40\n"
+        for tower in "abc"
+    )
+    return f"""\
+[printer]
+kinematics: delta
+#delta_radius: 120
+[gcode_macro PARK]
+gcode:
+    G1 X{{ 3 + 4 }} ; radius: 3
+{steppers}
+[delta_calibrate]
+radius: 70
+#*# <---------------------- SAVE_CONFIG ---------------------->
+#*# DO NOT EDIT THIS BLOCK OR BELOW. The contents are auto-generated.
+#*#
+#*# [printer]
+#*# delta_radius = {RADIUS}
+#*#
+#*# [stepper_a]
+#*# arm_length = 217.0
+#*# position_endstop = 251.0
+#*#
+#*# [delta_calibrate]
+""" + "\n".join(f"#*# {line}" for line in heights)
+
+
+def readings_of_truth() -> list[str]:
+    """The saved block: contact at 12.5 mm, at the steps of the true printer."""
+    lines = []
+    for k, (x, y) in enumerate(POINTS):
+        travels = travel_to((x, y, 12.5), *TRUE)
+        steps = ",".join(f"{travel / STEP:.6f}" for travel in travels)
+        lines += [f"height{k} = 12.5", f"height{k}_pos = {steps}"]
+    return lines
+
+
+def test_a_printer_comes_in_and_its_true_geometry_comes_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "printer.cfg").write_text(printer(readings_of_truth()))
+    code = main(
+        ["import", "klipper", str(tmp_path / "printer.cfg"), "--out", str(tmp_path)]
+    )
+    assert code == 0
+    files = [
+        str(tmp_path / f"printer.{kind}") for kind in ("study.toml", "readings.csv")
+    ]
+    assert main(["check", *files]) == 0
+    # a probe touches at one height: no copies
+    assert "equal to the last digit" not in "".join(capsys.readouterr())
+    study = oed.load_study(tmp_path / "printer.study.toml")
+    estimate = oed.identify(oed.read_readings(study)).section.parameters
+    value = {n: float(units.to_si(e.value, e.unit)) for n, e in estimate.items()}
+    # the priors of 5 mm and 2 deg pull by some um and 0.1 mrad
+    assert value["radius"] == pytest.approx(units.MM * TRUE.radius, abs=5e-5)
+    assert value["angle1"] == pytest.approx(TRUE.angle[0], abs=3e-4)
+    assert value["endstop2"] == pytest.approx(units.MM * TRUE.endstop[1], abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    "name", ["flsun_sr_cupsster", "flsun_v400_fzechert", "flsun_v400_phnxdrgn"]
+)
+def test_real_printers_reach_the_cost_of_klipper(
+    name: str, shared_data: Path, tmp_path: Path
+) -> None:
+    """SAVE_CONFIG stores the geometry of Klipper's own least-squares fit."""
+    config = shared_data / "klipper_delta" / f"{name}.cfg"
+    path, imported = session.import_files("klipper", [config], tmp_path)
+    study = oed.load_study(path)
+    section = oed.identify(oed.read_readings(study)).section
+    kinds = {"radius": "mm", "arm": "mm", "angle": "deg", "endstop": "mm"}
+    values = {
+        name: float(units.to_si(study.machine.nominal[f"{name}_{unit}"], unit))
+        for stem, unit in kinds.items()
+        for name in ([stem] if stem == "radius" else [f"{stem}{i}" for i in (1, 2, 3)])
+    }
+    fitted = values | {
+        name: float(units.to_si(entry.value, entry.unit))
+        for name, entry in section.parameters.items()
+    }
+    heights, distances = _readings(imported.rows)
+    reference = cost(_saved(config), heights, distances)
+    own = cost(_delta(fitted), heights, distances)
+    assert own <= 1.05 * reference
+    assert own >= 0.99 * reference  # Klipper's is the least there is
+
+
+def _saved(config: Path) -> Delta:
+    """The geometry in the block of SAVE_CONFIG, whether or not it is in use."""
+    lines = [line[4:] for line in config.read_text().splitlines() if line[:3] == "#*#"]
+    block = "\n".join(lines)
+
+    def numbers(key: str) -> list[float]:
+        return [float(v) for v in re.findall(rf"^{key} = (.*)$", block, re.M)]
+
+    (radius,) = numbers("delta_radius")
+    angles = np.radians(numbers("angle")).tolist()
+    return Delta(radius, numbers("arm_length"), angles, numbers("position_endstop"))
+
+
+def _delta(values: Mapping[str, float]) -> Delta:
+    """The oracle's delta, in mm and rad, from SI values by parameter."""
+    lengths = {
+        stem: [values[f"{stem}{i}"] / units.MM for i in (1, 2, 3)]
+        for stem in ("arm", "endstop")
+    }
+    angles = [values[f"angle{i}"] for i in (1, 2, 3)]
+    radius = values["radius"] / units.MM
+    return Delta(radius, lengths["arm"], angles, lengths["endstop"])
+
+
+def _readings(rows: Sequence[Mapping[str, str]]) -> tuple[list[Any], list[Any]]:
+    """Heights and distances of imported rows, as the cost takes them."""
+    probed = [row for row in rows if row["setup"] == "probe"]
+    pairs = [row for row in rows if row["setup"] == "calliper"]
+    heights = [(float(row["height_mm"]), _travels(row)) for row in probed]
+    distances = [
+        (float(second["length_mm"]), _travels(first), _travels(second))
+        for first, second in zip(pairs[::2], pairs[1::2], strict=True)
+    ]
+    return heights, distances
+
+
+def _travels(row: Mapping[str, str]) -> list[float]:
+    return [float(row[f"q{i}_mm"]) for i in (1, 2, 3)]
+
+
+def test_a_value_above_the_saved_block_is_the_one_in_use(tmp_path: Path) -> None:
+    """As klippy/configfile.py: saved values that are written above are stripped."""
+    text = printer(readings_of_truth()).replace(
+        "#delta_radius: 120", "delta_radius: 99"
+    )
+    (tmp_path / "printer.cfg").write_text(text)
+    path, imported = session.import_files(
+        "klipper", [tmp_path / "printer.cfg"], tmp_path
+    )
+    assert oed.load_study(path).machine.nominal["radius_mm"] == 99.0
+    line = text.splitlines().index("delta_radius: 99") + 1
+    (sentence,) = [s for s in imported.statements if "does not use the saved" in s]
+    assert f"delta_radius is 99, as line {line} has it" in sentence
+    assert "98.0 of line" in sentence
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("kinematics: delta", "kinematics: corexy", "line 2, [printer] kinematics"),
+        ("delta_radius = 98.0", "delta_radius = wide", "a number is wanted here"),
+        ("delta_radius = 98.0", "delta_radius = 300", "not longer than the delta's"),
+        ("height3_pos = ", "height3_pos = 1,", "3 numbers are wanted here"),
+        ("height3_pos = ", "height3_was = ", "[delta_calibrate] height3_pos: missing"),
+        ("#*# [delta_calibrate]", "#*# [other]", "run DELTA_CALIBRATE"),
+        ("rotation_distance = 40", "", "give the file that has it as well"),
+        ("microsteps: 16", "microsteps: 0", "must be above 0"),
+    ],
+)
+def test_bad_files_name_line_and_remedy(
+    old: str, new: str, words: str, tmp_path: Path
+) -> None:
+    text = printer(readings_of_truth())
+    assert old in text
+    (tmp_path / "printer.cfg").write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as raised:
+        session.import_files("klipper", [tmp_path / "printer.cfg"], tmp_path / "out")
+    assert words in str(raised.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "printer.cfg").write_text(printer(readings_of_truth()))
+    readings = tmp_path / "printer.readings.csv"
+    readings.write_text("mine")
+    with pytest.raises(InputError, match="importing overwrites nothing"):
+        session.import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
+    assert readings.read_text() == "mine"
+
+
+def test_nominal_numbers_of_another_printer_are_exit_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The readings fit, but only 30 mm from the endstops that the file states."""
+    text = printer(readings_of_truth()).replace("= 251.0", "= 221.0")
+    (tmp_path / "printer.cfg").write_text(text)
+    path, _ = session.import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
+    readings = str(tmp_path / "printer.readings.csv")
+    plain = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
+    plain += '[identify]\neffects = "none"\n'
+    path.write_text(path.read_text() + plain)
+    out = str(tmp_path / "out")
+    assert main(["identify", str(path), "--readings", readings, "--out", out]) == 1
+    assert "numbers are those of another machine" in capsys.readouterr().err
+
+
+def test_an_unknown_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="did you mean klipper"):
+        session.import_files("kliper", [tmp_path / "a.cfg"], tmp_path)

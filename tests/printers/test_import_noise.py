@@ -1,0 +1,153 @@
+"""Readings of printers: the noise that nobody measured, and readings that are equal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.firmware import marlin, rrf
+from oracles.firmware.geometry import Delta, Probe, delta, spiral
+from oracles.firmware.klipper import Klipper, example
+
+from pkm_studies.commands.cli import main
+from pkm_studies.results.stored_result import load_result
+from printers.delta_printer import take
+
+SETTINGS = "M665 L250 R125 H300\nM666 X-0.2 Y-0.2 Z-0.2"
+
+
+def marlin_log(real: Delta, sigma: float, count: int, seed: int) -> str:
+    firmware = marlin.Marlin(SETTINGS)
+    rng = np.random.default_rng(seed)
+    heights = firmware.g30(real, Probe(sigma=sigma), spiral(count, 90.0), rng, digits=3)
+    return firmware.m115() + firmware.m503() + heights
+
+
+# -- an assumed noise ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sigma", "count"), [(0.01, 18), (0.3, 18), (0.01, 10), (0.02, 60)]
+)
+def test_an_assumed_noise_follows_the_readings(
+    sigma: float, count: int, tmp_path: Path
+) -> None:
+    """Independent readings: their scatter is estimated, and nothing that a run carries.
+
+    The importer assumes 100 um. The predicted error follows the estimate.
+    """
+    real = delta(125.4, 250.0, [210.3, 329.8, 90.0], [300.2, 299.9, 300.1])
+    log = marlin_log(real, sigma, count, seed=3)
+    study, _ = take("marlin", {"log": log}, tmp_path)
+    main(["run", str(study), "--out", str(tmp_path / "r"), "--quiet"])
+    result = load_result(tmp_path / "r")
+    assert result.goodness is not None
+    assert set(result.goodness.noise) == {"reading probe.height"}
+    record = result.goodness.noise["reading probe.height"]
+    assert record.stated == 100.0
+    # a scatter of so many degrees of freedom
+    spread = 3.0 / np.sqrt(2.0 * (count - 6))
+    assert abs(np.log(record.value / (1000.0 * sigma))) < 1.5 * spread
+    assert result.prediction is not None
+    z = result.prediction.components["z"].after
+    assert 0.2 < z.rms / record.value < 2.0
+
+
+def test_an_assumed_noise_that_is_stated_too_carries_what_is_stated(
+    tmp_path: Path,
+) -> None:
+    real = delta(125.4, 250.0, [210.3, 329.8, 90.0], [300.2, 299.9, 300.1])
+    study, _ = take("marlin", {"log": marlin_log(real, 0.02, 40, 1)}, tmp_path)
+    text = study.read_text()
+    study.write_text(text.replace("assumed = true", "assumed = true\ncarried = 0.3"))
+    main(["run", str(study), "--out", str(tmp_path / "r"), "--quiet"])
+    result = load_result(tmp_path / "r")
+    assert result.goodness is not None
+    assert "carried" in result.goodness.noise
+
+
+def test_an_assumed_noise_is_said_first(tmp_path: Path) -> None:
+    """Where few readings cannot test it; and not where many estimate it."""
+    real = delta(125.4, 250.0, [210.3, 329.8, 90.0], [300.2, 299.9, 300.1])
+    for count, said in ((7, True), (40, False)):
+        folder = tmp_path / str(count)
+        study, _ = take("marlin", {"log": marlin_log(real, 0.1, count, 0)}, folder)
+        if said:
+            study.write_text(study.read_text().replace("html = false", "html = true"))
+        assert main(["run", str(study), "--out", str(folder / "r"), "--quiet"]) == 0
+        headline = load_result(folder / "r").headline
+        sentence = "The noise of the readings (height 100 um) is an assumption"
+        assert headline[0].startswith(sentence) == said
+    page = (tmp_path / "7" / "r" / "report.html").read_text("utf-8")
+    assert "is an assumption" in page.split('id="warnings"')[1][:1000]
+
+
+# -- readings that an importer wrote itself ---------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "count", [3, pytest.param(50, marks=pytest.mark.slow)], ids=["3", "50"]
+)
+def test_no_display_is_frozen_in_clean_imports(
+    count: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Printers of all firmwares, two in five calibrated to the last digit."""
+    rng = np.random.default_rng(3)
+    for number in range(count):
+        kind = ("rrf", "marlin", "klipper")[number % 3]
+        error = 0.0 if number < 0.4 * count else 0.3
+        real = delta(
+            125.0 + error * rng.normal(),
+            250.0,
+            [210.0 + error * rng.normal(), 330.0, 90.0],
+            300.0 + error * rng.normal(size=3),
+        )
+        files = clean_files(kind, real, rng)
+        study, _ = take(kind, files, tmp_path / str(number))
+        capsys.readouterr()
+        assert main(["check", str(study)]) == 0
+        said = capsys.readouterr().out.splitlines()
+        assert not [line for line in said if line.startswith(" ")], (kind, said)
+
+
+def clean_files(kind: str, real: Delta, rng: np.random.Generator) -> dict[str, str]:
+    places, probe = spiral(13, 80.0), Probe(sigma=0.01)
+    if kind == "marlin":
+        firmware = marlin.Marlin(SETTINGS)
+        log = firmware.m115() + firmware.m503()
+        return {"log": log + firmware.g30(real, probe, places, rng)}
+    if kind == "rrf":
+        config = "M665 L250 R125 H300 B110 X0 Y0 Z0\nM666 X0 Y0 Z0\nG31 X0 Y0 Z0\n"
+        bed = rrf.bed_file(places)
+        log = rrf.RepRapFirmware(config).g32(bed, real, probe, rng)
+        return {"config.g": config, "bed.g": bed, "log.txt": log}
+    printer = Klipper(example(125, 250, 300))
+    printer.calibrate(real, probe, places, rng)
+    section = printer.saved["delta_calibrate"]
+    # two probes with different offsets: groups of equal readings
+    for k in range(0, len(places), 2):
+        point = [*places[k], 1.5 + probe.sigma * rng.normal()]
+        section[f"height{k}"] = "1.5"
+        steps = real.travel([point])[0] / printer.step
+        section[f"height{k}_pos"] = ",".join(f"{v:.3f}" for v in steps)
+    return {"printer.cfg": printer.text()}
+
+
+def test_a_display_that_is_frozen_is_still_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Heights that were read at commanded places, and do not change."""
+    study = tmp_path / "a.study.toml"
+    study.write_text(
+        'schema = 1\nname = "a"\n[machine]\nmodel = "linear_delta"\n[[setup]]\n'
+        'name = "s"\ninstrument = "height_probe"\n[readings]\nfiles = ["a.csv"]\n'
+    )
+    rows = [
+        f"s,1,{k},{10 * (k % 5)},{5 * k},{1 + 0.2 * k:.1f},{1.02 + 0.2 * min(k, 6):.4f}"
+        for k in range(12)
+    ]
+    header = "setup,run,order,x_mm,y_mm,z_mm,height_mm"
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows, ""]))
+    main(["check", str(study)])
+    assert "a frozen display?" in "".join(capsys.readouterr())
