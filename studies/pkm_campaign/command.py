@@ -40,15 +40,15 @@ def campaign(
     """Run settings x seeds over cases; again: go on where it was."""
     import os
 
-    from pkm_campaign import report, results, runner, tables
+    from pkm_campaign import load_campaign, report, results, run_cases
     from pkm_studies.notebook import display
 
-    loaded = tables.load_campaign(file, consent(allow_code=allow_code))
+    loaded = load_campaign(file, consent(allow_code=allow_code))
     loaded = loaded if seeds is None else loaded.first(seeds)
     folder = Path("out") / loaded.name if out is None else out
     with display.progress(quiet=quiet) as progress:
         progress.stage("cases")
-        broken = runner.run_cases(
+        broken = run_cases(
             loaded,
             folder,
             workers=workers or os.cpu_count() or 1,

@@ -27,7 +27,7 @@ def certificate(
 ) -> int:
     """Write a calibration certificate: XML for machines (DCC), PDF for persons."""
     from oed.result.verdict import all_pass
-    from pkm_certificate.certify import certify_folder, sentences
+    from pkm_certificate import certify_folder, sentences
 
     given = consent(allow_code=allow_code)
     written, paths = certify_folder(

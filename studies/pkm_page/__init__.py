@@ -3,7 +3,6 @@
 PageOptions        what `oed serve` was asked for
 serve              serves the page until the process is interrupted
 open_page          the page of a study or a result, and the shelf of its results
-starter            what opens a study of a served folder
 MachinePage        all that a page can be asked for, apart from the web
 Switch             the web side of it
 BackgroundCommand  a command of `oed` that runs beside the page
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from pkm_page.job import BackgroundCommand
     from pkm_page.machine_page import MachinePage
     from pkm_page.server import Switch
-    from pkm_page.serving import PageOptions, open_page, serve, starter
+    from pkm_page.serving import PageOptions, open_page, serve
 
 __all__ = [
     "BackgroundCommand",
@@ -28,7 +27,6 @@ __all__ = [
     "Switch",
     "open_page",
     "serve",
-    "starter",
 ]
 
 # imported when first used: `oed --help` imports the subcommand
@@ -38,6 +36,6 @@ __getattr__ = attributes(
         "job": ("BackgroundCommand",),
         "machine_page": ("MachinePage",),
         "server": ("Switch",),
-        "serving": ("PageOptions", "open_page", "serve", "starter"),
+        "serving": ("PageOptions", "open_page", "serve"),
     },
 )

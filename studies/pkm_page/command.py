@@ -52,14 +52,15 @@ def serve(
     allow_code: AllowCode = False,
 ) -> int:
     """Open the page at the machine: measure, see what is known, decide."""
-    from pkm_page import serving
+    from pkm_page import PageOptions
+    from pkm_page import serve as serve_page
 
-    options = serving.PageOptions(
+    options = PageOptions(
         readings, wanted, source, pattern, take, consent(allow_code=allow_code)
     )
 
     def say(address: str) -> None:
         print(f"Page: {address}  (Ctrl-C ends it)", flush=True)
 
-    serving.serve(target, options, host, port, say)
+    serve_page(target, options, host, port, say)
     return DONE

@@ -17,12 +17,7 @@ from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
 from pkm_page import acceptance, machine_page, render
-from pkm_page.machine_page import (
-    Change,
-    MachinePage,
-    ReadingEntry,
-    ResultChoice,
-)
+from pkm_page.machine_page import Change, MachinePage, ReadingEntry, ResultChoice
 from pkm_page.new_study import FieldError, NewStudy, StudyForm
 from pkm_page.readings_log import StaleError
 from pkm_page.session import DoubtfulError

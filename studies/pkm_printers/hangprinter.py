@@ -20,15 +20,7 @@ from pkm_models.machines import cable_robot
 from pkm_printers import gcode, words
 from pkm_printers.gcode import Command
 from pkm_printers.rrf_sequence import execution_order
-from pkm_printers.words import (
-    HARMLESS,
-    READ,
-    Word,
-    WordTable,
-    costs,
-    refused,
-    same,
-)
+from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
 from pkm_studies.base.csv_table import CsvTable
 from pkm_studies.base.errors import InputError, Place
 from pkm_studies.base.user_code import Origin

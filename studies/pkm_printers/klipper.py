@@ -18,12 +18,7 @@ from oed.base.arrays import Array
 from pkm_printers import klipper_config, klipper_mesh
 from pkm_printers.bed_mesh import distinct, explanations
 from pkm_printers.delta_contact import tool_heights
-from pkm_printers.delta_study import (
-    DeltaGeometry,
-    DeltaStudy,
-    Firmware,
-    noise_table,
-)
+from pkm_printers.delta_study import DeltaGeometry, DeltaStudy, Firmware, noise_table
 from pkm_printers.klipper_account import config_account
 from pkm_printers.klipper_config import Entry, KlipperConfig
 from pkm_studies.base.errors import InputError

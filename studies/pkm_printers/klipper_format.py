@@ -19,7 +19,6 @@ from pkm_studies.catalogue.controller_format import (
     ControllerFormat,
     Texts,
 )
-from pkm_studies.compensation.build import sentences_of
 
 NAME, TOWERS = "klipper", "abc"
 WHERE = (
@@ -31,7 +30,7 @@ WHERE = (
 def write(compensation: Compensation) -> Texts:
     """The options that calibration changes, with Klipper's own six decimals."""
     numbers = delta_numbers(compensation, NAME)
-    lines = [f"# {sentence}" for sentence in sentences_of(compensation)]
+    lines = [f"# {sentence}" for sentence in compensation.comments]
     lines.append(f"# {WHERE}")
     lines += ["", "[printer]", f"delta_radius: {numbers.radius:.6f}"]
     rows = zip(TOWERS, numbers.endstops, numbers.arms, numbers.angles, strict=True)

@@ -41,15 +41,7 @@ from pkm_printers.marlin_version import (
     printed_version,
 )
 from pkm_printers.probed_point import ProbedPoint
-from pkm_printers.words import (
-    HARMLESS,
-    READ,
-    Word,
-    WordTable,
-    costs,
-    refused,
-    same,
-)
+from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
 from pkm_studies.importers.base import ImportedSession, ImportRequest
 
 RADII: Final = refused(

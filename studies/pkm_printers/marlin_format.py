@@ -35,7 +35,6 @@ from pkm_studies.catalogue.controller_format import (
     ControllerFormat,
     Texts,
 )
-from pkm_studies.compensation.build import sentences_of
 from pkm_studies.study.tables import NOT_KNOWN, ControllerTable
 
 NAME = "marlin"
@@ -112,7 +111,7 @@ def write(compensation: Compensation) -> Texts:
     if target.b == ROD_TRIM:
         trim = rods - rod
         words.append(f"A{trim[0]:.4f} B{trim[1]:.4f} C{trim[2]:.4f}")
-    lines = [f"; {sentence}" for sentence in sentences_of(compensation)]
+    lines = [f"; {sentence}" for sentence in compensation.comments]
     store = "M500 ; store" if target.is_sure else "; M500 stores it, once it is checked"
     lines += [
         " ".join(words),

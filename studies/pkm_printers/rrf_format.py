@@ -22,7 +22,6 @@ from pkm_studies.catalogue.controller_format import (
     ControllerFormat,
     Texts,
 )
-from pkm_studies.compensation.build import sentences_of
 
 NAME = "rrf"
 USUAL_FILE = "config.g"
@@ -67,7 +66,7 @@ def write(compensation: Compensation) -> Texts:
     arms = _rods(numbers)
     known = firmware_of(compensation, NAME)
     retained = {} if known is None else known.keep
-    lines = [f"; {sentence}" for sentence in sentences_of(compensation)]
+    lines = [f"; {sentence}" for sentence in compensation.comments]
     rods = arms[0] if len(set(arms)) == 1 else ":".join(arms)
     delta = (
         f"M665 L{rods} R{numbers.radius:.4f}"

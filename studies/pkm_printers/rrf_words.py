@@ -7,15 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from pkm_printers.words import (
-    HARMLESS,
-    READ,
-    Word,
-    WordTable,
-    costs,
-    refused,
-    same,
-)
+from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
 
 MORE_TOWERS: Final = refused(
     "this sets towers beyond the third", "remove it: only three towers hold the tool"

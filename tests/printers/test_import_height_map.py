@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from oracles.firmware import rrf
 from oracles.firmware.geometry import delta
-from printers.test_import_rrf import FILES, TILT_CONFIG
 
 import oed
 from pkm_printers.bed_mesh import BedMesh, distinct
@@ -14,6 +13,7 @@ from pkm_printers.probed_point import ProbedPoint
 from pkm_studies.base.errors import InputError
 from pkm_studies.importers import session
 from printers.delta_printer import take
+from printers.test_import_rrf import FILES, TILT_CONFIG
 
 HEAD = (
     "RepRapFirmware height map file v2 generated at 2024-05-01 10:00, deviation 0.1\n"

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from printers.test_import_marlin import OLD_LOG
 
 from pkm_studies.base.errors import InputError
 from printers.delta_printer import said, take
+from printers.test_import_marlin import OLD_LOG
 
 GRID = """\
 Recv: Bilinear Leveling Grid:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from oed.base.arrays import Array
 from oed.model.machine import Machine
 from oed.result import EffectTable
+from pkm_studies.base.errors import shorten
 
 if TYPE_CHECKING:
     from oed.compensate.command_grid import CommandGrid
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from oed.mechanism.kinematics import Kinematics
     from pkm_studies.study.tables import ControllerTable
 
+#: characters of a comment, which holds text of results
+LONGEST_COMMENT = 1000
 #: texts of an export by the end of their file names, such as `.cfg`
 Texts = Mapping[str, str]
 
@@ -92,6 +95,15 @@ class Compensation:
         from oed.compensate.further_axes import further_axes
 
         return further_axes(self.kinematics)
+
+    @property
+    def comments(self) -> list[str]:
+        """Comments that open every file, a line each: what follows would be a command."""
+        title = f"pkm-oed {self.version}, study {self.study}"
+        machine = f"machine {self.machine.name}"
+        return [
+            shorten(line, LONGEST_COMMENT) for line in (title, machine, *self.notes)
+        ]
 
     def parameter(self, name: str) -> float:
         """An identified parameter, SI. Raises KeyError."""

@@ -12,7 +12,7 @@ from oed.base.arrays import Array
 from oed.compensate.command_grid import GridAxis
 from oed.model.machine import Machine
 from oed.result import StudyResult
-from pkm_studies.base.errors import InputError, shorten
+from pkm_studies.base.errors import InputError
 from pkm_studies.catalogue.controller_format import (
     Compensation,
     ControllerFormat,
@@ -23,9 +23,6 @@ from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.workspace import workspace_axes, workspace_commands
 from pkm_studies.study import Study
-
-#: characters of a comment, which holds text of results
-COMMENT = 1000
 
 
 def compensation(
@@ -126,10 +123,3 @@ def _command(displayed: dict[str, float], machine: Machine) -> Array:
         name = column(coordinate.name, coordinate.unit)
         values.append(float(units.to_si(displayed[name], units.split(name)[1])))
     return np.array(values)
-
-
-def sentences_of(compensation: Compensation) -> list[str]:
-    """The comments that open every file, a line each: what follows would be a command."""
-    title = f"pkm-oed {compensation.version}, study {compensation.study}"
-    machine = f"machine {compensation.machine.name}"
-    return [shorten(line, COMMENT) for line in (title, machine, *compensation.notes)]

@@ -18,7 +18,6 @@ from pkm_studies.catalogue.controller_format import (
     ControllerFormat,
     Texts,
 )
-from pkm_studies.compensation.build import sentences_of
 
 #: SI units in one of LinuxCNC's units of a metric machine
 LINUXCNC_UNITS = {"m": "1e-3", "rad": "(3.14159265358979323846 / 180.0)"}
@@ -53,7 +52,7 @@ def _comment(compensation: Compensation) -> str:
     """What the file is, its units and coordinates, and the parameters; closed."""
     machine = compensation.machine
     lines = [
-        *sentences_of(compensation),
+        *compensation.comments,
         "all values in SI units: m, rad",
         *(_coordinate("command", k, c) for k, c in enumerate(machine.command)),
         *(_coordinate("joint", k, c) for k, c in enumerate(machine.joints)),

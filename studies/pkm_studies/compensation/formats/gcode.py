@@ -6,12 +6,12 @@ from oed.base import units
 from oed.model.machine import Machine
 from pkm_studies.base.errors import InputError, shorten
 from pkm_studies.catalogue.controller_format import (
+    LONGEST_COMMENT,
     Compensation,
     ControllerFormat,
     MeasuringPose,
     Texts,
 )
-from pkm_studies.compensation.build import COMMENT, sentences_of
 from pkm_studies.resolve.quantities import display_unit
 
 #: seconds of rest before a reading, and feed, mm/min
@@ -41,7 +41,7 @@ def write(compensation: Compensation) -> Texts:
         )
     axes = letters(compensation.machine)
     named = ", ".join(f"{name} is {letter}" for name, letter in axes.items())
-    lines = [f"({_plain(s)})" for s in sentences_of(compensation)]
+    lines = [f"({_plain(s)})" for s in compensation.comments]
     lines += [
         f"({named}; mm and degrees; commands are not corrected)",
         f"(G4 P{DWELL:g}: seconds, as in RS274/NGC; some printers read milliseconds)",
@@ -72,7 +72,7 @@ def _reading(
 
 def _plain(text: str) -> str:
     """Text inside a comment, which ends with the line or at the first closing bracket."""
-    return shorten(text, COMMENT).replace("(", "[").replace(")", "]")
+    return shorten(text, LONGEST_COMMENT).replace("(", "[").replace(")", "]")
 
 
 def unfit(machine: Machine) -> str | None:

@@ -18,7 +18,6 @@ from pkm_studies.catalogue.controller_format import (
     ControllerFormat,
     Texts,
 )
-from pkm_studies.compensation.build import sentences_of
 from pkm_studies.compensation.formats import linuxcnc_deltas, linuxcnc_pentapod
 
 #: kinematics module by number of struts
@@ -104,7 +103,7 @@ def write(compensation: Compensation) -> Texts:
         return other[0](compensation)
     struts = struts_of(compensation.kinematics, compensation.identified.values)
     nominal = struts_of(compensation.kinematics, compensation.machine.nominal)
-    head = [f"# {sentence}" for sentence in sentences_of(compensation)]
+    head = [f"# {sentence}" for sentence in compensation.comments]
     pins = _hexapod(struts) if len(struts.zero) == 6 else _tripod(struts)
     homes = linuxcnc_pentapod.homes(head, struts.zero.tolist(), nominal.zero.tolist())
     return {".hal": "\n".join([*head, *pins, ""]), ".ini": homes}

@@ -17,7 +17,6 @@ from oed.base.arrays import Array, Index
 from oed.compensate import compensated_joints
 from oed.model.machine import Machine
 from pkm_studies.catalogue.controller_format import Compensation, Texts
-from pkm_studies.compensation.build import sentences_of
 
 #: limbs of the study may be this far, in degrees, from those of the module
 NEAR = 10.0
@@ -195,7 +194,7 @@ def write(compensation: Compensation) -> Texts:
     assert module is not None
     fitted = _fitted(module, compensation, compensation.identified.values)
     nominal = _fitted(module, compensation, machine.nominal)
-    head = [f"# {sentence}" for sentence in sentences_of(compensation)]
+    head = [f"# {sentence}" for sentence in compensation.comments]
     hal = [*head, f"# {module.name}: numbers fitted to the exact joints"]
     for name, value in zip(module.pins, fitted.pins, strict=True):
         hal.append(f"setp {module.name}.{name} {value:.6f}")

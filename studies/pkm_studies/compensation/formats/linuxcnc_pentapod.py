@@ -11,7 +11,6 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.model.machine import Machine
 from pkm_studies.catalogue.controller_format import Compensation, Texts
-from pkm_studies.compensation.build import sentences_of
 
 LEGS = (1, 2, 3, 4, 5)
 #: pins of a leg and the parameters that they hold
@@ -35,7 +34,7 @@ def is_pentapod(machine: Machine) -> bool:
 
 def write(compensation: Compensation) -> Texts:
     """HAL pins of the module; strut lengths at a joint of 0 for the INI file."""
-    head = [f"# {sentence}" for sentence in sentences_of(compensation)]
+    head = [f"# {sentence}" for sentence in compensation.comments]
     hal = [*head, "# the tool axis is that of roll and pitch (A, B); tool-offset is 0"]
     for k, i in enumerate(LEGS):
         for pin, name in PINS.items():

@@ -15,7 +15,6 @@ from pkm_studies.catalogue.controller_format import (
     ControllerFormat,
     Texts,
 )
-from pkm_studies.compensation.build import sentences_of
 from pkm_studies.compensation.formats import body_names
 from pkm_studies.compensation.formats.body_names import text_of
 
@@ -29,7 +28,7 @@ def write(compensation: Compensation) -> Texts:
     values = compensation.identified.values
     root = _model(compensation, values)
     lines = [
-        *sentences_of(compensation),
+        *compensation.comments,
         "SI units: m, rad; driven joints read as those of the study",
         body_names.TRANSLATION,
         body_names.MASSES,

@@ -18,7 +18,6 @@ from pkm_studies.catalogue.controller_format import (
     ControllerFormat,
     Texts,
 )
-from pkm_studies.compensation.build import sentences_of
 from pkm_studies.compensation.formats import body_names
 from pkm_studies.compensation.formats.body_names import text_of
 
@@ -41,7 +40,7 @@ def write(compensation: Compensation) -> Texts:
     """The tree, its loops, and the numbers of the tree for each draw of the posterior."""
     root, loops = _model(compensation, compensation.identified.values)
     lines = [
-        *sentences_of(compensation),
+        *compensation.comments,
         "driven joints read as those of the study, in m and rad; passive joints are 0 at home",
         "URDF has no loops: the points of each row of the loops' table coincide",
         body_names.TRANSLATION,
