@@ -1,4 +1,4 @@
-"""The order of lines that carry times: pages of printers put the newest line first."""
+"""The order of lines that carry times: many consoles put the newest line first."""
 
 from __future__ import annotations
 
