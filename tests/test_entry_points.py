@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from pkm_studies.base import plugins
 from pkm_studies.catalogue import catalogue
 from pkm_studies.commands.cli import main
 
@@ -55,6 +56,9 @@ shop_gauge = shop_models:gauge
 shop_play = shop_models:play
 [pkm_oed.formats]
 shop_table = shop_models:table
+[pkm_oed.commands]
+certificate = shop_models:table
+shop_command = shop_models:table
 [pkm_oed.importers]
 shop_files = shop_models:files
 klipper = shop_models:files
@@ -121,3 +125,21 @@ def test_importers_of_a_package(
     assert "rotation_distance: missing" in capsys.readouterr().err
     assert main(["import", "shop_broken", source, "--out", out]) == 2
     assert "mend or uninstall the package" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("installed")
+def test_packages_of_others_add_no_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--help"]) == 0
+    assert "shop_command" not in capsys.readouterr().out
+    assert main(["certificate", "--help"]) == 0
+    assert "calibration certificate" in capsys.readouterr().out
+
+
+def test_what_is_not_installed_is_said(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its files alone, on a search path: commands of this package go on."""
+    monkeypatch.setattr(plugins, "PROJECT", "pkm-absent")
+    assert main(["import", "klipper", "printer.cfg", "--out", "x"]) == 2
+    assert "pkm-absent is not installed" in capsys.readouterr().err
+    assert main(["list", "criteria"]) == 0

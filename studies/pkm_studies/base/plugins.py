@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import metadata
 from importlib.metadata import EntryPoint
 
+from pkm_studies.base.errors import InputError
+
 #: how the groups of entry points begin
 GROUPS = "pkm_oed."
 #: name under which the packages of this project are installed
@@ -16,8 +18,15 @@ PROJECT = "pkm-oed"
 
 
 def project_plugins(kind: str) -> dict[str, EntryPoint]:
-    """Entry points of this project by name; no other package's metadata is read."""
-    points = metadata.distribution(PROJECT).entry_points
+    """Entry points of this project by name; no other package's metadata is read.
+
+    Raises InputError where the project's files are there without its metadata.
+    """
+    try:
+        points = metadata.distribution(PROJECT).entry_points
+    except metadata.PackageNotFoundError as error:
+        problem = f"{PROJECT} is not installed, so that its {kind} are not known"
+        raise InputError(problem, f"install it: pip install {PROJECT}") from error
     return {point.name: point for point in points.select(group=f"{GROUPS}{kind}")}
 
 
