@@ -10,13 +10,8 @@ from scipy import sparse
 
 from oed.base.arrays import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_noise import (
-    decoupling,
-    reading_covariances,
-    run_errors,
-)
+from oed.measurement.reading_noise import decoupling, reading_covariances
 from oed.noise.course import course_terms
-from oed.noise.stated import StatedErrors
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import (
     KNOWN,
@@ -150,37 +145,6 @@ def common_statement(
             " reach and tails"
         )
     return common.pop()
-
-
-def stated_errors(
-    measurement: Measurement, series: Sequence[Series], sigma: Array
-) -> StatedErrors | None:
-    """Stated errors of readings of noise sigma (N,), SI; None where all are independent."""
-    statement = common_statement(measurement, series)
-    setups = [measurement.setups[s.setup] for s in series]
-    errors = [run_errors(measurement.of(s), s) for s in series]
-    related = any(setup.instrument.sources is not None for setup in setups)
-    if not (related or statement.carried_share or any(e.size for e in errors)):
-        return None
-    inverses, places = [], []
-    for s in series:
-        inverses.append(decoupling(reading_covariances(measurement.of(s), s)))
-        run = np.unique(s.run, return_inverse=True)[1]
-        channels = len(measurement.setups[s.setup].sigma)
-        places.append(np.repeat(_places(run), channels))
-    widest = max(e.shape[2] for e in errors)
-    padded = [np.pad(e, ((0, 0), (0, 0), (0, widest - e.shape[2]))) for e in errors]
-    # the number of rows is stated: it does not follow where nothing is shared
-    flat = [e.reshape(e.shape[0] * e.shape[1], widest) for e in padded]
-    shared = np.concatenate(flat)
-    inverse = sparse.csr_array(sparse.block_diag(inverses))
-    return StatedErrors(
-        inverse=sparse.csr_array(inverse @ sparse.diags_array(sigma)),
-        carried=statement.carried_share,
-        reach=statement.reach_median,
-        place=np.concatenate(places).astype(float),
-        shared=shared / sigma[:, None],
-    )
 
 
 def _places(run: Index) -> Index:

@@ -1,12 +1,12 @@
 """Root of a law's covariance in time linear in the number of readings.
 
-The readings are put in order, segment after segment; each segment is independent of the
-others. Within a segment, and up to a scale of each reading,
+The readings are put in order, chain after chain and segment after segment; each segment is
+independent of the others. Within a segment
 
-    C = P (D^-1 T D^-T + U U^T) P^T,
+    C = P S (D^-1 T D^-T + U U^T) S P^T,
 
-P relates the channels of a reading, the banded part holds single and carried errors
-(`oed.noise.banded`), U what the segment shares (`oed.noise.shared`).
+P relates the channels of a reading, S scales readings, the banded part holds single and
+carried errors (`oed.noise.banded`), U what the segment shares (`oed.noise.shared`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from oed.base.arrays import Array, Index
-from oed.noise.banded import BandedFactor, sums_along_chains
+from oed.noise.banded import ChainFactor, sums_along_chains
 from oed.noise.shared import SharedFactor, SharedProducts
 
 
@@ -30,8 +30,8 @@ class Errors:
 
     order    (k,) numbers of the readings
     starts   (S,) first reading of each segment
-    before   (k,) the reading before in its chain; itself for the first
-    decay    (k,) correlation with what is carried there; 0 for the first
+    decay    (k,) correlation with what is carried in the reading before; 0 for the first
+             of a chain
     single   (k,) variances of what is not carried
     carried  (k,) variances of what is carried along, alike within a chain
     shared   (k, K) errors that a segment shares
@@ -41,7 +41,6 @@ class Errors:
 
     order: Index
     starts: Index
-    before: Index
     decay: Array
     single: Array
     carried: Array
@@ -50,26 +49,32 @@ class Errors:
     unmix: sparse.csr_array | None = None
 
     def standardise(self, values: Array) -> Array:
-        """Values (N, m) of the readings in order (k, m), over scale and P."""
+        """Values (N, m) of the readings in order (k, m), over P and scale."""
         ordered = values
         if len(values) > len(self.order) or not self.is_in_order:
             ordered = values[self.order]
-        if not self.is_of_unit_scale:
-            ordered = ordered / self.scale[:, None]
-        return self.unmixed(ordered)
+        if self.unmix is not None:
+            ordered = self.unmix @ ordered
+        return ordered if self.is_of_unit_scale else ordered / self.scale[:, None]
 
-    def banded(self) -> BandedFactor:
-        """Root of what single readings have and of what is carried along."""
-        fresh = self.carried * (1.0 - self.decay**2)
-        return BandedFactor(self.before, self.decay, self.single, fresh)
+    def unstandardise(self, scored: Array) -> Array:
+        """P^-T Y (N, m) over scale, each row where its reading stands, for Y (k, m)."""
+        values = scored / self.scale[:, None]
+        if self.unmix is not None:
+            values = self.unmix.T @ values
+        return _in_place(self.order, values)
+
+    @property
+    def fresh(self) -> Array:
+        """Variances (k,) of what joins what is carried along."""
+        return self.carried * (1.0 - self.decay**2)
 
     def covariance_of(self, values: Array) -> Array:
         """Y^T C Y (m, m), for Y (N, m): of sums of the errors. P is 1."""
         ordered = values[self.order] * self.scale[:, None]
         covariance = ordered.T @ (ordered * self.single[:, None])
-        carried = sums_along_chains(self.before, self.decay, ordered)
-        fresh = self.carried * (1.0 - self.decay**2)
-        covariance += carried.T @ (carried * fresh[:, None])
+        carried = sums_along_chains(self.decay, ordered)
+        covariance += carried.T @ (carried * self.fresh[:, None])
         ends = [*self.starts[1:], len(ordered)]
         for start, end in zip(self.starts, ends, strict=True):
             segment = ordered[start:end].T @ self.shared[start:end]
@@ -86,28 +91,25 @@ class Errors:
         """Whether all scales are 1."""
         return bool((self.scale == 1.0).all())
 
-    def unmixed(self, values: Array) -> Array:
-        """P^-1 Y (k, m)."""
-        return values if self.unmix is None else self.unmix @ values
-
 
 class LinearFactor:
     """Root of errors that are banded but for a few that each segment shares."""
 
     def __init__(self, errors: Errors) -> None:
         self.errors, self.order = errors, errors.order
-        self._banded = errors.banded()
-        self._columns = self._banded.whiten(errors.unmixed(errors.shared))
+        self._banded = ChainFactor(errors.decay, errors.single, errors.fresh)
+        self._columns = self._banded.whiten(errors.shared)
         self._shared = SharedProducts(self._columns, errors.starts)
+        log_sizes = float(self._banded.log_variances.sum()) + self._shared.log_det
         log_scale = float(np.log(errors.scale).sum())
         if errors.unmix is not None:
             log_scale -= float(np.log(errors.unmix.diagonal()).sum())
         #: log determinant of the covariance
-        self.log_det = 2.0 * log_scale + self._banded.log_det + self._shared.log_det
+        self.log_det = 2.0 * log_scale + log_sizes
 
     def whiten(self, values: Array) -> Array:
         """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
-        alone = self._banded.whiten(self.errors.standardise(values))
+        alone = self._banded.whiten(self.standardise(values))
         return self._shared.whiten(alone)
 
     def whiten_in_place(self, values: Array) -> Array:
@@ -116,27 +118,21 @@ class LinearFactor:
 
     def whiten_back(self, white: Array) -> Array:
         """W^T Y (N, m), for Y (k, m) in order and the W of `whiten`."""
-        errors = self.errors
         values = self._banded.whiten_back(self._shared.whiten(white.copy()))
-        if errors.unmix is not None:
-            values = errors.unmix.T @ values
-        return _in_place(errors.order, values / errors.scale[:, None])
+        return self.errors.unstandardise(values)
 
     def correlate(self, white: Array) -> Array:
         """R Y (k, m) in order, for white Y (k, m) and Cholesky's root R."""
         errors = self.errors
         shared = SharedFactor(self._columns, errors.starts)
-        values = self._banded.unwhiten(shared.unwhiten(white))
+        values = self._banded.unwhiten(shared.unwhiten(white)) * errors.scale[:, None]
         if errors.unmix is not None:
             values = sparse_linalg.spsolve_triangular(errors.unmix, values)
-        return values * errors.scale[:, None]
+        return np.asarray(values)
 
     def precision(self, values: Array) -> Array:
         """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
-        scored = self.scored(self.standardise(values))
-        if self.errors.unmix is not None:
-            scored = self.errors.unmix.T @ scored
-        return _in_place(self.order, scored / self.errors.scale[:, None])
+        return self.errors.unstandardise(self.scored(self.standardise(values)))
 
     def standardise(self, values: Array) -> Array:
         """Y (N, m) in order (k, m), over what only mixes channels and scales readings."""
@@ -154,15 +150,12 @@ class LinearFactor:
     def precision_diagonal(self) -> Array:
         """Diagonal (N,) of C^-1, of a factor of all readings."""
         errors = self.errors
-        diagonal = self._banded.precision_diagonal()
+        diagonal = self._banded.precision_diagonal() / errors.scale**2
         if errors.unmix is not None:
             # channels are independent where they are not mixed
-            diagonal = errors.unmix.power(2).T @ diagonal
-        shared = self.scored_root()
-        if errors.unmix is not None:
-            shared = errors.unmix.T @ shared
-        diagonal = diagonal - (shared**2).sum(axis=1)
-        return _in_place(errors.order, diagonal / errors.scale**2)
+            diagonal = np.asarray(errors.unmix.power(2).T @ diagonal)
+        shared = errors.unstandardise(self.scored_root())
+        return _in_place(errors.order, diagonal) - (shared**2).sum(axis=1)
 
 
 def joined(parts: Sequence[Errors]) -> Errors:
@@ -189,7 +182,6 @@ def joined(parts: Sequence[Errors]) -> Errors:
     return Errors(
         order=numbers("order"),
         starts=numbers("starts"),
-        before=numbers("before"),
         decay=together("decay"),
         single=together("single"),
         carried=together("carried"),

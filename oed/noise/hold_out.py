@@ -16,7 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from oed.base.arrays import Array, Index
-from oed.noise.banded import BandedFactor
+from oed.noise.banded import ChainFactor, along_chains
 from oed.noise.factor import Errors, LinearFactor
 from oed.noise.shared import SharedFactor
 
@@ -56,17 +56,13 @@ class Chains:
     def __init__(self, errors: Errors) -> None:
         """Condition on all readings; no single error may be exact."""
         self._precision = 1.0 / errors.single
-        self._chain = _chain_numbers(errors.before)
-        self._size = len(errors.order)
+        self._chain = np.cumsum(errors.decay == 0.0)
         self._carried = bool(errors.carried.any())
         if self._carried:
-            self._condition(errors)
+            self._condition(errors.decay, errors.fresh)
 
-    def _condition(self, errors: Errors) -> None:
-        order = np.lexsort((np.arange(self._size), self._chain))
-        decay = errors.decay[order]
-        fresh = errors.carried[order] * (1.0 - decay**2)
-        diagonal = self._precision[order] + 1.0 / fresh
+    def _condition(self, decay: Array, fresh: Array) -> None:
+        diagonal = self._precision + 1.0 / fresh
         diagonal[:-1] += decay[1:] ** 2 / fresh[1:]
         neighbour = -decay[1:] / fresh[1:]
         # pivots from the last reading on: each given the one before, the later ones out
@@ -74,53 +70,20 @@ class Chains:
         pivot = linalg.cholesky_banded(band, lower=True, check_finite=False)[0, ::-1]
         variance = 1.0 / pivot**2
         step = np.concatenate([[0.0], -neighbour * variance[1:]])
-        self._order = order
-        self._log_step = np.log(np.where(step > 0.0, step, 1.0))
-        self._marginal = _variances(step, variance)
+        # steps multiply along a chain: sums of logarithms
+        self._log_steps = np.cumsum(np.log(np.where(step > 0.0, step, 1.0)))
+        self._marginal = along_chains(step**2, variance)
 
-    def precision_of(self, at: Index) -> BandedFactor:
+    def precision_of(self, at: Index) -> ChainFactor:
         """Factor of E^-1 - E^-1 K E^-1 for the readings at places `at` (h,), in order."""
         single = self._precision[at]
-        before = _before_of(self._chain[at])
-        decay = np.zeros(len(at))
         if not self._carried:
-            return BandedFactor(before, decay, single, decay)
-        # steps multiply along a chain: sums of logarithms
-        total = np.empty(self._size)
-        total[self._order] = np.cumsum(self._log_step)
-        marginal = np.empty(self._size)
-        marginal[self._order] = self._marginal
-        later = before != np.arange(len(at))
-        here, there = at[later], at[before[later]]
-        step = np.exp(total[here] - total[there])
-        decay[later] = step * single[later] / single[before[later]]
-        fresh = marginal[at]
-        fresh[later] -= step**2 * marginal[there]
-        return BandedFactor(before, decay, single, -fresh * single**2)
-
-
-def _variances(step: Array, fresh: Array) -> Array:
-    """v_j = step_j^2 v_(j-1) + fresh_j, step_0 = 0."""
-    variances, last = np.empty(len(step)), 0.0
-    squares = step**2
-    for k in range(len(step)):
-        last = squares[k] * last + fresh[k]
-        variances[k] = last
-    return variances
-
-
-def _chain_numbers(before: Index) -> Index:
-    """Number (k,) of the chain of each reading: its first reading."""
-    chain = np.arange(len(before))
-    for k in np.flatnonzero(before != chain):
-        chain[k] = chain[before[k]]
-    return chain
-
-
-def _before_of(chain: Index) -> Index:
-    """Place (h,) of the reading before in the same chain; its own for the first."""
-    order = np.argsort(chain, kind="stable")
-    before = np.arange(len(chain))
-    same = chain[order[1:]] == chain[order[:-1]]
-    before[order[1:][same]] = order[:-1][same]
-    return before
+            nothing = np.zeros(len(at))
+            return ChainFactor(nothing, single, nothing)
+        same = np.diff(self._chain[at], prepend=0) == 0
+        log_step = np.diff(self._log_steps[at], prepend=0.0)
+        step = np.exp(np.where(same, log_step, -np.inf))
+        decay, fresh = step * single, self._marginal[at]
+        decay[1:] /= single[:-1]
+        fresh[1:] -= step[1:] ** 2 * self._marginal[at[:-1]]
+        return ChainFactor(decay, single, -fresh * single**2)

@@ -149,7 +149,7 @@ class RunNoise:
     """Noise of the runs: innovations of held-out readings given the others of a run."""
 
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self._factor = law.factor(problem)
+        self._factor = law.factor(problem.structure)
         self._chains = Chains(self._factor.errors)
 
     def score(self, values: Array) -> Array:

@@ -289,7 +289,7 @@ def log_evidence(
     The readings are r ~ N(0, s^2 (Sigma + columns columns^T)) under a law. `columns`
     (N, k) hold the parameters' slopes too, as from `compress`.
     """
-    noise = law.factor(problem, rows)
+    noise = law.factor(problem.structure, rows)
     white = noise.whiten(np.column_stack([problem.residual, columns]))
     return log_evidence_of_products(white.T @ white, noise.log_det, len(white))
 

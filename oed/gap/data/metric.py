@@ -23,7 +23,7 @@ class Metric:
 
         Vectors passed to the methods still have all N readings.
         """
-        self._factor = law.factor(problem, rows)
+        self._factor = law.factor(problem.structure, rows)
         self.size = len(self._factor.order)
         axes, triangle = linalg.qr(
             self.whiten(problem.slopes), mode="economic", check_finite=False
