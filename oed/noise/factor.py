@@ -16,12 +16,15 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from oed.base.arrays import Array, Index
 from oed.noise.banded import ChainFactor, sums_along_chains
 from oed.noise.shared import SharedFactor, SharedProducts
+
+#: share of a reading's precision that is rounding, where columns take the rest
+ROUNDING = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -155,7 +158,69 @@ class LinearFactor:
             # channels are independent where they are not mixed
             diagonal = np.asarray(errors.unmix.power(2).T @ diagonal)
         shared = errors.unstandardise(self.scored_root())
-        return _in_place(errors.order, diagonal) - (shared**2).sum(axis=1)
+        explained: Array = (shared**2).sum(axis=1)
+        return _in_place(errors.order, diagonal) - explained
+
+    def scaled(self, factor: float) -> LinearFactor:
+        """The root of errors times a factor."""
+        errors = self.errors
+        return LinearFactor(dataclasses.replace(errors, scale=factor * errors.scale))
+
+
+class WideFactor:
+    """Root of C + G G^T, for the factor of C and columns G (N, k) that all readings share.
+
+    With W G = B diag(s) V^T, W that of C, it is [1 - B (1 - 1 / sqrt(1 + s^2)) B^T] W.
+    """
+
+    def __init__(self, factor: LinearFactor, columns: Array) -> None:
+        self.alone, self.order = factor, factor.order
+        self._columns = columns
+        axes, triangle = linalg.qr(
+            factor.whiten(columns), mode="economic", check_finite=False
+        )
+        rotation, self.sizes, self.turn = linalg.svd(
+            triangle, full_matrices=False, check_finite=False
+        )
+        #: (N, k) B, along which what the columns absorb lies
+        self.axes: Array = axes @ rotation
+        #: log determinant of the covariance
+        self.log_det = factor.log_det + float(np.log1p(self.sizes**2).sum())
+
+    def whiten(self, values: Array) -> Array:
+        """Whitened values (N, m), in order, for Y (N, m)."""
+        return self.remaining(self.alone.whiten(values))
+
+    def remaining(self, white: Array) -> Array:
+        """Values (N, m) whitened by C less what the columns absorb of them."""
+        shrink = 1.0 - 1.0 / np.hypot(1.0, self.sizes)[:, None]
+        return np.asarray(white - self.axes @ (shrink * (self.axes.T @ white)))
+
+    def whiten_in_place(self, values: Array) -> Array:
+        """Whitened values (N, m), each row where its reading stands."""
+        return _in_place(self.order, self.whiten(values))
+
+    def whiten_back(self, white: Array) -> Array:
+        """The transpose of `whiten` times Y (N, m)."""
+        return self.alone.whiten_back(self.remaining(white))
+
+    def precision(self, values: Array) -> Array:
+        """(C + G G^T)^-1 Y (N, m), for Y (N, m)."""
+        return self.whiten_back(self.whiten(values))
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of (C + G G^T)^-1.
+
+        Of readings that the columns alone determine it is rounding about 0.
+        """
+        alone = self.alone.precision_diagonal()
+        share = self.sizes / np.hypot(1.0, self.sizes)
+        absorbed: Array = (self.alone.whiten_back(self.axes * share) ** 2).sum(axis=1)
+        return np.maximum(alone - absorbed, ROUNDING * alone)
+
+    def scaled(self, factor: float) -> WideFactor:
+        """The root of errors times a factor."""
+        return WideFactor(self.alone.scaled(factor), factor * self._columns)
 
 
 def joined(parts: Sequence[Errors]) -> Errors:

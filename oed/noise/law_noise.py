@@ -12,7 +12,6 @@ carried along) are run-to-run errors.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -20,7 +19,7 @@ from scipy import sparse
 
 from oed.base.arrays import Array, Index, Mask
 from oed.noise.covariance import FactoredNoise, Noise
-from oed.noise.factor import Errors, LinearFactor
+from oed.noise.factor import Errors, LinearFactor, WideFactor
 from oed.noise.process import Laws, Whitening, common_columns
 from oed.noise.structure import (
     KNOWN,
@@ -57,31 +56,6 @@ class LawNoise(FactoredNoise):
     structure: ReadingStructure
     law: Laws
 
-    @functools.cached_property
-    def _effects(self) -> LowRankRoot:
-        """Root of 1 + U U^T, of the whitened columns U of effects."""
-        effects = self.structure.restore(self.structure.effects.T).T
-        return LowRankRoot.of(self.factor.whiten_in_place(effects))
-
-    def whiten(self, values: Array) -> Array:
-        """Whitened values: (N,), (N, n), with readings first."""
-        white = super().whiten(values)
-        return self._effects.whiten(white) if self.structure.has_effects else white
-
-    def whiten_back(self, values: Array) -> Array:
-        """W^T Y, for Y (N,) or (N, n)."""
-        if self.structure.has_effects:
-            values = self._effects.whiten(values)
-        return super().whiten_back(values)
-
-    def precision_diagonal(self) -> Array:
-        """Diagonal (N,) of Sigma^-1; channels share no error but those of a reading."""
-        diagonal = super().precision_diagonal()
-        if self.structure.has_effects:
-            explained = super().whiten_back(self._effects.explained_root)
-            diagonal = diagonal - (explained**2).sum(axis=1)
-        return diagonal
-
     def of_runs(self) -> tuple[Noise, Array]:
         """As in `Noise`: effects and the course apart."""
         structure, law = self.structure, self.law
@@ -99,33 +73,6 @@ class LawNoise(FactoredNoise):
         return self.structure.restore(errors).reshape(shape)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class LowRankRoot:
-    """Symmetric root of (1 + U U^T)^-1, for U (N, k).
-
-    basis   (N, k) orthonormal;  values  (k,) singular values of U
-    """
-
-    basis: Array
-    values: Array
-
-    @classmethod
-    def of(cls, columns: Array) -> LowRankRoot:
-        """The root for U (N, k)."""
-        basis, values, _ = np.linalg.svd(columns, full_matrices=False)
-        return cls(basis, values)
-
-    def whiten(self, values: Array) -> Array:
-        """(1 + U U^T)^(-1/2) Y, for Y (N,) or (N, m)."""
-        shrink = 1.0 - 1.0 / np.sqrt(1.0 + self.values**2)
-        return values - (self.basis * shrink) @ (self.basis.T @ values)
-
-    @property
-    def explained_root(self) -> Array:
-        """R (N, k) with R R^T = 1 - (1 + U U^T)^-1."""
-        return self.basis * (self.values / np.sqrt(1.0 + self.values**2))
-
-
 def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
     """Noise of readings under the first of some laws, SI."""
     law = laws.take([0])
@@ -134,7 +81,10 @@ def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
     (common,) = common_columns(structure, law)
     if common.size:
         sd = np.sqrt(sd**2 + (common**2).sum(axis=1))
-    factor = LinearFactor(errors_in_units(structure, law))
+    alone = LinearFactor(errors_in_units(structure, law))
+    factor: LinearFactor | WideFactor = alone
+    if structure.has_effects:
+        factor = WideFactor(alone, structure.restore(structure.effects.T).T)
     return LawNoise(structure.unit * sd, factor=factor, structure=structure, law=law)
 
 

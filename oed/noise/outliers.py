@@ -19,7 +19,7 @@ import numpy as np
 from scipy import optimize, special
 
 from oed.base.arrays import Array
-from oed.noise.factor import LinearFactor
+from oed.noise.factor import LinearFactor, WideFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
@@ -33,8 +33,6 @@ WORTH = 3.0
 #: turns by which outliers are detected from what others are predicted to be without them;
 #: change at which they end
 TURNS, STILL = 12, 1e-3
-#: share of a reading's precision that is rounding, where parameters take the rest
-ROUNDING = 1e-12
 #: errors over which the information is integrated
 _GRID = np.linspace(-60.0, 60.0, 12001)
 
@@ -164,23 +162,11 @@ class Precision:
 
 
 def with_columns(factor: LinearFactor, columns: Array) -> Precision:
-    """The precision of C + G G^T, for the factor of C and columns G (N, k).
-
-    It is C^-1 - A A^T with A = C^-1 G V / sqrt(1 + s), G^T C^-1 G = V s V^T. The numbers s
-    of columns that follow from others are rounding about 0, and so is the diagonal of
-    readings that the columns alone determine.
-    """
-    solved = factor.precision(columns)
-    squares, axes = np.linalg.eigh(columns.T @ solved)
-    shared = (solved @ axes) / np.sqrt(1.0 + np.maximum(squares, 0.0))
-
-    def apply(values: Array) -> Array:
-        alone = factor.precision(values[:, None])[:, 0]
-        return np.asarray(alone - shared @ (shared.T @ values))
-
-    alone = factor.precision_diagonal()
-    diagonal = alone - np.einsum("nk,nk->n", shared, shared)
-    return Precision(apply, np.maximum(diagonal, ROUNDING * alone))
+    """The precision of C + G G^T, for the factor of C and columns G (N, k)."""
+    wide = WideFactor(factor, columns)
+    return Precision(
+        lambda values: wide.precision(values[:, None])[:, 0], wide.precision_diagonal()
+    )
 
 
 def detect(
