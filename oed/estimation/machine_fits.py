@@ -12,9 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.estimation.coordinates import ReadingsProblem
 from oed.estimation.fitter import PRECISION, minimise
 from oed.estimation.identification import identify
-from oed.estimation.readings_problem import ReadingsProblem
 from oed.measurement.measurement import Measurement, Series
 
 #: distance to the minimum, in posterior standard deviations, at which a stage before the

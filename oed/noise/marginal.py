@@ -21,10 +21,9 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.base.linear_algebra import triangle_of_sums
-from oed.noise.law_mode import find_mode, root_about
 from oed.noise.prior import NoisePrior
 from oed.noise.process import BATCH_NUMBERS, Laws, Whitening
-from oed.noise.proposal import kernels_at, split_student
+from oed.noise.proposal import find_mode, kernels_at, root_about, split_student
 from oed.noise.structure import ReadingStructure
 
 #: laws drawn in each of two rounds

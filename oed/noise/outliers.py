@@ -6,6 +6,11 @@ s^2, tells of a small change what a normal error of s(e) / I and variance 1 / I 
 the log densities agree to second order. With its own error replaced so, a reading is
 one of normal noise; no explanation has outliers of its own, and all compare as they do
 where tails are light (pseudo-values of an M-estimator, Huber 1964).
+
+So that a fit with normal noise is not bent, residuals that their neighbours and the
+prior contradict are replaced by such pseudo-values. What is replaced is judged against
+the widest residual that the tolerances allow, so that no error of the machine is taken
+for an outlier.
 """
 
 from __future__ import annotations
@@ -19,9 +24,13 @@ import numpy as np
 from scipy import optimize, special
 
 from oed.base.arrays import Array
+from oed.noise import outliers
 from oed.noise.factor import LinearFactor, WideFactor
 from oed.noise.law import NoiseLaw
+from oed.noise.law_noise import factor_of
+from oed.noise.process import Laws
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
+from oed.noise.structure import ReadingStructure
 
 #: degrees of freedom of the Student t that are tried
 DEGREES = (3.0, 4.0, 6.0, 10.0)
@@ -230,3 +239,25 @@ def _fitted(shape: ErrorDensity, errors: Array) -> tuple[float, float]:
         cost, bounds=(middle - 2.0, middle + 2.0), method="bounded"
     )
     return float(np.exp(minimum.x)), -float(minimum.fun)
+
+
+#: fewest readings among which one can be recognised as far off
+FEWEST = 8
+
+
+def robust_residuals(
+    structure: ReadingStructure, laws: Laws, residual: Array, slopes: Array
+) -> Array:
+    """Residuals (N,) about the prior's middle, with those far off replaced.
+
+    slopes  (N, r) over z ~ N(0, I), which hold what the machine may do
+    """
+    if len(residual) < FEWEST:
+        return residual.copy()
+    if structure.has_effects:
+        slopes = np.hstack([slopes, structure.effects])
+    precision = outliers.with_columns(factor_of(structure, laws), slopes)
+    result = outliers.detect(
+        residual, precision, outliers.ROBUST_DENSITIES, structure.statement
+    )
+    return residual.copy() if result is None else result.pseudo_residual

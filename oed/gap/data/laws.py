@@ -27,10 +27,9 @@ from oed.base.arrays import Array
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
-from oed.noise.law_mode import find_mode, polish, root_about, signed
 from oed.noise.prior import SPARSE, NoisePrior, noise_prior
 from oed.noise.process import Laws, Whitening
-from oed.noise.proposal import split_student
+from oed.noise.proposal import find_mode, polish, root_about, signed, split_student
 
 #: points of a model's posterior, by which its evidence is computed
 POINTS = 48

@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from oed.base.arrays import Array
-from oed.noise.factor import Errors, LinearFactor
-from oed.noise.hold_out import Chains, Innovations
+from oed.noise.factor import Chains, Errors, Innovations, LinearFactor
 
 N, STARTS = 14, (0, 6)
 CARRIED = np.repeat([0.6, 0.3, 0.9], (6, 4, 4))  # of each chain

@@ -19,11 +19,10 @@ from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
 from oed.gap.data.laws import log_evidences
 from oed.gap.data.problem import GapProblem
-from oed.noise.banded import ROWS, ChainFactor
+from oed.noise.banded import ROWS, ChainFactor, SharedFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import with_columns
 from oed.noise.process import Laws
-from oed.noise.shared import SharedFactor
 from oed.noise.statement import NoiseStatement
 from oed.noise.structure import KNOWN, LEVEL, RENEWED, ReadingStructure
 
