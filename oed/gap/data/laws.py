@@ -27,8 +27,9 @@ from oed.base.arrays import Array
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
+from oed.noise.marginal import ResidualModel
 from oed.noise.prior import SPARSE, NoisePrior, noise_prior
-from oed.noise.process import Laws, Whitening
+from oed.noise.process import Laws
 from oed.noise.proposal import find_mode, polish, root_about, signed, split_student
 
 #: points of a model's posterior, by which its evidence is computed
@@ -130,14 +131,8 @@ def log_evidences(problem: GapProblem, columns: Array, laws: Laws) -> Array:
     columns  the parameters' slopes among them
     """
     structure = problem.structure
-    whitening = Whitening(structure, laws)
-    values = np.column_stack([problem.residual, columns])
-    grams = whitening.gram(structure.standardise(values))
-    log_dets = whitening.log_determinant + 2.0 * structure.log_unit
-    pairs = zip(grams, log_dets, strict=True)
-    return np.array(
-        [
-            evidence.log_evidence_of_products(gram, log_det, len(structure))
-            for gram, log_det in pairs
-        ]
-    )
+    residual, slopes = (structure.standardise(v) for v in (problem.residual, columns))
+    middle = np.zeros(columns.shape[1])
+    solved = ResidualModel(structure, residual, slopes, middle).solve(laws)
+    log_det = solved.log_size + 2.0 * structure.log_unit
+    return evidence.log_student(log_det, solved.energy, len(structure))
