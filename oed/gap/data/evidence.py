@@ -27,7 +27,6 @@ from oed.base.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import EFFECT_SIZES
-from oed.noise.factor import WideFactor
 from oed.noise.law import NoiseLaw
 
 #: share of a column's energy, before anything absorbs of it, up to which what remains of
@@ -291,9 +290,14 @@ def log_evidence(
     The readings are r ~ N(0, s^2 (Sigma + columns columns^T)) under a law. `columns`
     (N, k) hold the parameters' slopes too, as from `compress`.
     """
-    root = WideFactor(law.factor(problem.structure, rows), columns)
-    white = root.whiten(problem.residual[:, None])[:, 0]
-    return float(log_student(root.log_det, white @ white, len(white)))
+    factor = law.factor(problem.structure, rows)
+    white = factor.whiten(np.column_stack([columns, problem.residual]))
+    products = white.T @ white
+    products[:-1, :-1] += np.eye(columns.shape[1])
+    products[-1, -1] += np.finfo(float).eps  # readings may have no error at all
+    diagonal = np.diag(np.linalg.cholesky(products))
+    log_det = factor.log_det + 2.0 * np.log(diagonal[:-1]).sum()
+    return float(log_student(log_det, diagonal[-1] ** 2, len(white)))
 
 
 def noise_level(grams: Grams) -> float:
