@@ -21,6 +21,7 @@ import os
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy is loaded
 
 import argparse
+import dataclasses
 import subprocess
 import sys
 import tempfile
@@ -128,7 +129,9 @@ def carried_along(count: int, rng: np.random.Generator) -> np.ndarray:
 
 def known_law(problem: GapProblem) -> NoiseLaw:
     """The law that the readings were drawn with."""
-    return NoiseLaw(LEVEL / NOISE, np.sqrt(CARRIED), REACH, 1.0 - CARRIED)
+    parts = {"carried": CARRIED, "reach": REACH, "level": LEVEL / NOISE}
+    arrays = {name: np.array([size]) for name, size in parts.items()}
+    return NoiseLaw(dataclasses.replace(problem.stated_law.law, **arrays))
 
 
 def prepare(folder: Path, readings: int, gap: bool) -> tuple[GapProblem, list[Effect]]:

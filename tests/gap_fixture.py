@@ -11,13 +11,13 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
+from kernel.laws import STATED_LAW
 
 from oed.base.arrays import Array
 from oed.gap.data.diagnosis import AnswerContent, Diagnosis, Size
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import signature
 from oed.model.effect import Column, Effect, State
-from oed.noise.law import STATED_LAW
 from oed.result.gap import (
     AnswerRecord,
     ClosureRecord,

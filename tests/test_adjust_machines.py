@@ -18,7 +18,7 @@ from oracles import prs_geometry
 from scipy.optimize import least_squares
 
 from oed.compensate.adjustment import AdjustableMachine, AdjustmentPlan
-from oed.estimation.machine_fits import fit_machines
+from oed.estimation.identification import fit_machines
 from oed.identifiability.information import parameter_covariance
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics

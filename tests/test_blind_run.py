@@ -93,8 +93,10 @@ def test_the_runner_cannot_know_labels():
 
 def diagnosed(blind, problem):
     """A diagnosis without a search: no gap."""
+
+    from kernel.laws import noise_law
+
     from oed.gap.data.diagnosis import Diagnosis
-    from oed.noise.law import STATED_LAW
     from oed.result.gap import AnswerRecord, ClosureRecord, PlaceRecord
 
     answers = (
@@ -104,7 +106,7 @@ def diagnosed(blind, problem):
     nothing = np.zeros(len(problem))
     fields = {f.name: () for f in dataclasses.fields(Diagnosis)} | {
         "problem": problem, "verdict": "none", "answers": answers, "set95": answers, "marginal": {"step": 0.1},
-        "law": dataclasses.replace(STATED_LAW, variance=2.0),
+        "law": noise_law(variance=2.0),
         "explained": nothing, "unexplained": nothing, "before": nothing, "after": nothing,
         "where": (PlaceRecord("leg 1", 0.5, 0.1),), "not_testable": {},
         "closure": (ClosureRecord("whole", math.nan, -math.inf, math.inf, 0.5, 1.0, 1.1, 1.0, 10),),
@@ -175,7 +177,7 @@ def test_the_campaign_runs_without_labels_and_takes_up_where_it_stopped(
     }
     assert record["closure"][0]["value"] is None
     law = blind.run.law_of(record["law"])
-    assert law.variance == 2.0
+    assert law.law.scale[0, 0] == pytest.approx(2.0**0.5)
     assert math.isinf(law.student_dof)
     summary = pd.read_csv(out / "summary.csv")
     assert summary["diagnoses"].tolist() == [3, 1, 1]
@@ -202,7 +204,7 @@ def test_who_knows_the_noise_is_given_its_covariance(blind, sets, monkeypatch):
     covariances = []
 
     def diagnose(problem, effects, rng, *, law):
-        whitened = law.factor(problem).whiten(
+        whitened = law.factor(problem.structure).whiten(
             np.eye(len(problem))
         )  # W, with W^T W the inverse of the covariance, which the search sees
         covariances.append(np.linalg.inv(whitened.T @ whitened))

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from effects_sample import NAMES, effect_of
-from kernel.dense_noise import stated_correlation
+from kernel.dense_noise import law_covariance
 from scipy import linalg
 
 from oed.gap.data import state as states_of
@@ -138,9 +138,7 @@ def predicted(case: Planar) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
     whole, held = case.whole, case.held
     noise = np.zeros((len(whole), len(whole)))
     for members in whole.members:
-        stated = np.eye(len(members))
-        if whole.stated is not None:
-            stated = stated_correlation(whole, members)
+        stated = law_covariance(whole.stated_law, whole, members)
         noise[np.ix_(members, members)] = stated
     plain = noise + whole.slopes @ whole.slopes.T
     named = [

@@ -7,6 +7,7 @@ from pathlib import Path
 import leg_scale
 import numpy as np
 import pytest
+from kernel.laws import STATED_LAW
 
 from oed.compensate.effects.fit import EffectReadings, estimate_with_effects
 from oed.dataset import Dataset
@@ -14,7 +15,6 @@ from oed.estimation import identification
 from oed.gap.data import linearisation, problem
 from oed.gap.data.linearisation import ActingEffectForm
 from oed.measurement.measurement import Measurement
-from oed.noise.law import STATED_LAW
 from oed.result import StudyResult
 from pkm_models.effects import encoder_scale
 from pkm_studies import pipeline

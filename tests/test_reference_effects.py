@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from effects_sample import REFERENCES, columns, effect_of
 from kernel import planar_session
+from kernel.laws import STATED_LAW
 
 from oed import Measurement, mount
 from oed.gap import diagnose, prepare
@@ -18,7 +19,6 @@ from oed.gap.forms import library
 from oed.measurement import draw_parameters, draw_readings
 from oed.model.effect import Effect, State
 from oed.model.instrument import Instrument, Setup
-from oed.noise.law import STATED_LAW
 from pkm_models.instruments import (
     ball_bar,
     ball_plate,

@@ -12,13 +12,13 @@ import msgspec
 import numpy as np
 import pytest
 import report_fixture
+from kernel.laws import STATED_LAW
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from msgspec.structs import replace
 from sample import changed, table_lines
 
 from oed import dataset
 from oed.gap.before import detect, runs
-from oed.noise.law import STATED_LAW
 from oed.result import DetectabilityTable
 from pkm_models.effects import encoder_scale, gravity
 from pkm_reports import sections

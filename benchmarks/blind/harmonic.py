@@ -18,7 +18,6 @@ from scipy import stats
 from oed.base.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import STATED_LAW
 
 #: false alarm that the harmonic rules are set for, over all their symptoms
 ALARM = 0.01
@@ -99,7 +98,7 @@ def harmonic_runs(problem: GapProblem) -> HarmonicRuns:
 
     What they do not explain shows the noise, and so do repeats.
     """
-    metric = Metric(problem, STATED_LAW)
+    metric = Metric(problem, problem.stated_law)
     residual = problem.residual - problem.slopes @ metric.fit(problem.residual)
     rows, phase = problem.rows, problem.rows["phase"].to_numpy(dtype=float)
     names = [c for c in map(str, rows.columns) if _is_covariate(c)]

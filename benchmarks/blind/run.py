@@ -11,7 +11,7 @@ import json
 import math
 import traceback
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +28,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
+from oed.noise.process import Laws
 from oed.result.gap import AnswerRecord, ClosureRecord
 from pkm_campaign import Row
 
@@ -174,39 +175,29 @@ def _closure(c: ClosureRecord) -> dict[str, Any]:
 
 
 def _law(law: NoiseLaw) -> dict[str, Any]:
-    """All of a law; ratios of single readings where they are not all 1."""
+    """All of a law; `scale` by channel."""
+    of = law.law
     return {
-        "repeat": law.run_sd,
-        "wander": law.ar1_sd,
-        "seat": law.seat_sd,
-        "reach": law.ar1_length,
+        "repeat": float(of.level[0]),
+        "carried": float(of.carried[0]),
+        "seat": float(of.seat[0]),
+        "reach": float(of.reach[0]),
         "level": law.level,
         "tails": _known(law.student_dof),
         "strays": law.outlier_share,
-        "variance": law.variance,
-        "ratio": None if law.channel_ratio is None else _unless_one(law.channel_ratio),
+        "scale": of.scale[0].tolist(),
     }
 
 
 def law_of(record: dict[str, Any]) -> NoiseLaw:
     """The law of a result's record."""
-    ratio, dof = record["ratio"], record["tails"]
+    dof, names = record["tails"], ("scale", "carried", "reach", "repeat", "seat")
     return NoiseLaw(
-        run_sd=record["repeat"],
-        ar1_sd=record["wander"],
-        seat_sd=record.get("seat", 0.0),
-        ar1_length=record["reach"],
-        variance=record["variance"],
+        Laws(*(np.array([record[name]], dtype=float) for name in names)),
         level=record["level"],
         student_dof=math.inf if dof is None else dof,
-        outlier_share=record.get("strays", 0.0),
-        channel_ratio=None if ratio is None else np.array(ratio, dtype=float),
+        outlier_share=record["strays"],
     )
-
-
-def _unless_one(values: Iterable[float]) -> list[float] | None:
-    rounded = [float(f"{v:.5g}") for v in values]
-    return None if all(v == 1.0 for v in rounded) else rounded
 
 
 def _known(value: float) -> float | None:

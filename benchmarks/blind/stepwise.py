@@ -16,7 +16,6 @@ from oed.base.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
-from oed.noise.law import STATED_LAW
 
 #: effects that the stepwise selection may take
 MOST = 5
@@ -32,7 +31,7 @@ def stepwise(problem: GapProblem, library: Library) -> list[str]:
     BIC = N log(RSS / N) + k log N; k counts a form's columns and its effect's
     constants.
     """
-    metric = Metric(problem, STATED_LAW)
+    metric = Metric(problem, problem.stated_law)
     values = np.column_stack([problem.residual, library.columns])
     white, absorbed = metric.parts(values)
     full = white.T @ white - absorbed.T @ absorbed

@@ -6,14 +6,14 @@ import dataclasses
 
 import numpy as np
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
 from oed.noise.factor import Errors
 from oed.noise.law import NoiseLaw
-from oed.noise.runs import RunLayout, Runs
+from oed.noise.structure import ReadingStructure
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class TrueLaw(NoiseLaw):
     """The true covariance of the readings in place of a law's.
 
@@ -22,14 +22,18 @@ class TrueLaw(NoiseLaw):
 
     true: Array = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
-    def errors(self, runs: Runs, layout: RunLayout) -> Errors:
+    def errors(self, structure: ReadingStructure, rows: Index | None = None) -> Errors:
         """As in `NoiseLaw`: half the least variance of each segment, and what it shares."""
-        order, ends = layout.order, np.append(layout.starts[1:], len(layout.order))
+        segments = list(structure.members)
+        if rows is not None:
+            segments = [s[np.isin(s, rows)] for s in segments]
+            segments = [s for s in segments if s.size]
+        order = np.concatenate(segments)
+        ends = np.cumsum([len(s) for s in segments])
+        starts = np.append(0, ends[:-1])
         shared = np.zeros((len(order), int(np.diff(ends, prepend=0).max())))
         single = np.empty(len(order))
-        for start, end, members in zip(
-            layout.starts, ends, np.split(order, layout.starts[1:]), strict=True
-        ):
+        for start, end, members in zip(starts, ends, segments, strict=True):
             values, axes = np.linalg.eigh(self.true[np.ix_(members, members)])
             single[start:end] = 0.5 * values[0]
             roots = np.sqrt(values - 0.5 * values[0])
@@ -37,8 +41,7 @@ class TrueLaw(NoiseLaw):
         nothing = np.zeros(len(order))
         return Errors(
             order=order,
-            starts=layout.starts,
-            before=np.arange(len(order)),
+            starts=starts,
             decay=nothing,
             single=single,
             carried=nothing,
@@ -61,4 +64,4 @@ def true_law(problem: GapProblem, sigma: Array) -> TrueLaw:
             "the true noise relates readings of different runs; the law of a diagnosis"
             " cannot"
         )
-    return TrueLaw(0.0, 0.0, 1.0, true=covariance)
+    return TrueLaw(problem.stated_law.law, true=covariance)

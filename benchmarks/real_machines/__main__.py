@@ -24,7 +24,7 @@ from oed.base.arrays import Array
 from oed.compensate.effects.absorbed import absorbing_shift
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
 from oed.estimation import identify
-from oed.estimation.effect_sizes import LARGE, SMALL
+from oed.estimation.discrepancy import LARGE, SMALL
 from oed.estimation.estimate import Estimate
 from oed.gap.data import problem as problems
 

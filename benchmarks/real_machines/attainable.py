@@ -27,7 +27,7 @@ from oed.design import candidates
 from oed.design.blocks import information
 from oed.design.criterion.variance import Variance
 from oed.design.exchange import choose
-from oed.estimation.effect_sizes import HEALTHY
+from oed.estimation.discrepancy import HEALTHY
 from oed.identifiability.information import prior_information
 from pkm_studies.resolve.planned_effects import effects_of_planned, pose_error_slopes
 

@@ -26,7 +26,7 @@ from benchmarks.real_machines.attainable import MACHINES, effects_of, problem
 from oed.base.arrays import Array, Index
 from oed.compensate.effects.expected_columns import expected_columns
 from oed.estimation import identify
-from oed.estimation.effect_sizes import HEALTHY
+from oed.estimation.discrepancy import HEALTHY
 from oed.gap.data import problem as problems
 
 KINDS = ("rigid", "real")

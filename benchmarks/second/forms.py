@@ -41,7 +41,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as libraries
 from oed.model.effect import Column, Effect, State
 from oed.model.size_prior import EFFECT_SIZES
-from oed.noise.law import STATED_LAW
+from oed.noise.structure import KNOWN
 
 #: sqrt(lambda) of the effects, and noises that a mean is over
 SIZE, NOISES = 10.0, 16
@@ -112,7 +112,7 @@ def log_factor(case: ChangedReadings, effect: Effect) -> float:
     Readings are the exact change and white noise, geometry drawn from its tolerances.
     """
     problem = case.problem
-    metric = Metric(problem, STATED_LAW)
+    metric = Metric(problem, problem.stated_law)
     library = libraries.build(problem, [effect], metric)
     if not library.atoms:
         return 0.0
@@ -148,7 +148,9 @@ def _noise(problem: GapProblem) -> Array:
     rng = np.random.default_rng(len(problem))
     shape = (len(problem), NOISES)
     noise = rng.standard_normal(shape)
-    if problem.stated is not None:  # half the variance is that of the reference
+    if (
+        problem.structure.kinds == KNOWN
+    ).any():  # half the variance is that of the reference
         keys = problem.rows["run"].astype(str) + problem.rows["channel"].astype(str)
         _, owner = np.unique(keys.to_numpy(dtype=str), return_inverse=True)
         of_reference = rng.standard_normal((owner.max() + 1, NOISES))[owner]

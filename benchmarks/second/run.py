@@ -12,6 +12,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 
+import dataclasses
 import math
 import zlib
 from collections.abc import Mapping, Sequence
@@ -87,8 +88,13 @@ def _diagnose(
 def true_law(problem: GapProblem, law: Mapping[str, Any]) -> NoiseLaw:
     """The noise law of a label; outliers and tails are left to the diagnosis."""
     correlation = law.get("rho", math.exp(-1.0))
-    return NoiseLaw(
-        run_sd=law.get("repeat_over_sigma", 0.0),
-        ar1_sd=law.get("ar_over_sigma", 0.0),
-        ar1_length=-1.0 / math.log(correlation),
+    carried = law.get("ar_over_sigma", 0.0)
+    within, stated = math.hypot(1.0, carried), problem.stated_law.law
+    changed = dataclasses.replace(
+        stated,
+        scale=within * stated.scale,
+        carried=np.array([(carried / within) ** 2]),
+        reach=np.array([-1.0 / math.log(correlation)]),
+        level=np.array([law.get("repeat_over_sigma", 0.0) / within]),
     )
+    return NoiseLaw(changed)

@@ -4,8 +4,7 @@ session    readings as checks use them
 ranges     predicted range of every reading
 fit        fit within the tolerances, and what all others predict of a reading
 outliers   readings that all others contradict, to set aside or in doubt; far_reading: one of
-           them, outlier_search: how they are sought, outlier_sets: few together,
-           outlier_odds: the odds of a gross error and of its place
+           them, outlier_odds: the odds of a gross error and of its place
 mistakes   the usual mistakes, undone
 explain    which mistake explains readings that do not fit
 change     a change between two parts of a session

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base.arrays import Array, Mask
-from oed.checks.findings import CheckFinding, Severity
+from oed.checks.findings import CheckFinding, Severity, listing
 from oed.checks.session import SessionReadings
-from oed.checks.words import listing
 from oed.dataset.columns import (
     FEED_UNIT,
     TEMPERATURE,

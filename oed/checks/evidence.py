@@ -52,13 +52,6 @@ def linear_readings(solution: Fit) -> ResidualModel:
     return ResidualModel(structure, residual, slopes, 0.0 * solution.departure)
 
 
-def _log_unit(structure: ReadingStructure) -> float:
-    """Sum of the logs of the units of readings, SI."""
-    if structure.decouple is None:
-        return float(np.log(structure.unit).sum())
-    return -float(np.log(structure.decouple.diagonal()).sum())
-
-
 def log_evidence(
     linear: ResidualModel, session: SessionReadings, *, with_rivals: bool
 ) -> float:
@@ -73,7 +66,7 @@ def log_evidence(
     for rival in rivalling:
         log_share = float(np.log(UNUSUAL / len(rivalling)))
         terms.append(log_share + _with_rival(linear, rival, *few, scales))
-    constant = _log_unit(structure) + 0.5 * len(structure) * float(np.log(2.0 * np.pi))
+    constant = structure.log_unit + 0.5 * len(structure) * float(np.log(2.0 * np.pi))
     return float(special.logsumexp(terms)) - constant
 
 

@@ -20,8 +20,7 @@ from oed.checks.evidence import linear_readings, log_evidence
 from oed.checks.fit import CANNOT_BE, Fit, fit_amounts, fit_of_any_misfit
 from oed.checks.mistakes import Given, MistakeTrial
 from oed.checks.outlier_odds import SHARE as SHARE_OF_OUTLIERS
-from oed.checks.outlier_search import MEDIAN
-from oed.checks.outliers import find_outliers
+from oed.checks.outliers import MEDIAN, find_outliers
 from oed.checks.screening import LOG_SIZES, Screening, log_density_of_any
 from oed.checks.session import SessionReadings
 from oed.measurement.measurement import Measurement

@@ -22,16 +22,15 @@ from oed.checks.goodness import (
     goodness_of,
     goodness_of_estimate,
 )
-from oed.checks.law import CheckedLaw
 from oed.checks.outliers import OutlierSearch, find_outliers
-from oed.checks.session import SessionReadings
+from oed.checks.session import CheckedLaw, SessionReadings
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
 from oed.noise.law_noise import factor_of
 from oed.noise.marginal import ResidualModel, most_probable
+from oed.noise.outliers import robust_residuals
 from oed.noise.prior import KNOWN_TO, LEAST_FREEDOM, noise_prior
 from oed.noise.process import Laws, stated_laws
-from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
 from oed.result.fit_limits import ALARM, GUESS
 

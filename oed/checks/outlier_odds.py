@@ -1,4 +1,4 @@
-r"""Posterior odds that a far reading is a gross error, and that it is this reading.
+"""Posterior odds that a far reading is a gross error, and that it is this reading.
 
 A mean-shift model M_S gives each value of a set S a shift d (Cook and Weisberg 1982,
 sec. 2.2.2). Let r be the residuals about the nominal machine, P the inverse of their
@@ -27,21 +27,112 @@ of prediction are worth n - r independent ones, for r effectively determined dir
 so their log likelihood counts by the share (n - r) / n: few degrees of freedom prove
 little. A reading is gross at odds of PROVEN. Where the readings outside S do not fit
 the stated noise, something acts whose law is not known: then normal noise is no account.
+
+A search by one reading at a time can take the neighbours of two outliers for them, or
+stop between them (masking). Leaving out the values of a set S lowers the penalised sum
+of squares by g_S^T (P_SS)^-1 g_S, with P the precision of prediction and g = P r. All
+sets of up to three of the most suspicious readings are compared by that, less the
+square of the limit for each reading.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
 from scipy import special
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index
 from oed.checks.far_reading import LeaveOneOut
-from oed.checks.outlier_sets import MOST, solve_sets
 from oed.noise.outliers import NORMAL, ErrorDensity, StudentT
 from oed.noise.prior import SCALE_SD, heavy_scale
+
+#: readings that are combined, and most in one set
+CANDIDATES, MOST = 60, 3
+
+
+def best_set(prediction: LeaveOneOut, removed: list[int], limit: float) -> list[int]:
+    """The readings, by number, to leave out in place of `removed`."""
+    if not 0 < len(removed) <= MOST:
+        return removed
+    values = prediction.values(removed)
+    gradient = prediction.gradient[values]
+    gain = float(
+        gradient @ np.linalg.solve(prediction.columns(values)[values], gradient)
+    )
+    best, best_value = removed, gain - limit**2 * len(removed)
+    for solutions in solve_sets(prediction, removed):
+        gains = solutions.gain - limit**2 * solutions.sets.shape[1]
+        k = int(np.argmax(gains))
+        if gains[k] > best_value + 1e-9:
+            best, best_value = [int(one) for one in solutions.sets[k]], float(gains[k])
+    return best
+
+
+@dataclasses.dataclass(frozen=True)
+class SetSolutions:
+    """Best shifts of the values of sets of equally many readings and values.
+
+    sets             (S, m) numbers of readings
+    values           (S, k) places of their values
+    shift, sd        (S, k) best shifts and their standard deviations, SI
+    gain             (S,) by which they lower the penalised sum of squares
+    log_determinant  (S,) of the precision of the values
+    """
+
+    sets: Index
+    values: Index
+    shift: Array
+    sd: Array
+    gain: Array
+    log_determinant: Array
+
+
+def solve_sets(prediction: LeaveOneOut, members: Sequence[int]) -> list[SetSolutions]:
+    """Solutions for all sets of 1 to MOST readings with equally many values each.
+
+    They are of the readings that others predict worst, and of some members, by number.
+    """
+    pulls = np.abs(prediction.gradient) / np.sqrt(prediction.diagonal)
+    largest = np.zeros(prediction.count)
+    np.maximum.at(largest, prediction.reading, pulls)
+    worst = np.argsort(-largest, kind="stable")[:CANDIDATES]
+    candidates = np.union1d(worst, np.array(members, dtype=np.intp))
+    places = [prediction.values([one]) for one in candidates]
+    count = max(len(place) for place in places)
+    whole = [k for k, place in enumerate(places) if len(place) == count]
+    chosen = np.concatenate([places[k] for k in whole])
+    precision = prediction.columns(chosen)[chosen]
+    names = candidates[np.array(whole)]
+    solutions = []
+    for size in range(1, min(MOST, len(whole)) + 1):
+        combined = list(itertools.combinations(range(len(whole)), size))
+        sets = np.array(combined, dtype=np.intp)
+        at = (count * sets[:, :, None] + np.arange(count)).reshape(len(sets), -1)
+        gradient = prediction.gradient[chosen][at]
+        blocks = precision[at[:, :, None], at[:, None, :]]
+        inverse = np.linalg.inv(blocks)
+        shift = np.einsum("sij,sj->si", inverse, gradient)
+        solutions.append(
+            SetSolutions(
+                sets=names[sets],
+                values=chosen[at],
+                shift=shift,
+                sd=np.sqrt(_variances(blocks, inverse)),
+                gain=np.maximum(np.einsum("si,si->s", gradient, shift), 0.0),
+                log_determinant=np.linalg.slogdet(blocks)[1],
+            )
+        )
+    return solutions
+
+
+def _variances(blocks: Array, inverse: Array) -> Array:
+    """Diagonals (S, k) of inverses of blocks (S, k, k): 1 over the block's at least."""
+    least = 1.0 / np.einsum("sii->si", blocks)
+    return np.asarray(np.maximum(np.einsum("sii->si", inverse), least))
+
 
 #: posterior odds from which a reading is located, and is a gross error
 LOCATED, PROVEN = 100.0, 10.0

@@ -10,16 +10,14 @@ from oed.base import text
 from oed.base.arrays import Index
 from oed.checks.copies import CoarseReadings, EqualReadings, coarse_columns
 from oed.checks.explain import Explanation
-from oed.checks.far_reading import FarReading
-from oed.checks.findings import CheckFinding, Severity
+from oed.checks.far_reading import FarReading, other_number
+from oed.checks.findings import NAMED, CheckFinding, Severity, capital, listing
 from oed.checks.goodness import Goodness
 from oed.checks.outlier_odds import LOCATED, PROVEN
 from oed.checks.outliers import OutlierSearch
 from oed.checks.ranges import Ranges
 from oed.checks.senses import Contradiction
 from oed.checks.session import SessionReadings
-from oed.checks.typed import other_number
-from oed.checks.words import NAMED, capital, listing
 from oed.dataset.file_rows import Row
 from oed.result.fit_limits import GUESS
 from oed.result.goodness import without_rows

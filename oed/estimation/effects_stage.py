@@ -2,7 +2,7 @@
 
 Residuals about nominal parameters are r = H z + G b + e, with z ~ N(0, I), the effects'
 coefficients b of an uncertain common size and e of a noise law. In turn, size and
-coefficients are drawn under a law (`oed.estimation.effect_sizes`), and the most probable
+coefficients are drawn under a law (`oed.estimation.discrepancy`), and the most probable
 law is found with the effects at the sizes drawn. A large error can pass for noise or for an
 effect: both the stated law and that of a fit without effects are starts, weighed by evidence.
 """
@@ -17,14 +17,17 @@ from scipy import special
 
 from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import precision_root
-from oed.estimation import effect_sizes
 from oed.estimation.coordinates import IdentifiableCoordinates
-from oed.estimation.discrepancy import Discrepancy, SampledEffects
-from oed.estimation.effect_sizes import EffectDraws
+from oed.estimation.discrepancy import (
+    Discrepancy,
+    EffectDraws,
+    SampledEffects,
+    sample_effects,
+)
 from oed.noise.marginal import ResidualModel, most_probable
+from oed.noise.outliers import robust_residuals
 from oed.noise.prior import NoisePrior
 from oed.noise.process import Laws, Whitening
-from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
 
 #: rounds of effects and law; draws in each, and at the end
@@ -220,7 +223,7 @@ class _Alternation:
         r = len(gram) - 1 - self.columns.shape[1]
         precision = gram[:r, :r] + np.eye(r)
         reduced = gram[r:, r:] - gram[r:, :r] @ np.linalg.solve(precision, gram[:r, r:])
-        return effect_sizes.sample(
+        return sample_effects(
             0.5 * (reduced[1:, 1:] + reduced[1:, 1:].T),
             reduced[1:, 0],
             self.discrepancy.sizes,

@@ -8,10 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
+from oed.estimation.coordinates import (
+    IdentifiableCoordinates,
+    ReadingsProblem,
+    identifiable_coordinates,
+)
 from oed.estimation.estimate import Estimate, FitStage
 from oed.estimation.fitter import TRIALS, minimise
-from oed.estimation.readings_problem import ReadingsProblem
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from oed.noise.covariance import Noise

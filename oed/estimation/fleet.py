@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.base.arrays import Array
+from oed.estimation.session_change import Session, likelihood
 
 #: middles of the steps of a spread over the tolerance
 GRID = (np.arange(16) + 0.5) / 16.0
@@ -68,11 +69,8 @@ def readings_information(
 
     The prior had this nominal value and standard deviation (p,).
     """
-    scaled = np.linalg.inv(covariance / np.outer(tolerance, tolerance))
-    shift = (value - nominal) / tolerance
-    values, vectors = np.linalg.eigh(scaled - np.eye(len(value)))
-    matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return MachineInformation(matrix, scaled @ shift)
+    root, white = likelihood(Session(value, covariance), nominal, tolerance)
+    return MachineInformation(root.T @ root, root.T @ white)
 
 
 def rescaled(

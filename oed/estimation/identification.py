@@ -4,6 +4,10 @@ Minimised is |W (y - f(theta))|^2 + |z|^2 over the identifiable coordinates z (s
 `oed.estimation.coordinates`), where W whitens the noise. Where asked for, the noise law is
 estimated from the readings too and integrated over (`oed.noise.marginal`): theta is the
 mean over laws, its covariance holds what is not known of the noise.
+
+Many machines at once, with known noise, are fitted over u, theta = nominal + T u, T the
+root of the prior covariance. The minimum is the same: where the gradient is zero, u has no
+part in the directions that no reading determines.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.estimation import fit_warnings
+from oed.estimation.coordinates import ReadingsProblem
 from oed.estimation.discrepancy import Discrepancy
 from oed.estimation.effects_stage import EffectsStart, ReadingsAbout, fit_effects
 from oed.estimation.estimate import Estimate
@@ -24,6 +29,7 @@ from oed.estimation.fit_stages import (
     last_stage,
     preliminary_stage,
 )
+from oed.estimation.fitter import PRECISION, minimise
 from oed.estimation.law_stage import (
     integrate_settled,
     integrated_stage,
@@ -37,7 +43,7 @@ from oed.noise.covariance import Noise, as_noise
 from oed.noise.law_noise import noise_under
 from oed.noise.process import stated_laws
 
-__all__ = ["Estimate", "IdentificationError", "identify"]
+__all__ = ["Estimate", "IdentificationError", "fit_machines", "identify"]
 
 
 def identify(
@@ -189,3 +195,57 @@ def _stage_with_effects(
         residuals=residuals,
         effects=fitted.sampled,
     )
+
+
+#: distance to the minimum, in posterior standard deviations, at which a stage before the
+#: last ends: it finds a start
+NEAR = 0.1
+#: entries of the slopes of all machines that are held in memory at once
+ENTRIES = 4_000_000
+
+
+def fit_machines(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    *,
+    stages: Sequence[Sequence[str]] = (("*",),),
+) -> Array:
+    """Parameters theta (m, n), SI, of m machines with readings y (m, N), SI.
+
+    stages  patterns of parameter names, freed in turn, as in `identify`
+
+    Raises IdentificationError where a machine cannot be fitted.
+    """
+    size = max(1, ENTRIES // (y.shape[1] * len(measurement.parameters)))
+    parts = [
+        _fit_together(measurement, series, y[start : start + size], stages)
+        for start in range(0, len(y), size)
+    ]
+    return np.vstack(parts)
+
+
+def _fit_together(
+    measurement: Measurement,
+    series: Sequence[Series],
+    y: Array,
+    stages: Sequence[Sequence[str]],
+) -> Array:
+    noise = measurement.noise(series)
+    theta = np.repeat(measurement.nominal[None], len(y), axis=0)
+    converged = np.ones(len(y), dtype=bool)
+    for k, patterns in enumerate(stages, 1):
+        freed = measurement.freed(patterns)
+        basis = measurement.prior_root(freed)[:, freed]
+        origin = np.where(freed, measurement.nominal, theta)
+        offset = (theta - origin)[:, freed]
+        start = np.asarray(np.linalg.solve(basis[freed], offset.T).T, dtype=float)
+        problem = ReadingsProblem(measurement, series, noise, y, origin, basis)
+        precision = PRECISION if k == len(stages) else NEAR
+        minima = minimise(problem, start, precision=precision)
+        theta = origin + minima.z @ basis.T
+        converged &= minima.converged
+    # a fit of its own says what is wrong
+    for row in np.flatnonzero(~converged):
+        theta[row] = identify(measurement, series, y[row], stages=stages).theta
+    return theta

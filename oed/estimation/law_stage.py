@@ -16,6 +16,7 @@ from oed.measurement.reading_structure import reading_structure
 from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.marginal import ResidualModel, integrate, most_probable
+from oed.noise.outliers import robust_residuals
 from oed.noise.prior import (
     COURSE,
     KNOWN_TO,
@@ -24,7 +25,6 @@ from oed.noise.prior import (
     noise_prior,
 )
 from oed.noise.process import Laws, stated_laws
-from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
 
 #: rounds of fit and noise law, and change of a law's coordinates, in prior standard

@@ -163,7 +163,7 @@ def conclude(
             for name in (*search.library.effects, UNKNOWN)
         },
         law=law,
-        noise_words=describe(law, problem.longest),
+        noise_words=describe(law, problem.structure.longest),
         likeness=_likeness(search, best),
         nearest=nearest_effects(search, best),
         where=(),

@@ -57,32 +57,30 @@ def _errors(readings: SetupReadings, series: Series) -> Errors:
     """What the covariance of the readings of a series consists of, run by run."""
     setup = readings.setup
     channels, share = len(setup.sigma), setup.statement.carried_share
-    run = np.unique(series.run, return_inverse=True)[1]
-    reading = np.argsort(run, kind="stable")
-    order = (reading[:, None] * channels + np.arange(channels)).ravel()
-    first = np.diff(run[reading], prepend=-1) > 0
-    place = np.arange(len(order))
-    begins = np.repeat(first, channels)
-    decay = np.where(begins, 0.0, np.exp(-1.0 / setup.statement.reach_median))
-    separate = reading_covariances(readings, series)[reading]
-    shared = run_errors(readings, series)[reading]
+    run = np.repeat(np.unique(series.run, return_inverse=True)[1], channels)
+    channel = np.tile(np.arange(channels), len(series))
+    order = np.lexsort((channel, run))
+    first = np.diff(channels * run[order] + channel[order], prepend=-1) > 0
+    decay = np.where(first, 0.0, np.exp(-1.0 / setup.statement.reach_median))
+    unmix = decoupling(reading_covariances(readings, series))
+    shared = unmix @ run_errors(readings, series).reshape(len(order), -1)
     return Errors(
         order=order,
-        starts=np.flatnonzero(first) * channels,
-        before=np.where(begins, place, place - channels),
+        starts=np.flatnonzero(np.diff(run[order], prepend=-1)),
         decay=decay if share else np.zeros(len(order)),
         single=np.full(len(order), 1.0 - share),
         carried=np.full(len(order), share),
-        shared=shared.reshape(len(order), -1),
+        shared=shared[order],
         scale=np.ones(len(order)),
-        unmix=decoupling(separate),
+        unmix=sparse.csr_array(unmix[order][:, order]),
     )
 
 
 def decoupling(covariances: Array) -> sparse.csr_array:
     """Block diagonal W with W C W^T = 1, for covariances (n, c, c) of n readings."""
     inverses = np.linalg.inv(np.linalg.cholesky(covariances))
-    matrix = sparse.csr_array(sparse.block_diag(list(inverses)))
+    count = np.arange(len(inverses) + 1)
+    matrix = sparse.csr_array(sparse.bsr_array((inverses, count[:-1], count)))
     matrix.eliminate_zeros()
     return matrix
 

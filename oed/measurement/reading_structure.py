@@ -1,4 +1,14 @@
-"""How the readings of a measurement hang together: runs, chains, renewed unknowns."""
+"""How the readings of a measurement hang together: runs, chains, renewed unknowns.
+
+A course through the session is what the readings of a channel share over all runs: a
+cup creeps, a frame warms, a zero wanders. With the session's progress t from 0 to 1 the
+course is a Wiener process, by its first Karhunen-Loeve terms
+
+    sum_k  x_k sqrt(2) sin(w_k t) / w_k,    w_k = (k - 1/2) pi,    x_k ~ N(0, 1),
+
+of variance t. A straight drift is nearly the first term, and what is faster than the last
+one is left to what runs share and carry along.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +20,7 @@ from scipy import sparse
 
 from oed.base.arrays import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_noise import (
-    decoupling,
-    reading_covariances,
-    run_errors,
-)
-from oed.noise.course import course_terms
-from oed.noise.stated import StatedErrors
+from oed.measurement.reading_noise import decoupling, reading_covariances
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import (
     KNOWN,
@@ -152,37 +156,6 @@ def common_statement(
     return common.pop()
 
 
-def stated_errors(
-    measurement: Measurement, series: Sequence[Series], sigma: Array
-) -> StatedErrors | None:
-    """Stated errors of readings of noise sigma (N,), SI; None where all are independent."""
-    statement = common_statement(measurement, series)
-    setups = [measurement.setups[s.setup] for s in series]
-    errors = [run_errors(measurement.of(s), s) for s in series]
-    related = any(setup.instrument.sources is not None for setup in setups)
-    if not (related or statement.carried_share or any(e.size for e in errors)):
-        return None
-    inverses, places = [], []
-    for s in series:
-        inverses.append(decoupling(reading_covariances(measurement.of(s), s)))
-        run = np.unique(s.run, return_inverse=True)[1]
-        channels = len(measurement.setups[s.setup].sigma)
-        places.append(np.repeat(_places(run), channels))
-    widest = max(e.shape[2] for e in errors)
-    padded = [np.pad(e, ((0, 0), (0, 0), (0, widest - e.shape[2]))) for e in errors]
-    # the number of rows is stated: it does not follow where nothing is shared
-    flat = [e.reshape(e.shape[0] * e.shape[1], widest) for e in padded]
-    shared = np.concatenate(flat)
-    inverse = sparse.csr_array(sparse.block_diag(inverses))
-    return StatedErrors(
-        inverse=sparse.csr_array(inverse @ sparse.diags_array(sigma)),
-        carried=statement.carried_share,
-        reach=statement.reach_median,
-        place=np.concatenate(places).astype(float),
-        shared=shared / sigma[:, None],
-    )
-
-
 def _places(run: Index) -> Index:
     """Number of each reading within its run."""
     place = np.empty(len(run), dtype=np.intp)
@@ -284,3 +257,24 @@ class _RunErrors:
         kinds = np.concatenate([np.full(v.shape[1], kind) for v, kind in blocks])
         used = columns.any(axis=0)
         return columns[:, used], kinds[used].astype(np.intp)
+
+
+#: most terms; they leave a twentieth of the variance
+TERMS = 4
+#: readings of a channel for each term
+READINGS_A_TERM = 5
+
+
+def course_terms(group: Index, progress: Array) -> Array:
+    """Terms (N, c) of the course of each group of readings, few of a small group.
+
+    group     (N,) numbers of the groups
+    progress  (N,) of the session at each reading, 0 to 1
+    """
+    frequency = (np.arange(TERMS) + 0.5) * np.pi
+    terms = np.sqrt(2.0) * np.sin(progress[:, None] * frequency) / frequency
+    columns = [np.zeros((len(group), 0))]
+    for number, count in enumerate(np.bincount(group)):
+        few = min(TERMS, count // READINGS_A_TERM)
+        columns.append(terms[:, :few] * (group == number)[:, None])
+    return np.hstack(columns)

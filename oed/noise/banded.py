@@ -1,18 +1,26 @@
-"""Triangular root of errors that follow each other along chains, by a banded matrix.
+"""Roots of errors along chains and of errors that segments share, in linear time.
 
 A chain has the error single_i + carried_i, with `single` independent and `carried` an
 Ornstein-Uhlenbeck process:
 
-    carried_i = d_i carried_b(i) + sqrt(1 - d_i^2) a white_i,
+    carried_i = d_i carried_(i-1) + sqrt(1 - d_i^2) a white_i,
 
-b(i) the reading before in the chain, d_i its decay to there (0 for the first). With D
-the differences x_i - d_i x_b(i), T = D C D^T relates neighbours alone, so that
+d_i its decay from the reading before (0 for the first). Chains stand one after the other.
+With D the differences x_i - d_i x_(i-1), T = D C D^T relates neighbours alone, so that
 
-    C = D^-1 T D^-T,    W = L^-1 D,    T = L L^T,    W C W^T = 1,
+    C = D^-1 T D^-T,    W = V^-1/2 L^-1 D,    T = L V L^T,    W C W^T = 1,
 
-is linear in the number of readings. W is lower triangular: the inverse of Cholesky's
-root of C. Where chains stand one after the other, T is tridiagonal; products alone need
-no root of it: X^T C^-1 Y = (D X)^T T^-1 D Y.
+L unit lower bidiagonal and V diagonal. W is lower triangular: the inverse of Cholesky's
+root of C. Products alone need no root: X^T C^-1 Y = (D X)^T T^-1 D Y.
+
+Errors U that the readings of a segment share, beside white ones, are taken out one
+column u after another: with c_i = 1 + sum_j<=i u_j^2 over the segment,
+
+    y_i = sqrt(c_i-1 / c_i) (x_i - u_i / c_i-1 sum_j<i u_j x_j)
+
+is white where x has the covariance I + u u^T. It is the inverse of Cholesky's root, and
+costs a running sum. Inner products alone need no root: the Woodbury identity takes the
+columns out, segment by segment.
 """
 
 from __future__ import annotations
@@ -20,9 +28,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from scipy import linalg, sparse
 from scipy.linalg import lapack
-from scipy.sparse import linalg as sparse_linalg
 
 from oed.base.arrays import Array, Index
 
@@ -31,7 +37,7 @@ ROWS = 32
 
 
 class ChainFactor:
-    """Inverse of the covariance of N errors of chains that stand one after the other."""
+    """Root of the covariance of N errors of chains that stand one after the other."""
 
     def __init__(self, decay: Array, single: Array, fresh: Array) -> None:
         """Factor the covariance.
@@ -48,15 +54,19 @@ class ChainFactor:
         variance[1:] += self._decay * related
         self._variance, self._slope = variance, -related
         if len(related):  # LAPACK takes no single reading
-            factor = lapack.dpttrf(variance, -related)
-            self._variance, self._slope, failed = factor
-            if failed:
-                raise np.linalg.LinAlgError("the noise has no positive variance")
+            self._variance, self._slope, _ = lapack.dpttrf(variance, -related)
+        if not (self._variance > 0.0).all():
+            raise np.linalg.LinAlgError("the noise has no positive variance")
 
     @property
     def log_variances(self) -> Array:
         """Logs (N,) of the variance of each error, given those before it."""
         return np.asarray(np.log(self._variance))
+
+    @functools.cached_property
+    def _root(self) -> Array:
+        """V^1/2 (N, 1)."""
+        return np.sqrt(self._variance)[:, None]
 
     def halves(self, values: Array) -> tuple[Array, Array]:
         """D Y and T^-1 D Y (N, m), for Y (N, m): their products are those of C^-1."""
@@ -69,183 +79,206 @@ class ChainFactor:
         solved, _ = lapack.dpttrs(self._variance, self._slope, differences)
         return differences, np.asarray(solved)
 
-
-class BandedFactor:
-    """Root of the covariance of N errors along chains."""
-
-    def __init__(
-        self, before: Index, decay: Array, single: Array, fresh: Array
-    ) -> None:
-        """Factor the covariance.
-
-        before  (N,) the reading before in the chain; itself for the first
-        decay   (N,) what stays of what is carried there; 0 for the first
-        single  (N,) variances of what is not carried
-        fresh   (N,) variances of what joins it: a^2 (1 - d^2)
-
-        Raises LinAlgError where the covariance is not positive definite.
-        """
-        self._before, self._decay = before, decay
-        band = _band_of_chains(before, decay, single, fresh)
-        self._band = linalg.cholesky_banded(band, lower=True, check_finite=False)
-        #: log determinant of the covariance
-        self.log_det = 2.0 * float(np.log(self._band[0]).sum())
-
     def whiten(self, values: Array) -> Array:
         """W Y (N, m), for Y (N, m).
 
         Row after row is slow where rows are short, and column after column where they
         are long: a block of rows is a product with a small matrix.
         """
+        if not self._decay.any():
+            return np.asarray(values / self._root)
         white = np.empty(values.shape)
-        width, first = self._width, 0
-        stack = np.zeros((ROWS + 2 * width, values.shape[1]))
-        for matrix in self._blocks:
-            last = min(first + ROWS, len(values))
-            count, tail = last - first, max(first - width, 0)
-            stack[:count] = values[first:last]
-            stack[ROWS : ROWS + first - tail] = values[tail:first]
-            stack[ROWS + width : ROWS + width + first - tail] = white[tail:first]
-            np.matmul(matrix[:count], stack, out=white[first:last])
-            first = last
+        # values of a block, then the value before it as it was and whitened
+        stack = np.zeros((ROWS + 2, values.shape[1]))
+        for number, matrix in enumerate(self._blocks):
+            first = number * ROWS
+            count = min(ROWS, len(values) - first)
+            stack[:count] = values[first : first + count]
+            if first:
+                stack[ROWS], stack[ROWS + 1] = values[first - 1], white[first - 1]
+            np.matmul(matrix[:count], stack, out=white[first : first + count])
         return white
 
     @functools.cached_property
     def _blocks(self) -> Array:
-        """Matrices (B, ROWS, ROWS + 2 w) of blocks of rows.
-
-        They take a block's values, the w values before it and these whitened to the
-        block whitened: y = L^-1 (D x - D' x' - L' y').
-        """
-        size, width = len(self._decay), self._width
+        """Matrices (B, ROWS, ROWS + 2) that whiten blocks of rows."""
+        size = len(self._variance)
         count = -(-size // ROWS)
-        padded = np.zeros((width + 1, count * ROWS))
-        padded[0, size:] = 1.0
-        padded[:, :size] = self._band
-        roots = padded.reshape(width + 1, count, ROWS)
-        decay = np.zeros(count * ROWS)
-        decay[:size] = self._decay
-        gap = np.zeros(count * ROWS, dtype=np.intp)
-        gap[:size] = np.arange(size) - self._before
-        right = np.zeros((count, ROWS, ROWS + 2 * width))
-        right[:, np.arange(ROWS), np.arange(ROWS)] = 1.0
-        block, row = np.divmod(np.flatnonzero(decay), ROWS)
-        # what lies before the block stands after its own values, in order
-        at = row - gap[decay != 0.0]
-        right[block, row, np.where(at < 0, ROWS + at + width, at)] = -decay[
-            decay != 0.0
-        ]
-        for k in range(1, width + 1):
-            before = roots[
-                k, :-1, ROWS - k :
-            ]  # L of rows 0 ... k - 1 of the next block
-            for i in range(k):
-                right[1:, i, ROWS + width + width - k + i] -= before[:, i]
-        for i in range(ROWS):
-            for k in range(1, min(i, width) + 1):
-                right[:, i] -= roots[k, :, i - k, None] * right[:, i - k]
-            right[:, i] /= roots[0, :, i, None]
+        decay, slope = np.zeros((2, count, ROWS))
+        root = np.ones((count, ROWS))
+        decay.flat[1:size], root.flat[:size] = self._decay, self._root[:, 0]
+        slope.flat[1:size] = self._slope * self._root[:-1, 0]
+        every, later = np.arange(ROWS), np.arange(1, ROWS)
+        right = np.zeros((count, ROWS, ROWS + 2))
+        right[:, every, every] = 1.0
+        right[:, later, later - 1] = -decay[:, 1:]
+        right[:, 0, ROWS], right[:, 0, ROWS + 1] = -decay[:, 0], -slope[:, 0]
+        right[:, 0] /= root[:, :1]
+        for i in later:
+            right[:, i] -= slope[:, i, None] * right[:, i - 1]
+            right[:, i] /= root[:, i, None]
         return right
-
-    @property
-    def _width(self) -> int:
-        return len(self._band) - 1
-
-    def unwhiten(self, values: Array) -> Array:
-        """W^-1 Y (N, m), for Y (N, m): errors of covariance C from white ones."""
-        band, size = self._band, len(self._decay)
-        steps = range(min(len(band), size))
-        errors = np.zeros_like(values)
-        for k in steps:
-            errors[k:] += band[k, : size - k, None] * values[: size - k]
-        return np.asarray(sparse_linalg.spsolve_triangular(self._differences, errors))
 
     def whiten_back(self, values: Array) -> Array:
         """W^T Y (N, m), for Y (N, m)."""
-        solved = self._solve(np.array(values, order="F"), "T")
-        return np.asarray(self._differences.T @ solved)
+        back = _solved(self._slope, values / self._root, "T")
+        back[:-1] -= self._decay[:, None] * back[1:]
+        return back
+
+    def unwhiten(self, values: Array) -> Array:
+        """W^-1 Y (N, m), for Y (N, m): errors of covariance C from white ones."""
+        errors = values * self._root
+        errors[1:] += self._slope[:, None] * errors[:-1]
+        return _solved(-self._decay, errors, "N")
 
     def precision_diagonal(self) -> Array:
-        """Diagonal (N,) of C^-1 = D^T T^-1 D."""
-        inverse = _banded_inverse(self._band)
-        diagonal = inverse[0].copy()
-        rows = np.flatnonzero(self._decay)
-        at, decay = self._before[rows], self._decay[rows]
-        np.add.at(diagonal, at, decay**2 * inverse[0, rows])
-        np.add.at(diagonal, at, -2.0 * decay * inverse[rows - at, at])
-        return np.asarray(diagonal)
+        """Diagonal (N,) of C^-1 = D^T T^-1 D.
 
-    def _solve(self, values: Array, trans: str) -> Array:
-        """L^-1 Y or L^-T Y, in the memory of Y (N, m), which is in Fortran order."""
-        if len(self._band) == 1:
-            values /= self._band[0, :, None]
-            return values
-        if not values.shape[1]:
-            return values
-        solved, _ = lapack.dtbtrs(
-            self._band, values, uplo="L", trans=trans, overwrite_b=True
-        )
-        return np.asarray(solved)
-
-    @property
-    def _differences(self) -> sparse.csr_array:
-        """D (N, N)."""
-        return _differences(self._before, self._decay)
+        From the last reading on (Takahashi, Fagan and Chin 1973), the inverse Z of T has
+        Z_ii = 1 / V_i + L_(i+1)i^2 Z_(i+1)(i+1) and Z_(i+1)i = -L_(i+1)i Z_(i+1)(i+1).
+        """
+        backward = np.append(0.0, self._slope[::-1] ** 2)
+        inverse = along_chains(backward, 1.0 / self._variance[::-1])[::-1].copy()
+        later = self._decay * inverse[1:]
+        inverse[:-1] += (self._decay + 2.0 * self._slope) * later
+        return np.asarray(inverse)
 
 
-def _differences(before: Index, decay: Array) -> sparse.csr_array:
-    size = len(decay)
-    rows = np.flatnonzero(decay)
-    matrix = sparse.coo_array((-decay[rows], (rows, before[rows])), shape=(size, size))
-    return sparse.csr_array(matrix + sparse.eye_array(size))
-
-
-def sums_along_chains(before: Index, decay: Array, values: Array) -> Array:
-    """D^-T Y (N, m), for Y (N, m): what each fresh error adds to sums of the errors."""
-    differences = _differences(before, decay).T.tocsr()
-    solved = sparse_linalg.spsolve_triangular(
-        differences, values, lower=False, unit_diagonal=True
-    )
+def _solved(below: Array, values: Array, trans: str) -> Array:
+    """B^-1 Y or B^-T Y (N, m), B the unit lower bidiagonal matrix of `below` (N - 1,)."""
+    if not below.any() or not values.shape[1]:
+        return values
+    band = np.vstack([np.ones(len(values)), np.append(below, 0.0)])
+    solved, _ = lapack.dtbtrs(band, values, uplo="L", trans=trans, diag="U")
     return np.asarray(solved)
-
-
-def _band_of_chains(
-    before: Index, decay: Array, variance: Array, fresh: Array
-) -> Array:
-    """T in LAPACK's lower band storage, for independent errors of single readings."""
-    size = len(decay)
-    rows = np.flatnonzero(decay)
-    at = before[rows]
-    width = int((rows - at).max(initial=0))
-    band = np.zeros((width + 1, size))
-    band[0] = variance + fresh
-    band[0, rows] += decay[rows] ** 2 * variance[at]
-    band[rows - at, at] = -decay[rows] * variance[at]
-    return band
 
 
 def along_chains(decay: Array, fresh: Array) -> Array:
     """Errors e_k = d_k e_k-1 + fresh_k (N,), of decays (N,): 0 for the first of a chain."""
-    band = np.vstack([np.ones(len(decay)), -np.append(decay[1:], 0.0)])
-    errors, _ = lapack.dtbtrs(band, fresh[:, None], uplo="L", diag="U")
-    return np.asarray(errors[:, 0])
+    return _solved(-decay[1:], fresh[:, None].copy(), "N")[:, 0]
 
 
-def _banded_inverse(band: Array) -> Array:
-    """Diagonals (b + 1, N) of (L L^T)^-1, for L in lower band storage (b + 1, N).
+def sums_along_chains(decay: Array, values: Array) -> Array:
+    """D^-T Y (N, m), for Y (N, m): what each fresh error adds to sums of the errors."""
+    return _solved(-decay[1:], values, "T")
 
-    From the last reading on (Takahashi, Fagan and Chin 1973): with Z the inverse,
-    Z_ij = [i = j] / L_ii^2 - sum_k>i L_ki Z_kj / L_ii for j >= i.
+
+class SharedFactor:
+    """Lower triangular root of I + U U^T within each segment of N white readings."""
+
+    def __init__(self, columns: Array, starts: Index, sign: float = 1.0) -> None:
+        """Factor the covariance of columns U (N, K); `starts` (S,) of the segments.
+
+        With the sign -1 it is that of I - U U^T.
+        """
+        self._starts, self._sign = starts, sign
+        self._steps: list[tuple[Array, Array, Array]] = []
+        remaining = columns
+        for k in range(columns.shape[1]):
+            u = remaining[:, k]
+            if not u.any():
+                continue
+            known = 1.0 + sign * _sums_before(u[:, None] ** 2, starts)[:, 0]
+            step = (u, known, known + sign * u**2)
+            remaining = self._apply(step, remaining)
+            self._steps.append(step)
+
+    def whiten(self, values: Array) -> Array:
+        """W Y (N, m), for Y (N, m)."""
+        for step in self._steps:
+            values = self._apply(step, values)
+        return values
+
+    def unwhiten(self, values: Array) -> Array:
+        """W^-1 Y (N, m), for Y (N, m)."""
+        for u, known, total in reversed(self._steps):
+            share = self._sign * u / np.sqrt(known * total)
+            drawn = _sums_before(share[:, None] * values, self._starts)
+            alone = np.sqrt(total / known)[:, None] * values
+            values = alone + u[:, None] * drawn
+        return values
+
+    def _apply(self, step: tuple[Array, Array, Array], values: Array) -> Array:
+        u, known, total = step
+        changed = _sums_before(u[:, None] * values, self._starts)
+        changed *= (-self._sign * u / known)[:, None]
+        changed += values
+        changed *= np.sqrt(known / total)[:, None]
+        return changed
+
+
+class SharedProducts:
+    """Woodbury's identity for I + U U^T, of N white readings in segments."""
+
+    def __init__(self, columns: Array, starts: Index) -> None:
+        """Prepare columns U (N, K); `starts` (S,) of the segments."""
+        self._columns, self._starts = columns, starts
+        #: (S, K, K) products U^T U of each segment
+        self.inner = self.of_segments(columns)
+        unit = np.eye(columns.shape[1])
+        #: log determinant of the covariance
+        self.log_det = float(np.linalg.slogdet(unit + self.inner)[1].sum())
+
+    def of_segments(self, values: Array) -> Array:
+        """U^T Y (S, K, m) of each segment, for Y (N, m)."""
+        return np.array([u.T @ y for u, y in self._pairs(values)])
+
+    def root(self) -> Array:
+        """V (N, K) with (I + U U^T)^-1 = I - V V^T within each segment."""
+        size = self._columns.shape[1]
+        factors = np.linalg.cholesky(np.eye(size) + self.inner)
+        inverses = np.linalg.inv(factors).transpose(0, 2, 1)
+        parts = zip(self._pairs(self._columns), inverses, strict=True)
+        return np.concatenate([u @ inverse for (u, _), inverse in parts])
+
+    def shared_part(self, values: Array) -> Array:
+        """V V^T Y (N, m), for Y (N, m)."""
+        roots = zip(self._pairs(values), self._pairs(self.root()), strict=True)
+        return np.concatenate([v @ (v.T @ y) for (_, y), (_, v) in roots])
+
+    def whiten(self, values: Array) -> Array:
+        """W Y (N, m), in the memory of Y (N, m), with W = (I + U U^T)^-1/2 symmetric."""
+        sizes, vectors = np.linalg.eigh(self.inner)
+        sizes = np.maximum(sizes, 0.0)
+        root = np.sqrt(1.0 + sizes)
+        # (1 / root - 1) / sizes, without its difference
+        change = vectors * (-1.0 / (root * (1.0 + root)))[:, None]
+        sides = zip(self._pairs(values), change, vectors, strict=True)
+        for (u, y), scaled, basis in sides:
+            y += (u @ scaled) @ ((u @ basis).T @ y)
+        return values
+
+    def _pairs(self, values: Array) -> list[tuple[Array, Array]]:
+        """Columns and values of each segment."""
+        ends = [*self._starts[1:], len(values)]
+        bounds = zip(self._starts, ends, strict=True)
+        return [(self._columns[a:b], values[a:b]) for a, b in bounds]
+
+
+def taken_out(inner: Array, products: Array, amounts: Array) -> tuple[Array, Array]:
+    """What shared errors U diag(amounts) take out of a Gram matrix, and log determinants.
+
+    inner     (..., S, K, K) products U^T U of each segment
+    products  (..., S, K, m) products U^T Y
+    amounts   (..., K) sizes of the columns
+
+    The first result is (..., m, m), to be subtracted from Y^T Y; the second (...).
     """
-    width, size = len(band) - 1, band.shape[1]
-    inverse = np.zeros_like(band)
-    after = np.zeros((width, width))  # Z of the readings that follow
-    for i in range(size - 1, -1, -1):
-        weight = band[1:, i] / band[0, i]
-        row = -weight @ after
-        first = 1.0 / band[0, i] ** 2 - weight @ row
-        inverse[0, i], inverse[1:, i] = first, row
-        if width:
-            after[1:, 1:] = after[:-1, :-1].copy()
-            after[0, 0], after[0, 1:], after[1:, 0] = first, row[:-1], row[:-1]
-    return inverse
+    size = amounts[..., None, :, None]
+    covariance = np.eye(inner.shape[-1]) + size * inner * np.swapaxes(size, -1, -2)
+    roots = np.linalg.cholesky(covariance)
+    half = np.linalg.solve(roots, size * products)
+    *rest, segments, columns, count = half.shape
+    flat = half.reshape(*rest, segments * columns, count)
+    diagonals = np.diagonal(roots, axis1=-2, axis2=-1)
+    removed = np.swapaxes(flat, -1, -2) @ flat
+    return removed, 2.0 * np.log(diagonals).sum(axis=(-2, -1))
+
+
+def _sums_before(values: Array, starts: Index) -> Array:
+    """Sums (N, m) of all rows before each row of its segment."""
+    sums = np.zeros_like(values)
+    ends = [*starts[1:], len(values)]
+    for a, b in zip(starts, ends, strict=True):
+        np.cumsum(values[a : b - 1], axis=0, out=sums[a + 1 : b])
+    return sums

@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.noise.factor import LinearFactor
+from oed.noise.factor import LinearFactor, WideFactor
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,7 +83,7 @@ class FactoredNoise(Noise):
     factor  of the covariance
     """
 
-    factor: LinearFactor = dataclasses.field(kw_only=True)
+    factor: LinearFactor | WideFactor = dataclasses.field(kw_only=True)
 
     def whiten(self, values: Array) -> Array:
         """Whitened values: (N,), (N, n), with readings first."""
@@ -101,12 +101,12 @@ class FactoredNoise(Noise):
 
     def scaled(self, factor: float) -> Noise:
         """The same noise times a factor."""
-        errors = self.factor.errors
-        changed = LinearFactor(dataclasses.replace(errors, scale=factor * errors.scale))
-        return FactoredNoise(self.sigma * factor, factor=changed)
+        return FactoredNoise(self.sigma * factor, factor=self.factor.scaled(factor))
 
     def correlate(self, white: Array) -> Array:
         """Errors (..., N) of white ones, as by Cholesky's root of each run."""
+        if isinstance(self.factor, WideFactor):
+            raise TypeError("errors with effects are drawn by their law")
         flat = white.reshape(-1, white.shape[-1])
         errors = np.empty_like(flat)
         order = self.factor.order

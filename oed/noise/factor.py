@@ -1,12 +1,22 @@
 """Root of a law's covariance in time linear in the number of readings.
 
-The readings are put in order, segment after segment; each segment is independent of the
-others. Within a segment, and up to a scale of each reading,
+The readings are put in order, chain after chain and segment after segment; each segment is
+independent of the others. Within a segment
 
-    C = P (D^-1 T D^-T + U U^T) P^T,
+    C = P S (D^-1 T D^-T + U U^T) S P^T,
 
-P relates the channels of a reading, the banded part holds single and carried errors
-(`oed.noise.banded`), U what the segment shares (`oed.noise.shared`).
+P relates the channels of a reading, S scales readings, the banded part holds single and
+carried errors and U what the segment shares (`oed.noise.banded`).
+
+Innovations of held-out readings given the others are linear as well. With O the inverse
+covariance of all readings and O_hh that of the held-out ones among them, L^-1 (O v)_h
+is what the others do not predict of v, whitened: O_hh = L L^T. What a chain carries
+has, given all readings, a covariance K that is Markovian again. So
+
+    O_hh = E^-1 - E^-1 K_hh E^-1 - A_h A_h^T,
+
+E the variances of single readings, has the form of a banded part again; A is what
+segments share.
 """
 
 from __future__ import annotations
@@ -16,12 +26,20 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.sparse import linalg as sparse_linalg
 
 from oed.base.arrays import Array, Index
-from oed.noise.banded import BandedFactor, sums_along_chains
-from oed.noise.shared import SharedFactor, SharedProducts
+from oed.noise.banded import (
+    ChainFactor,
+    SharedFactor,
+    SharedProducts,
+    along_chains,
+    sums_along_chains,
+)
+
+#: share of a reading's precision that is rounding, where columns take the rest
+ROUNDING = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,8 +48,8 @@ class Errors:
 
     order    (k,) numbers of the readings
     starts   (S,) first reading of each segment
-    before   (k,) the reading before in its chain; itself for the first
-    decay    (k,) correlation with what is carried there; 0 for the first
+    decay    (k,) correlation with what is carried in the reading before; 0 for the first
+             of a chain
     single   (k,) variances of what is not carried
     carried  (k,) variances of what is carried along, alike within a chain
     shared   (k, K) errors that a segment shares
@@ -41,7 +59,6 @@ class Errors:
 
     order: Index
     starts: Index
-    before: Index
     decay: Array
     single: Array
     carried: Array
@@ -50,26 +67,32 @@ class Errors:
     unmix: sparse.csr_array | None = None
 
     def standardise(self, values: Array) -> Array:
-        """Values (N, m) of the readings in order (k, m), over scale and P."""
+        """Values (N, m) of the readings in order (k, m), over P and scale."""
         ordered = values
         if len(values) > len(self.order) or not self.is_in_order:
             ordered = values[self.order]
-        if not self.is_of_unit_scale:
-            ordered = ordered / self.scale[:, None]
-        return self.unmixed(ordered)
+        if self.unmix is not None:
+            ordered = self.unmix @ ordered
+        return ordered if self.is_of_unit_scale else ordered / self.scale[:, None]
 
-    def banded(self) -> BandedFactor:
-        """Root of what single readings have and of what is carried along."""
-        fresh = self.carried * (1.0 - self.decay**2)
-        return BandedFactor(self.before, self.decay, self.single, fresh)
+    def unstandardise(self, scored: Array) -> Array:
+        """P^-T Y (N, m) over scale, each row where its reading stands, for Y (k, m)."""
+        values = scored / self.scale[:, None]
+        if self.unmix is not None:
+            values = self.unmix.T @ values
+        return _in_place(self.order, values)
+
+    @property
+    def fresh(self) -> Array:
+        """Variances (k,) of what joins what is carried along."""
+        return self.carried * (1.0 - self.decay**2)
 
     def covariance_of(self, values: Array) -> Array:
         """Y^T C Y (m, m), for Y (N, m): of sums of the errors. P is 1."""
         ordered = values[self.order] * self.scale[:, None]
         covariance = ordered.T @ (ordered * self.single[:, None])
-        carried = sums_along_chains(self.before, self.decay, ordered)
-        fresh = self.carried * (1.0 - self.decay**2)
-        covariance += carried.T @ (carried * fresh[:, None])
+        carried = sums_along_chains(self.decay, ordered)
+        covariance += carried.T @ (carried * self.fresh[:, None])
         ends = [*self.starts[1:], len(ordered)]
         for start, end in zip(self.starts, ends, strict=True):
             segment = ordered[start:end].T @ self.shared[start:end]
@@ -86,28 +109,25 @@ class Errors:
         """Whether all scales are 1."""
         return bool((self.scale == 1.0).all())
 
-    def unmixed(self, values: Array) -> Array:
-        """P^-1 Y (k, m)."""
-        return values if self.unmix is None else self.unmix @ values
-
 
 class LinearFactor:
     """Root of errors that are banded but for a few that each segment shares."""
 
     def __init__(self, errors: Errors) -> None:
         self.errors, self.order = errors, errors.order
-        self._banded = errors.banded()
-        self._columns = self._banded.whiten(errors.unmixed(errors.shared))
+        self._banded = ChainFactor(errors.decay, errors.single, errors.fresh)
+        self._columns = self._banded.whiten(errors.shared)
         self._shared = SharedProducts(self._columns, errors.starts)
+        log_sizes = float(self._banded.log_variances.sum()) + self._shared.log_det
         log_scale = float(np.log(errors.scale).sum())
         if errors.unmix is not None:
             log_scale -= float(np.log(errors.unmix.diagonal()).sum())
         #: log determinant of the covariance
-        self.log_det = 2.0 * log_scale + self._banded.log_det + self._shared.log_det
+        self.log_det = 2.0 * log_scale + log_sizes
 
     def whiten(self, values: Array) -> Array:
         """W Y (k, m) with W C W^T = 1, for Y (N, m)."""
-        alone = self._banded.whiten(self.errors.standardise(values))
+        alone = self._banded.whiten(self.standardise(values))
         return self._shared.whiten(alone)
 
     def whiten_in_place(self, values: Array) -> Array:
@@ -116,27 +136,21 @@ class LinearFactor:
 
     def whiten_back(self, white: Array) -> Array:
         """W^T Y (N, m), for Y (k, m) in order and the W of `whiten`."""
-        errors = self.errors
         values = self._banded.whiten_back(self._shared.whiten(white.copy()))
-        if errors.unmix is not None:
-            values = errors.unmix.T @ values
-        return _in_place(errors.order, values / errors.scale[:, None])
+        return self.errors.unstandardise(values)
 
     def correlate(self, white: Array) -> Array:
         """R Y (k, m) in order, for white Y (k, m) and Cholesky's root R."""
         errors = self.errors
         shared = SharedFactor(self._columns, errors.starts)
-        values = self._banded.unwhiten(shared.unwhiten(white))
+        values = self._banded.unwhiten(shared.unwhiten(white)) * errors.scale[:, None]
         if errors.unmix is not None:
             values = sparse_linalg.spsolve_triangular(errors.unmix, values)
-        return values * errors.scale[:, None]
+        return np.asarray(values)
 
     def precision(self, values: Array) -> Array:
         """C^-1 Y (N, m), for Y (N, m), of a factor of all readings."""
-        scored = self.scored(self.standardise(values))
-        if self.errors.unmix is not None:
-            scored = self.errors.unmix.T @ scored
-        return _in_place(self.order, scored / self.errors.scale[:, None])
+        return self.errors.unstandardise(self.scored(self.standardise(values)))
 
     def standardise(self, values: Array) -> Array:
         """Y (N, m) in order (k, m), over what only mixes channels and scales readings."""
@@ -154,15 +168,74 @@ class LinearFactor:
     def precision_diagonal(self) -> Array:
         """Diagonal (N,) of C^-1, of a factor of all readings."""
         errors = self.errors
-        diagonal = self._banded.precision_diagonal()
+        diagonal = self._banded.precision_diagonal() / errors.scale**2
         if errors.unmix is not None:
             # channels are independent where they are not mixed
-            diagonal = errors.unmix.power(2).T @ diagonal
-        shared = self.scored_root()
-        if errors.unmix is not None:
-            shared = errors.unmix.T @ shared
-        diagonal = diagonal - (shared**2).sum(axis=1)
-        return _in_place(errors.order, diagonal / errors.scale**2)
+            diagonal = np.asarray(errors.unmix.power(2).T @ diagonal)
+        shared = errors.unstandardise(self.scored_root())
+        explained: Array = (shared**2).sum(axis=1)
+        return _in_place(errors.order, diagonal) - explained
+
+    def scaled(self, factor: float) -> LinearFactor:
+        """The root of errors times a factor."""
+        errors = self.errors
+        return LinearFactor(dataclasses.replace(errors, scale=factor * errors.scale))
+
+
+class WideFactor:
+    """Root of C + G G^T, for the factor of C and columns G (N, k) that all readings share.
+
+    With W G = B diag(s) V^T, W that of C, it is [1 - B (1 - 1 / sqrt(1 + s^2)) B^T] W.
+    """
+
+    def __init__(self, factor: LinearFactor, columns: Array) -> None:
+        self.alone, self.order = factor, factor.order
+        self._columns = columns
+        axes, triangle = linalg.qr(
+            factor.whiten(columns), mode="economic", check_finite=False
+        )
+        rotation, self.sizes, self.turn = linalg.svd(
+            triangle, full_matrices=False, check_finite=False
+        )
+        #: (N, k) B, along which what the columns absorb lies
+        self.axes: Array = axes @ rotation
+        #: log determinant of the covariance
+        self.log_det = factor.log_det + float(np.log1p(self.sizes**2).sum())
+
+    def whiten(self, values: Array) -> Array:
+        """Whitened values (N, m), in order, for Y (N, m)."""
+        return self.remaining(self.alone.whiten(values))
+
+    def remaining(self, white: Array) -> Array:
+        """Values (N, m) whitened by C less what the columns absorb of them."""
+        shrink = 1.0 - 1.0 / np.hypot(1.0, self.sizes)[:, None]
+        return np.asarray(white - self.axes @ (shrink * (self.axes.T @ white)))
+
+    def whiten_in_place(self, values: Array) -> Array:
+        """Whitened values (N, m), each row where its reading stands."""
+        return _in_place(self.order, self.whiten(values))
+
+    def whiten_back(self, white: Array) -> Array:
+        """The transpose of `whiten` times Y (N, m)."""
+        return self.alone.whiten_back(self.remaining(white))
+
+    def precision(self, values: Array) -> Array:
+        """(C + G G^T)^-1 Y (N, m), for Y (N, m)."""
+        return self.whiten_back(self.whiten(values))
+
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of (C + G G^T)^-1.
+
+        Of readings that the columns alone determine it is rounding about 0.
+        """
+        alone = self.alone.precision_diagonal()
+        share = self.sizes / np.hypot(1.0, self.sizes)
+        absorbed: Array = (self.alone.whiten_back(self.axes * share) ** 2).sum(axis=1)
+        return np.maximum(alone - absorbed, ROUNDING * alone)
+
+    def scaled(self, factor: float) -> WideFactor:
+        """The root of errors times a factor."""
+        return WideFactor(self.alone.scaled(factor), factor * self._columns)
 
 
 def joined(parts: Sequence[Errors]) -> Errors:
@@ -189,7 +262,6 @@ def joined(parts: Sequence[Errors]) -> Errors:
     return Errors(
         order=numbers("order"),
         starts=numbers("starts"),
-        before=numbers("before"),
         decay=together("decay"),
         single=together("single"),
         carried=together("carried"),
@@ -204,3 +276,71 @@ def _in_place(order: Index, ordered: Array) -> Array:
     values = np.empty_like(ordered)
     values[order] = ordered
     return values
+
+
+class Innovations:
+    """Innovations of held-out readings among all, of a factor of their covariance."""
+
+    def __init__(self, factor: LinearFactor, chains: Chains, held: Index) -> None:
+        """Factor the precision of the readings `held` (h,)."""
+        errors = factor.errors
+        place = np.empty(len(errors.order), dtype=np.intp)
+        place[errors.order] = np.arange(len(place))
+        self._at = np.sort(place[held])
+        self._rank = np.argsort(np.argsort(place[held]))
+        self._banded = chains.precision_of(self._at)
+        shared = self._banded.whiten(factor.scored_root()[self._at])
+        segment = np.searchsorted(errors.starts, self._at, side="right")
+        starts = np.flatnonzero(np.diff(segment, prepend=-1) > 0)
+        self._shared = SharedFactor(shared, starts, sign=-1.0)
+
+    def innovations(self, scored: Array) -> Array:
+        """Innovations (h, m), in the order of the held-out readings.
+
+        scored  (k, m) precision times standardised values, of all readings in order
+        """
+        white = self._shared.whiten(self._banded.whiten(scored[self._at]))
+        return white[self._rank]
+
+
+class Chains:
+    """What chains carry, given all readings: a Markov chain forward along each.
+
+    K_jj = psi_j^2 K_bb + q_j for the reading b before j, of carried errors over the
+    variances of single readings.
+    """
+
+    def __init__(self, errors: Errors) -> None:
+        """Condition on all readings; no single error may be exact."""
+        self._precision = 1.0 / errors.single
+        self._chain = np.cumsum(errors.decay == 0.0)
+        self._carried = bool(errors.carried.any())
+        if self._carried:
+            self._condition(errors.decay, errors.fresh)
+
+    def _condition(self, decay: Array, fresh: Array) -> None:
+        diagonal = self._precision + 1.0 / fresh
+        diagonal[:-1] += decay[1:] ** 2 / fresh[1:]
+        neighbour = -decay[1:] / fresh[1:]
+        # pivots from the last reading on: each given the one before, the later ones out
+        band = np.vstack([diagonal[::-1], [*neighbour[::-1], 0.0]])
+        pivot = linalg.cholesky_banded(band, lower=True, check_finite=False)[0, ::-1]
+        variance = 1.0 / pivot**2
+        step = np.concatenate([[0.0], -neighbour * variance[1:]])
+        # steps multiply along a chain: sums of logarithms
+        self._log_steps = np.cumsum(np.log(np.where(step > 0.0, step, 1.0)))
+        self._marginal = along_chains(step**2, variance)
+
+    def precision_of(self, at: Index) -> ChainFactor:
+        """Factor of E^-1 - E^-1 K E^-1 for the readings at places `at` (h,), in order."""
+        single = self._precision[at]
+        if not self._carried:
+            nothing = np.zeros(len(at))
+            return ChainFactor(nothing, single, nothing)
+        same = np.diff(self._chain[at], prepend=0) == 0
+        log_step = np.diff(self._log_steps[at], prepend=0.0)
+        step = np.exp(np.where(same, log_step, -np.inf))
+        decay, fresh = step * single, self._marginal[at]
+        decay[1:] /= single[:-1]
+        fresh[1:] -= step[1:] ** 2 * self._marginal[at[:-1]]
+        return ChainFactor(decay, single, -fresh * single**2)

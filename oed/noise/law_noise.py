@@ -12,14 +12,14 @@ carried along) are run-to-run errors.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy import sparse
 
 from oed.base.arrays import Array, Index, Mask
-from oed.noise.covariance import Noise
-from oed.noise.factor import Errors, LinearFactor
+from oed.noise.covariance import FactoredNoise, Noise
+from oed.noise.factor import Errors, LinearFactor, WideFactor
 from oed.noise.process import Laws, Whitening, common_columns
 from oed.noise.structure import (
     KNOWN,
@@ -46,7 +46,7 @@ SHARED_KINDS = {
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class LawNoise(Noise):
+class LawNoise(FactoredNoise):
     """Noise of N readings under a law, SI.
 
     structure  of the readings
@@ -55,49 +55,6 @@ class LawNoise(Noise):
 
     structure: ReadingStructure
     law: Laws
-
-    @functools.cached_property
-    def _factor(self) -> LinearFactor:
-        """Root of the covariance over the stated noise."""
-        return factor_of(self.structure, self.law)
-
-    @functools.cached_property
-    def _effects(self) -> LowRankRoot:
-        """Root of 1 + U U^T, of the whitened columns U of effects."""
-        return LowRankRoot.of(self._factor.whiten_in_place(self.structure.effects))
-
-    def whiten(self, values: Array) -> Array:
-        """Whitened values: (N,), (N, n), with readings first."""
-        standard = self.structure.standardise(values)
-        wide = standard[:, None] if values.ndim == 1 else standard
-        white = self._factor.whiten_in_place(wide)
-        if self.structure.has_effects:
-            white = self._effects.whiten(white)
-        return white.reshape(values.shape)
-
-    def whiten_back(self, values: Array) -> Array:
-        """W^T Y, for Y (N,) or (N, n)."""
-        wide = values[:, None] if values.ndim == 1 else values
-        if self.structure.has_effects:
-            wide = self._effects.whiten(wide)
-        back = self._factor.whiten_back(wide[self._factor.order])
-        if self.structure.decouple is not None:
-            back = self.structure.decouple.T @ back
-        else:
-            back = back / self.structure.unit[:, None]
-        return back.reshape(values.shape)
-
-    def precision_diagonal(self) -> Array:
-        """Diagonal (N,) of Sigma^-1; channels share no error but those of a reading."""
-        diagonal = self._factor.precision_diagonal()
-        if self.structure.has_effects:
-            explained = self._factor.whiten_back(
-                self._effects.explained_root[self._factor.order]
-            )
-            diagonal = diagonal - (explained**2).sum(axis=1)
-        if self.structure.decouple is None:
-            return np.asarray(diagonal / self.structure.unit**2)
-        return np.asarray(self.structure.decouple.power(2).T @ diagonal)
 
     def of_runs(self) -> tuple[Noise, Array]:
         """As in `Noise`: effects and the course apart."""
@@ -116,33 +73,6 @@ class LawNoise(Noise):
         return self.structure.restore(errors).reshape(shape)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class LowRankRoot:
-    """Symmetric root of (1 + U U^T)^-1, for U (N, k).
-
-    basis   (N, k) orthonormal;  values  (k,) singular values of U
-    """
-
-    basis: Array
-    values: Array
-
-    @classmethod
-    def of(cls, columns: Array) -> LowRankRoot:
-        """The root for U (N, k)."""
-        basis, values, _ = np.linalg.svd(columns, full_matrices=False)
-        return cls(basis, values)
-
-    def whiten(self, values: Array) -> Array:
-        """(1 + U U^T)^(-1/2) Y, for Y (N, m)."""
-        shrink = 1.0 - 1.0 / np.sqrt(1.0 + self.values**2)
-        return values - self.basis @ (shrink[:, None] * (self.basis.T @ values))
-
-    @property
-    def explained_root(self) -> Array:
-        """R (N, k) with R R^T = 1 - (1 + U U^T)^-1."""
-        return self.basis * (self.values / np.sqrt(1.0 + self.values**2))
-
-
 def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
     """Noise of readings under the first of some laws, SI."""
     law = laws.take([0])
@@ -151,7 +81,11 @@ def noise_under(structure: ReadingStructure, laws: Laws) -> LawNoise:
     (common,) = common_columns(structure, law)
     if common.size:
         sd = np.sqrt(sd**2 + (common**2).sum(axis=1))
-    return LawNoise(structure.unit * sd, structure=structure, law=law)
+    alone = LinearFactor(errors_in_units(structure, law))
+    factor: LinearFactor | WideFactor = alone
+    if structure.has_effects:
+        factor = WideFactor(alone, structure.restore(structure.effects.T).T)
+    return LawNoise(structure.unit * sd, factor=factor, structure=structure, law=law)
 
 
 def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:
@@ -159,19 +93,36 @@ def factor_of(structure: ReadingStructure, laws: Laws) -> LinearFactor:
     return LinearFactor(errors_of(structure, laws))
 
 
-def errors_of(structure: ReadingStructure, laws: Laws) -> Errors:
+def errors_in_units(
+    structure: ReadingStructure, laws: Laws, rows: Index | None = None
+) -> Errors:
+    """Errors as in `errors_of`, in the units of the readings and with their channels."""
+    errors = errors_of(structure, laws, rows)
+    order = errors.order
+    if structure.decouple is None:
+        return dataclasses.replace(errors, scale=errors.scale * structure.unit[order])
+    unmix = sparse.csr_array(structure.decouple[order][:, order])
+    return dataclasses.replace(errors, unmix=unmix)
+
+
+def errors_of(
+    structure: ReadingStructure, laws: Laws, rows: Index | None = None
+) -> Errors:
     """Errors of readings under the first of the laws, in units of the stated noise.
+
+    rows  (k,) readings that are taken, all by default
 
     Their shared columns are those of the structure, times their sizes. With a course all
     readings are one segment, and each run has columns of its own.
     """
     chain = structure.chain
     order = np.lexsort((structure.position, chain))
+    if rows is not None:
+        order = order[np.isin(order, rows)]
     ordered, position = chain[order], structure.position[order]
     first = np.diff(ordered, prepend=-1) > 0
     steps = np.diff(position, prepend=0.0)
     carried = np.full(len(order), laws.carried[0])
-    place = np.arange(len(order))
     decay = np.exp(-np.where(first, np.inf, steps) / laws.reach[0])
     new_run = np.diff(structure.run[ordered], prepend=-1) > 0
     starts = np.flatnonzero(new_run)
@@ -183,7 +134,6 @@ def errors_of(structure: ReadingStructure, laws: Laws) -> Errors:
     return Errors(
         order=order,
         starts=starts,
-        before=np.where(first, place, place - 1),
         decay=decay if carried.any() else np.zeros(len(order)),
         single=1.0 - carried,
         carried=carried,

@@ -21,10 +21,9 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.base.linear_algebra import triangle_of_sums
-from oed.noise.law_mode import find_mode, root_about
 from oed.noise.prior import NoisePrior
 from oed.noise.process import BATCH_NUMBERS, Laws, Whitening
-from oed.noise.proposal import kernels_at, split_student
+from oed.noise.proposal import find_mode, kernels_at, root_about, split_student
 from oed.noise.structure import ReadingStructure
 
 #: laws drawn in each of two rounds
@@ -74,24 +73,33 @@ class ResidualModel:
         diagonals = np.einsum("lii->li", triangle)
         log_size = 2.0 * np.log(diagonals[:, :-1]).sum(axis=1)
         log_size = log_size + whitening.log_determinant
-        log_marginal = -0.5 * (log_size + diagonals[:, -1] ** 2)
         centre = np.broadcast_to(self.centre, (len(laws), len(self.centre)))
-        return Solutions(log_marginal, triangle, centre)
+        return Solutions(log_size, triangle, centre)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Solutions:
     """Of L laws: log marginal likelihood, and posterior of z.
 
-    log_marginal  (L,)
+    log_size      (L,) log determinant of the readings' covariance, z integrated out
     triangle      (L, r + 1, r + 1) Cholesky factor of the products of slopes and residual,
                   with the prior
     centre        (L, r) the z about which they are
     """
 
-    log_marginal: Array
+    log_size: Array
     triangle: Array
     centre: Array
+
+    @property
+    def energy(self) -> Array:
+        """Squares (L,) of readings in that covariance."""
+        return np.asarray(self.triangle[:, -1, -1] ** 2)
+
+    @property
+    def log_marginal(self) -> Array:
+        """Log marginal likelihoods (L,)."""
+        return np.asarray(-0.5 * (self.log_size + self.energy))
 
     @functools.cached_property
     def root(self) -> Array:
@@ -108,7 +116,7 @@ class Solutions:
     @property
     def misfit(self) -> Array:
         """Sum (L,) of squared whitened residuals at the mean."""
-        return np.asarray(self.triangle[:, -1, -1] ** 2 - (self.mean**2).sum(axis=1))
+        return np.asarray(self.energy - (self.mean**2).sum(axis=1))
 
 
 def concatenate_solutions(parts: Sequence[Solutions]) -> Solutions:

@@ -6,6 +6,11 @@ s^2, tells of a small change what a normal error of s(e) / I and variance 1 / I 
 the log densities agree to second order. With its own error replaced so, a reading is
 one of normal noise; no explanation has outliers of its own, and all compare as they do
 where tails are light (pseudo-values of an M-estimator, Huber 1964).
+
+So that a fit with normal noise is not bent, residuals that their neighbours and the
+prior contradict are replaced by such pseudo-values. What is replaced is judged against
+the widest residual that the tolerances allow, so that no error of the machine is taken
+for an outlier.
 """
 
 from __future__ import annotations
@@ -19,9 +24,13 @@ import numpy as np
 from scipy import optimize, special
 
 from oed.base.arrays import Array
-from oed.noise.factor import LinearFactor
+from oed.noise import outliers
+from oed.noise.factor import LinearFactor, WideFactor
 from oed.noise.law import NoiseLaw
+from oed.noise.law_noise import factor_of
+from oed.noise.process import Laws
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
+from oed.noise.structure import ReadingStructure
 
 #: degrees of freedom of the Student t that are tried
 DEGREES = (3.0, 4.0, 6.0, 10.0)
@@ -33,8 +42,6 @@ WORTH = 3.0
 #: turns by which outliers are detected from what others are predicted to be without them;
 #: change at which they end
 TURNS, STILL = 12, 1e-3
-#: share of a reading's precision that is rounding, where parameters take the rest
-ROUNDING = 1e-12
 #: errors over which the information is integrated
 _GRID = np.linspace(-60.0, 60.0, 12001)
 
@@ -164,23 +171,11 @@ class Precision:
 
 
 def with_columns(factor: LinearFactor, columns: Array) -> Precision:
-    """The precision of C + G G^T, for the factor of C and columns G (N, k).
-
-    It is C^-1 - A A^T with A = C^-1 G V / sqrt(1 + s), G^T C^-1 G = V s V^T. The numbers s
-    of columns that follow from others are rounding about 0, and so is the diagonal of
-    readings that the columns alone determine.
-    """
-    solved = factor.precision(columns)
-    squares, axes = np.linalg.eigh(columns.T @ solved)
-    shared = (solved @ axes) / np.sqrt(1.0 + np.maximum(squares, 0.0))
-
-    def apply(values: Array) -> Array:
-        alone = factor.precision(values[:, None])[:, 0]
-        return np.asarray(alone - shared @ (shared.T @ values))
-
-    alone = factor.precision_diagonal()
-    diagonal = alone - np.einsum("nk,nk->n", shared, shared)
-    return Precision(apply, np.maximum(diagonal, ROUNDING * alone))
+    """The precision of C + G G^T, for the factor of C and columns G (N, k)."""
+    wide = WideFactor(factor, columns)
+    return Precision(
+        lambda values: wide.precision(values[:, None])[:, 0], wide.precision_diagonal()
+    )
 
 
 def detect(
@@ -244,3 +239,25 @@ def _fitted(shape: ErrorDensity, errors: Array) -> tuple[float, float]:
         cost, bounds=(middle - 2.0, middle + 2.0), method="bounded"
     )
     return float(np.exp(minimum.x)), -float(minimum.fun)
+
+
+#: fewest readings among which one can be recognised as far off
+FEWEST = 8
+
+
+def robust_residuals(
+    structure: ReadingStructure, laws: Laws, residual: Array, slopes: Array
+) -> Array:
+    """Residuals (N,) about the prior's middle, with those far off replaced.
+
+    slopes  (N, r) over z ~ N(0, I), which hold what the machine may do
+    """
+    if len(residual) < FEWEST:
+        return residual.copy()
+    if structure.has_effects:
+        slopes = np.hstack([slopes, structure.effects])
+    precision = outliers.with_columns(factor_of(structure, laws), slopes)
+    result = outliers.detect(
+        residual, precision, outliers.ROBUST_DENSITIES, structure.statement
+    )
+    return residual.copy() if result is None else result.pseudo_residual

@@ -8,10 +8,10 @@ In units of the stated noise, a chain of readings (one channel of a run) has the
 with white_k and level independent standard normal, carried_k an Ornstein-Uhlenbeck
 process with correlation exp(-|k - l| / reach), s the channel's own, seat the set-up's unknowns that the run
 seated anew, with slopes c, and shared the errors that instrument and study state. The
-course of the session goes through all runs (`oed.noise.course`).
+course of the session goes through all runs (`oed.measurement.reading_structure`).
 
 White and carried error have a banded root (`oed.noise.banded`); what a run shares is a
-matrix of a few columns, taken out by the Woodbury identity (`oed.noise.shared`). Both are
+matrix of a few columns, taken out by the Woodbury identity (`oed.noise.banded`). Both are
 linear in the number of readings. A session's course and effects that the model lacks are
 columns that all readings share, V, with C + V V^T for C.
 """
@@ -25,8 +25,7 @@ import math
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.noise.banded import ChainFactor, along_chains
-from oed.noise.shared import taken_out
+from oed.noise.banded import ChainFactor, along_chains, taken_out
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import ReadingStructure
 

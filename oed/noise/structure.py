@@ -38,7 +38,7 @@ class ReadingStructure:
     kinds      (K,) LEVEL, KNOWN, RENEWED, STATED_LEVEL or STATED_SEAT
     statement  of the parts that all readings have: what is carried along, tails
     course     (N, c) modes of what each group's readings share through the session, of
-               unit standard deviation at its end (`oed.noise.course`)
+               unit standard deviation at its end (`oed.measurement.reading_structure`)
     effects    (N, k) changes per standard deviation of independent normal coefficients
                that all readings share: what the model lacks, in units of the stated noise
     """
@@ -132,6 +132,26 @@ class ReadingStructure:
         members = sparse.csr_array((np.ones(len(self)), place))
         squares = (members.T @ mixing.power(2) @ members).toarray()
         return np.asarray(squares / np.bincount(self.group)[:, None])
+
+    @functools.cached_property
+    def log_unit(self) -> float:
+        """Sum of the logs of the units of readings, SI."""
+        if self.decouple is None:
+            return float(np.log(self.unit).sum())
+        return -float(np.log(self.decouple.diagonal()).sum())
+
+    @functools.cached_property
+    def members(self) -> tuple[Index, ...]:
+        """Readings of each run."""
+        run = self.run[self.chain]
+        return tuple(np.flatnonzero(run == number) for number in np.unique(run))
+
+    def over(self, sigma: Array) -> ReadingStructure:
+        """The structure of readings that are divided by noises sigma (N,), SI."""
+        decouple = self.decouple
+        if decouple is not None:
+            decouple = sparse.csr_array(decouple @ sparse.diags_array(sigma))
+        return dataclasses.replace(self, unit=self.unit / sigma, decouple=decouple)
 
     def standardise(self, values: Array) -> Array:
         """Values (N,) or (N, m), SI, in units of the stated noise, channels decoupled."""

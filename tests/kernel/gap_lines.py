@@ -12,13 +12,13 @@ import numpy as np
 import pandas as pd
 
 from kernel.dense_noise import law_covariance
+from kernel.laws import STATED_LAW
 from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.measurement.measurement import Measurement
 from oed.model.effect import Column, Effect, State
 from oed.model.instrument import mount
-from oed.noise.law import STATED_LAW
 from pkm_models.instruments import relative
 from pkm_models.machines import planar_2dof
 

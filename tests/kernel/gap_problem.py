@@ -7,10 +7,12 @@ import functools
 import numpy as np
 import pandas as pd
 
+from kernel.laws import noise_law
 from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from oed.noise.law import NoiseLaw
+from oed.noise.structure import RENEWED
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head
 
@@ -55,7 +57,7 @@ def law(problem: GapProblem) -> NoiseLaw:
     """A law with everything: a run's level and seating, an error carried along,
     a scatter and a level.
     """
-    return NoiseLaw(
+    return noise_law(
         0.7,
         0.9,
         5.0,
@@ -69,16 +71,18 @@ def dense(problem: GapProblem, law: NoiseLaw) -> np.ndarray:
     """Covariance (N, N) of readings without a gap, reading by reading from the law's
     formula.
     """
-    total = law.variance * np.eye(len(problem))
+    of, structure = law.law, problem.structure
+    seat = structure.columns[:, structure.kinds == RENEWED]
+    carried, place = of.carried[0], structure.position
+    total = (1.0 - carried) * np.eye(len(problem))
     for members in problem.members:
         for i in members:
             for j in members:
-                lag = abs(problem.position[i] - problem.position[j])
-                total[i, j] += law.run_sd**2 + law.ar1_sd**2 * np.exp(
-                    -lag / law.ar1_length
-                )
-                total[i, j] += law.seat_sd**2 * problem.seat[i] @ problem.seat[j]
-    return law.level**2 * total + problem.slopes @ problem.slopes.T
+                lag = abs(place[i] - place[j])
+                total[i, j] += of.level[0] ** 2 + carried * np.exp(-lag / of.reach[0])
+                total[i, j] += of.seat[0] ** 2 * seat[i] @ seat[j]
+    level = law.level * of.scale[0, 0]
+    return level**2 * total + problem.slopes @ problem.slopes.T
 
 
 def in_joint(problem: GapProblem, limb: int, change: np.ndarray) -> np.ndarray:

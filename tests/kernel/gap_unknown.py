@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 
 from kernel.dense_noise import law_covariance
+from kernel.laws import STATED_LAW
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy
 from oed.gap.forms.library import Library
-from oed.noise.law import STATED_LAW
 
 
 def terms(problem: GapProblem, *names: str) -> Library:

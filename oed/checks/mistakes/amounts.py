@@ -17,6 +17,7 @@ from scipy import linalg
 
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
+from oed.checks.findings import rounded
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import AGAIN, mounted_again, with_moved
 from oed.checks.mistakes.scope import LEAST_PART, Scope, rows_scope
@@ -28,7 +29,6 @@ from oed.checks.mistakes.trial import (
     in_values,
 )
 from oed.checks.session import SessionReadings
-from oed.checks.words import rounded
 from oed.measurement.measurement import Series
 from oed.measurement.reading_noise import source_slopes
 from oed.model.instrument import InnerReading

@@ -14,11 +14,11 @@ import numpy as np
 from scipy import linalg
 
 from oed.base.arrays import Array, Index
+from oed.checks.findings import rounded
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, in_scopes, value_trial
 from oed.checks.session import SessionReadings
-from oed.checks.words import rounded
 
 #: readings of a group up to which they may hold parts of others, and fewest
 MOST, LEAST = 400, 3

@@ -11,11 +11,11 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Index, Mask
 from oed.checks.copies import resolution
+from oed.checks.findings import rounded
 from oed.checks.fit import NO_AMOUNTS, Fit, Undo
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.session import SessionReadings
-from oed.checks.words import rounded
 
 #: the mistake of amounts (k,) with standard deviations (k,), without a full stop
 Words = Callable[[Array, Array], str]

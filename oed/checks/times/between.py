@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import spatial
 
-from oed.checks.findings import CheckFinding, Severity
+from oed.checks.findings import CheckFinding, Severity, capital
 from oed.checks.times.clock import (
     APART,
     DAY,
@@ -24,7 +24,6 @@ from oed.checks.times.clock import (
     alike,
     are_apart,
 )
-from oed.checks.words import capital
 
 #: times that two runs share from which on they contradict: ends may meet in one
 LEAST_SHARED = 2

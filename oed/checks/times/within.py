@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.checks.findings import CheckFinding, Severity
+from oed.checks.findings import CheckFinding, Severity, capital
 from oed.checks.times.clock import (
     DAY,
     HALF_DAY,
@@ -20,7 +20,6 @@ from oed.checks.times.clock import (
     are_apart,
     typical,
 )
-from oed.checks.words import capital
 from oed.dataset.file_rows import Row
 
 #: steps of a turn of the clock from which on a jump forward cannot be a step

@@ -23,7 +23,7 @@ from oed.compensate.effects.mixture import (
     side_by_side,
 )
 from oed.estimation import identification
-from oed.estimation.effect_sizes import LARGE, SMALL
+from oed.estimation.discrepancy import LARGE, SMALL
 from oed.estimation.estimate import Estimate
 from oed.estimation.identification import IdentificationError
 from oed.gap.cause.hypothesis import PRIOR

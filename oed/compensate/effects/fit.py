@@ -25,7 +25,6 @@ from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.state import DOWN
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect, State
-from oed.noise.law import STATED_LAW
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -178,7 +177,7 @@ class _JointFit:
                 ActingEffectForm(f.effect, f.constants, f.signature.names, f.size)
                 for f in forms
             ]
-            law = STATED_LAW
+            law = problem.stated_law
             settled = settle(problem, acting, law, np.zeros(len(problem)))
             if not LINEAR < settled.departure < np.inf:
                 return _Start(forms, theta, np.zeros_like(settled.coefficients), False)

@@ -30,7 +30,6 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature
 from oed.model.effect import Effect
 from oed.model.size_prior import EFFECT_SIZES, FAR_SHARE
-from oed.noise.law import STATED_LAW
 
 #: constants beyond which textbook forms alone are scanned
 LARGE_GRID = 64
@@ -156,7 +155,7 @@ def _solve(products: Array) -> tuple[float, float]:
 
 def form_evidence(problem: GapProblem) -> FormEvidence:
     """Evidence of columns under independent noise of the stated ratios."""
-    return FormEvidence(Metric(problem, STATED_LAW))
+    return FormEvidence(Metric(problem, problem.stated_law))
 
 
 def groups_by_effect(forms: Sequence[ChosenForm]) -> list[Groups]:

@@ -179,10 +179,10 @@ def separation(
     """
     n, values = problem.slopes.shape[1], np.hstack([problem.slopes, columns])
     prior = np.eye(n, values.shape[1])
-    white = [law.factor(problem, at).whiten(values) for at in rows]
+    white = [law.factor(problem.structure, at).whiten(values) for at in rows]
     known = prior
     if taken is not None:
-        known = np.vstack([prior, law.factor(problem, taken).whiten(values)])
+        known = np.vstack([prior, law.factor(problem.structure, taken).whiten(values)])
     change, log_scale = _convenient_coordinates(np.vstack([*white, known]), n)
     changed = [x @ change for x in white]
     return Separation(

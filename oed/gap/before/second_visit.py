@@ -115,8 +115,8 @@ def propose(
     runs = tuple(possible[k] for k in plan.runs)
     series, covariates = lay_out(taken.measurement, runs)
     columns = [np.hstack([both.slopes, form.columns]) for form in forms]
-    of_taken = law.factor(both, first)
-    to_come = law.factor(both, np.concatenate([rows[k] for k in plan.runs]))
+    of_taken = law.factor(both.structure, first)
+    to_come = law.factor(both.structure, np.concatenate([rows[k] for k in plan.runs]))
     after = expected_probability(
         forms,
         [of_taken.whiten(values) for values in columns],
@@ -157,12 +157,13 @@ def both_visits(
 
 
 def law_of_both(law: NoiseLaw, taken: GapProblem, both: GapProblem) -> NoiseLaw:
-    """A noise law of the readings taken, for those to come as well."""
-    ratio = law.channel_ratio
-    if ratio is not None:
-        of_channel = dict(zip(taken.channel.tolist(), ratio.tolist(), strict=True))
-        ratio = np.array([of_channel[c] for c in both.channel.tolist()])
-    return dataclasses.replace(law, channel_ratio=ratio)
+    """A noise law of the readings taken, for those to come as well.
+
+    Channels that were not read are as the first one.
+    """
+    more = len(both.structure.names) - len(taken.structure.names)
+    scale = np.pad(law.law.scale, ((0, 0), (0, more)), constant_values=1.0)
+    return dataclasses.replace(law, law=dataclasses.replace(law.law, scale=scale))
 
 
 def answer_forms(
@@ -256,7 +257,7 @@ def _parts(
     likeliest: dict[tuple[str, ...], AnswerForm] = {}
     for form in sorted(forms, key=lambda form: -form.probability):
         likeliest.setdefault(form.effects, form)
-    whiten = law.factor(both, first).whiten
+    whiten = law.factor(both.structure, first).whiten
     residual = whiten(both.residual[:, None])[:, 0]
     start, parts = 0, []
     for form in likeliest.values():

@@ -34,9 +34,9 @@ from scipy import linalg
 from oed.base.arrays import Array, Index
 from oed.gap.cause.folds import Paths
 from oed.gap.data.problem import GapProblem
-from oed.noise.hold_out import Chains, Innovations
+from oed.noise.banded import SharedFactor
+from oed.noise.factor import Chains, Innovations
 from oed.noise.law import NoiseLaw
-from oed.noise.shared import SharedFactor
 from oed.result.gap import ClosureRecord
 
 #: draws of the bootstrap
@@ -149,7 +149,7 @@ class RunNoise:
     """Noise of the runs: innovations of held-out readings given the others of a run."""
 
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
-        self._factor = law.factor(problem)
+        self._factor = law.factor(problem.structure)
         self._chains = Chains(self._factor.errors)
 
     def score(self, values: Array) -> Array:

@@ -14,7 +14,6 @@ from oed.gap.data.diagnosis import Explained, Size
 from oed.gap.data.evidence import WhitenedColumns
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import STATED_LAW
 from oed.result.gap import CoefficientRecord
 
 #: share of an unknown remainder that an effect explains which comes near it
@@ -38,7 +37,7 @@ def explain(
     sd = level * np.sqrt(np.diag(np.linalg.inv(precision)))
     by_effects = np.zeros(len(problem))
     constants, coefficients, sizes, start = {}, [], [], 0
-    stated = Metric(search.problem, STATED_LAW)
+    stated = Metric(search.problem, search.problem.stated_law)
     for effect, atom, size in zip(h.effects, h.atoms, h.sizes, strict=True):
         rows = library.atoms[atom].columns
         at = slice(start, start + len(rows))

@@ -31,7 +31,7 @@ from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
 from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import UNKNOWN_SIZES
-from oed.noise.law import STATED_LAW, NoiseLaw
+from oed.noise.law import NoiseLaw
 from oed.noise.prior import KNOWN_TO
 from oed.result.fit_limits import chi2_is_large
 
@@ -43,6 +43,8 @@ SHARES = np.linspace(0.1, 0.9, 9)
 CLEAR = 20.0
 
 
+#: share of the scatter that is carried along from which on it is mostly so
+MOSTLY = 0.5
 #: share of the largest value of a column below which two values are the same
 ROUNDING = 1e-9
 #: poses that count, evenly over all of them: time and memory stay linear in the readings
@@ -87,7 +89,7 @@ class Energies:
 def energies(problem: GapProblem, law: NoiseLaw, again: Replicates) -> Energies:
     """Energies of the residuals, whitened by a law."""
     pure, pure_freedom = again.energy(problem, law)
-    factor = law.factor(problem)
+    factor = law.factor(problem.structure)
     white = factor.whiten(problem.residual[:, None])[:, 0]
     whole, freedom = energy_beyond(white, factor.whiten(problem.slopes))
     return Energies(
@@ -137,7 +139,7 @@ def excess_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter | None:
     """
     if problem.statement.is_assumed:
         return None
-    factor = _within_runs(law)
+    factor = _within_runs(problem, law)
     freedom = float(len(problem.residual) - problem.slopes.shape[1])
     chi2 = freedom * (factor / KNOWN_TO) ** 2
     if freedom <= 0.0 or not chi2_is_large(chi2, freedom):
@@ -150,22 +152,21 @@ def unstated_scatter(problem: GapProblem, law: NoiseLaw) -> float | None:
 
     None where it is within what a data sheet is good for, or nothing is stated.
     """
-    between_runs = law.level * float(np.hypot(law.run_sd, law.seat_sd))
-    factor = float(np.hypot(_within_runs(law), between_runs))
+    between_runs = law.level * float(np.hypot(law.law.level[0], law.law.seat[0]))
+    factor = float(np.hypot(_within_runs(problem, law), between_runs))
     is_usual = problem.statement.is_assumed or factor <= KNOWN_TO
     return None if is_usual else factor
 
 
-def _within_runs(law: NoiseLaw) -> float:
-    ratio = 1.0 if law.channel_ratio is None else law.channel_ratio
-    square = (law.variance + law.ar1_sd**2) * float(np.mean(np.square(ratio)))
+def _within_runs(problem: GapProblem, law: NoiseLaw) -> float:
+    square = np.mean(np.square(law.law.scale[0, problem.channel]))
     return law.level * float(np.sqrt(square))
 
 
 def rough_scatter(problem: GapProblem, law: NoiseLaw) -> ExcessScatter:
     """Scatter of readings over that between readings taken again, or over the stated."""
     again = replicates(problem)
-    parts = energies(problem, STATED_LAW, again)
+    parts = energies(problem, problem.stated_law, again)
     if not parts.pure_freedom:
         factor = float(np.sqrt(parts.rest / max(parts.rest_freedom, 1)))
         return ExcessScatter(factor, DATA_SHEET, shape(problem, law))
@@ -193,7 +194,7 @@ class Replicates:
         """Whitened energy of what differs between them, and its degrees of freedom."""
         if not len(self.rows):
             return 0.0, 0
-        factor = law.factor(problem, self.rows)
+        factor = law.factor(problem.structure, self.rows)
         same = np.zeros((len(problem), int(self.cell.max()) + 1))
         same[self.rows, self.cell] = 1.0
         held = factor.whiten(np.hstack([same, problem.slopes]))
@@ -256,7 +257,7 @@ def shape(problem: GapProblem, law: NoiseLaw) -> str:
 
     Then what is carried along the runs, or what is not, has most.
     """
-    factor = law.factor(problem)
+    factor = law.factor(problem.structure)
     white = factor.whiten(problem.residual[:, None])[:, 0]
     slopes = factor.whiten(problem.slopes)
     axes = np.linalg.svd(slopes, full_matrices=False)[0]
@@ -267,7 +268,7 @@ def shape(problem: GapProblem, law: NoiseLaw) -> str:
     best = max(gains, key=lambda name: gains[name], default="")
     if best and gains[best] > np.log(CLEAR * len(gains)):
         return best
-    return "along the run" if law.ar1_sd**2 > law.variance else "white"
+    return "along the run" if law.law.carried[0] > MOSTLY else "white"
 
 
 def _weights(problem: GapProblem) -> dict[str, Array]:

@@ -217,7 +217,7 @@ def detect_outliers(
 ) -> Outliers | None:
     """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model."""
     held = np.hstack([problem.slopes, columns])
-    precision = outlier_search.with_columns(law.factor(problem), held)
+    precision = outlier_search.with_columns(law.factor(problem.structure), held)
     return outlier_search.detect(
         problem.residual, precision, statement=problem.statement
     )

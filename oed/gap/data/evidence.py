@@ -19,7 +19,8 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import linalg, special
+from numpy.typing import ArrayLike
+from scipy import special
 
 from oed.base import linear_algebra
 from oed.base.arrays import Array, Index
@@ -223,7 +224,7 @@ class WhitenedColumns:
             whole=none,
             energy=energy,
             size=metric.size,
-            base=_log_student(metric.log_det, energy, metric.size),
+            base=float(log_student(metric.log_det, energy, metric.size)),
         )
         #: (K,) projections of the residual
         self.b = np.zeros(columns.shape[1])
@@ -257,17 +258,17 @@ class WhitenedColumns:
         return np.array([some.T @ some for some in every])
 
 
-def _log_student(log_det: float, energy: float, size: int) -> float:
+def log_student(log_det: ArrayLike, energy: ArrayLike, size: int) -> Array:
     """Log density of readings with r^T C^-1 r = energy, their level integrated out."""
     half = 0.5 * size + SHAPE
-    return float(
-        -0.5 * log_det
-        - half * np.log(RATE + 0.5 * energy)
-        + special.gammaln(half)
+    constant = (
+        special.gammaln(half)
         - special.gammaln(SHAPE)
         + SHAPE * np.log(RATE)
         - 0.5 * size * np.log(2.0 * np.pi)
     )
+    log_energy = np.log(RATE + 0.5 * np.asarray(energy))
+    return np.asarray(constant - 0.5 * np.asarray(log_det) - half * log_energy)
 
 
 def compress(problem: GapProblem, columns: Array) -> Array:
@@ -289,24 +290,14 @@ def log_evidence(
     The readings are r ~ N(0, s^2 (Sigma + columns columns^T)) under a law. `columns`
     (N, k) hold the parameters' slopes too, as from `compress`.
     """
-    noise = law.factor(problem, rows)
-    white = noise.whiten(np.column_stack([problem.residual, columns]))
-    return log_evidence_of_products(white.T @ white, noise.log_det, len(white))
-
-
-def log_evidence_of_products(products: Array, log_det: float, size: int) -> float:
-    """The same of the whitened products (1 + k, 1 + k) of residual and columns.
-
-    log_det  log determinant of Sigma
-    """
-    inner = products[1:, 1:] + np.eye(len(products) - 1)
-    factor = linalg.cholesky(inner, lower=True, check_finite=False)
-    projected = linalg.solve_triangular(
-        factor, products[1:, 0], lower=True, check_finite=False
-    )
-    log_factor = float(np.log(np.diag(factor)).sum())
-    energy = float(products[0, 0] - projected @ projected)
-    return _log_student(log_det + 2.0 * log_factor, energy, size)
+    factor = law.factor(problem.structure, rows)
+    white = factor.whiten(np.column_stack([columns, problem.residual]))
+    products = white.T @ white
+    products[:-1, :-1] += np.eye(columns.shape[1])
+    products[-1, -1] += np.finfo(float).eps  # readings may have no error at all
+    diagonal = np.diag(np.linalg.cholesky(products))
+    log_det = factor.log_det + 2.0 * np.log(diagonal[:-1]).sum()
+    return float(log_student(log_det, diagonal[-1] ** 2, len(white)))
 
 
 def noise_level(grams: Grams) -> float:

@@ -13,10 +13,6 @@ give (Veach and Guibas 1995, balance heuristic)
 
 It is exact for h = a alone, and the same laws serve every hypothesis. A common factor
 on the noise is integrated over in closed form (`evidence`); the laws hold the rest.
-
-In the evidence under one law, what single readings have and what is carried along whitens all readings, in linear
-time. What a run shares and how large the channels' noise is change a few products
-alone: laws that differ in no more have the whitening in common.
 """
 
 from __future__ import annotations
@@ -30,11 +26,11 @@ from scipy import special
 from oed.base.arrays import Array
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw, law_of
-from oed.noise.law_mode import find_mode, polish, root_about, signed
-from oed.noise.prior import CARRIED, REACH, RUN, SEAT, SPARSE, NoisePrior
-from oed.noise.proposal import split_student
-from oed.noise.shared import SharedProducts, taken_out
+from oed.noise.law import NoiseLaw
+from oed.noise.marginal import ResidualModel
+from oed.noise.prior import SPARSE, NoisePrior, noise_prior
+from oed.noise.process import Laws
+from oed.noise.proposal import find_mode, polish, root_about, signed, split_student
 
 #: points of a model's posterior, by which its evidence is computed
 POINTS = 48
@@ -67,10 +63,10 @@ class LawPosterior:
 def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
     """The law's posterior with columns (N, k) of prior N(0, 1) in the model."""
     compressed = evidence.compress(problem, columns)
-    prior, log_evidences = _prior(problem), LawEvidence(problem, compressed)
+    prior = _prior(problem)
 
     def cost(u: Array) -> Array:
-        values = log_evidences(_laws(problem, u))
+        values = log_evidences(problem, compressed, _laws(problem, u))
         log_prior = -0.5 * (u**2).sum(axis=1) - 0.5 * u.shape[1] * np.log(2.0 * np.pi)
         return np.asarray(-values - log_prior)
 
@@ -90,7 +86,7 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
             total = float(special.logsumexp(log_weights))
             draws = points[_systematic(points, np.exp(log_weights - total))]
             log_evidence = total - float(np.log(POINTS))
-    law = _laws(problem, mode[None])[0]
+    law = NoiseLaw(_laws(problem, mode[None]))
     return LawPosterior(compressed, law, draws, log_evidence)
 
 
@@ -100,11 +96,12 @@ def mixture(
     """Laws drawn from several posteriors, with the logs of their weights W."""
     laws = _laws(problem, np.vstack([p.draws for p in posteriors]))
     table = np.column_stack(
-        [LawEvidence(problem, p.columns)(laws) - p.log_evidence for p in posteriors]
+        [log_evidences(problem, p.columns, laws) - p.log_evidence for p in posteriors]
     )
     each = len(laws) / len(posteriors)
     log_weights = -special.logsumexp(table, axis=1) - np.log(each)
-    return list(zip(laws, map(float, log_weights), strict=True))
+    drawn = [NoiseLaw(laws.take([k])) for k in range(len(laws))]
+    return list(zip(drawn, map(float, log_weights), strict=True))
 
 
 def _systematic(points: Array, weights: Array) -> list[int]:
@@ -118,110 +115,24 @@ def _systematic(points: Array, weights: Array) -> list[int]:
 
 
 def _prior(problem: GapProblem) -> NoisePrior:
-    """The prior of the laws; its first scale, the common factor, is kept at 1.
-
-    What is stated is in the stated errors, and no part of the laws.
-    """
-    groups = int(problem.channel.max()) + 1
-    names = [f"noise of channel {k + 1}" for k in range(groups)]
-    if problem.statement.carried is None:
-        names += [CARRIED, REACH]
-    if problem.level is None or problem.level.any():
-        names.append(RUN)
-    if problem.seat.any():
-        names.append(SEAT)
-    return NoisePrior(tuple(names), groups, SPARSE, problem.statement)
+    """The prior of the laws; its first scale, the common factor, is kept at 1."""
+    prior = noise_prior(problem.structure)
+    return dataclasses.replace(prior, amounts=SPARSE)
 
 
-def _laws(problem: GapProblem, u: Array) -> list[NoiseLaw]:
+def _laws(problem: GapProblem, u: Array) -> Laws:
     """Laws at coordinates (L, d), all but the first scale's."""
-    laws = _prior(problem).laws(np.column_stack([np.zeros(len(u)), u]))
-    return [law_of(laws, k, problem.channel) for k in range(len(u))]
+    return _prior(problem).laws(np.column_stack([np.zeros(len(u)), u]))
 
 
-# -- evidence under many laws ----------------------------------------------------------
+def log_evidences(problem: GapProblem, columns: Array, laws: Laws) -> Array:
+    """Log evidences (L,) with columns (N, k) in the model, the level integrated out.
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Products:
-    """Products of residual and columns, whitened by all but what segments share.
-
-    log_det   log determinant of that covariance
-    channels  (C, m, m) of the readings of each channel
-    inner     (S, K, K) of the errors that each segment shares
-    cross     (S, K, m) of these with residual and columns
+    columns  the parameters' slopes among them
     """
-
-    log_det: float
-    channels: Array
-    inner: Array
-    cross: Array
-
-
-class LawEvidence:
-    """Log evidence, with columns in the model, as a function of the noise law."""
-
-    def __init__(self, problem: GapProblem, columns: Array) -> None:
-        """Prepare columns (N, k), the parameters' slopes among them."""
-        self._problem, self._columns, layout = problem, columns, problem.layout
-        values = np.column_stack([problem.residual, columns])
-        self._values = values[layout.order]
-        self._channel = problem.channel[layout.order]
-        self._channels = np.unique(self._channel)
-        #: whether each segment has one channel, so that its scale is a factor
-        self._apart = problem.stated is None or len(self._channels) == 1
-
-    def __call__(self, laws: Sequence[NoiseLaw]) -> Array:
-        """Log evidences (L,) under laws of level 1, which is integrated over.
-
-        Single readings of a law all have the same variance, 1 less what is carried.
-        """
-        if not self._apart:
-            every = [
-                evidence.log_evidence(self._problem, law, self._columns) for law in laws
-            ]
-            return np.array(every)
-        products: dict[tuple[float, float], _Products] = {}
-        values = []
-        for law in laws:
-            key = law.ar1_sd, law.ar1_length
-            if key not in products:
-                products[key] = self._whitened(law)
-            values.append(self._log_evidence(law, products[key]))
-        return np.array(values)
-
-    def _whitened(self, law: NoiseLaw) -> _Products:
-        unit = dataclasses.replace(law, channel_ratio=None)
-        errors = unit.errors(self._problem, self._problem.layout)
-        banded = errors.banded()
-        white = banded.whiten(errors.unmixed(self._values))
-        common = law.shared(self._problem, errors.order)
-        columns = banded.whiten(errors.unmixed(common))
-        shared = SharedProducts(columns, errors.starts)
-        log_det = banded.log_det
-        if errors.unmix is not None:
-            log_det -= 2.0 * float(np.log(errors.unmix.diagonal()).sum())
-        parts = [white]
-        if len(self._channels) > 1:
-            parts = [white[self._channel == g] for g in self._channels]
-        return _Products(
-            log_det=log_det,
-            channels=np.array([part.T @ part for part in parts]),
-            inner=shared.inner,
-            cross=shared.of_segments(white),
-        )
-
-    def _log_evidence(self, law: NoiseLaw, products: _Products) -> float:
-        scale = np.ones(len(self._channel))
-        if law.channel_ratio is not None:
-            scale = law.channel_ratio[self._problem.layout.order]
-        starts = self._problem.layout.starts
-        _, first = np.unique(self._channel, return_index=True)
-        sizes = law.shared_sizes(self._problem, self._problem.layout.order)
-        cross = products.cross / scale[starts, None, None]
-        removed, log_shared = taken_out(products.inner, cross, sizes)
-        weights = 1.0 / scale[first] ** 2
-        whole = np.tensordot(weights, products.channels, axes=1) - removed
-        of_scales = 2.0 * float(np.log(scale).sum())
-        log_det = products.log_det + float(log_shared) + of_scales
-        return evidence.log_evidence_of_products(whole, log_det, len(scale))
+    structure = problem.structure
+    residual, slopes = (structure.standardise(v) for v in (problem.residual, columns))
+    middle = np.zeros(columns.shape[1])
+    solved = ResidualModel(structure, residual, slopes, middle).solve(laws)
+    log_det = solved.log_size + 2.0 * structure.log_unit
+    return evidence.log_student(log_det, solved.energy, len(structure))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg
 
 from oed.base.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
+from oed.noise.factor import WideFactor
 from oed.noise.law import NoiseLaw
 
 
@@ -23,34 +23,27 @@ class Metric:
 
         Vectors passed to the methods still have all N readings.
         """
-        self._factor = law.factor(problem, rows)
-        self.size = len(self._factor.order)
-        axes, triangle = linalg.qr(
-            self.whiten(problem.slopes), mode="economic", check_finite=False
-        )
-        rotation, size, self._turn = linalg.svd(
-            triangle, full_matrices=False, check_finite=False
-        )
-        #: what the parameters absorb lies along these axes (N, k), of these sizes (k,)
-        self._axes, self._size = axes @ rotation, size[:, None]
+        factor = law.factor(problem.structure, rows)
+        self.size = len(factor.order)
+        self._root = WideFactor(factor, problem.slopes)
         #: log determinant of Sigma + H Lambda H^T
-        self.log_det = self._factor.log_det + float(np.log1p(size**2).sum())
+        self.log_det = self._root.log_det
 
     def whiten(self, values: Array) -> Array:
         """Values (N,) or (N, k) whitened by the noise alone, run after run."""
         if values.ndim == 1:
-            return self._factor.whiten(values[:, None])[:, 0]
-        return self._factor.whiten(values)
+            return self._root.alone.whiten(values[:, None])[:, 0]
+        return self._root.alone.whiten(values)
 
     def parts(self, values: Array) -> tuple[Array, Array]:
         """Parts (u0, u1) of values u (N, k): <u, v> = u0^T v0 - u1^T v1."""
-        white = self.whiten(values)
-        share = self._size / np.hypot(1.0, self._size)
-        return white, share * (self._axes.T @ white)
+        white, sizes = self.whiten(values), self._root.sizes[:, None]
+        share = sizes / np.hypot(1.0, sizes)
+        return white, share * (self._root.axes.T @ white)
 
     def scores(self, values: Array) -> Array:
         """Vectors s (N, k) of values u (N, k) with <u, v> = s_u^T s_v."""
-        return self.remaining(self.whiten(values))
+        return self._root.whiten(values)
 
     def remaining(self, white: Array) -> Array:
         """Whitened values (N, k) less what the parameters absorb of them.
@@ -58,14 +51,14 @@ class Metric:
         What they absorb almost whole keeps its digits, which the difference of `parts`
         loses.
         """
-        shrink = 1.0 - 1.0 / np.hypot(1.0, self._size)
-        return np.asarray(white - self._axes @ (shrink * (self._axes.T @ white)))
+        return self._root.remaining(white)
 
     def fit(self, values: Array) -> Array:
         """Parameters (n,) or (n, k), in prior sd, that explain values (N,) or (N, k)."""
         columns = values[:, None] if values.ndim == 1 else values
-        along = self._axes.T @ self.whiten(columns)
-        fitted = self._turn.T @ (self._size / (1.0 + self._size**2) * along)
+        root, sizes = self._root, self._root.sizes[:, None]
+        along = root.axes.T @ self.whiten(columns)
+        fitted = root.turn.T @ (sizes / (1.0 + sizes**2) * along)
         return np.asarray(fitted[:, 0] if values.ndim == 1 else fitted)
 
     def gram(self, u: Array, v: Array) -> Array:

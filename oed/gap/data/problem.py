@@ -18,25 +18,25 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index
 from oed.estimation import identification
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
 from oed.measurement.measurement import Measurement, Response, Series
-from oed.measurement.reading_structure import (
-    common_statement,
-    renewed_slopes,
-    stated_errors,
-)
+from oed.measurement.reading_structure import reading_structure
 from oed.model.effect import Effect, State
-from oed.noise.runs import Runs
+from oed.noise.law import NoiseLaw
+from oed.noise.process import stated_laws
 from oed.noise.statement import NoiseStatement
+from oed.noise.structure import ReadingStructure
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class GapProblem(Runs):
+class GapProblem:
     """N readings in units of their stated noise, and the n parameters that absorb.
 
+    structure      how the readings hang together, in these units; each channel of an
+                   instrument has a noise of its own, whatever set-up it is in
     measurement    what was fitted
     series         the readings' series
     covariates     one row a reading of the series, as in a Dataset
@@ -51,9 +51,9 @@ class GapProblem(Runs):
     names          (n,) of those parameters
     rows           one row a reading of a channel: setup, run, order, channel,
                    covariates, phase
-    statement      of the noise; the parts that it states are in `stated`
     """
 
+    structure: ReadingStructure
     measurement: Measurement
     series: tuple[Series, ...]
     covariates: pd.DataFrame
@@ -67,7 +67,29 @@ class GapProblem(Runs):
     slopes: Array
     names: tuple[str, ...]
     rows: pd.DataFrame
-    statement: NoiseStatement
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+    @property
+    def members(self) -> tuple[Index, ...]:
+        """Readings of each run."""
+        return self.structure.members
+
+    @property
+    def channel(self) -> Index:
+        """Instrument channel (N,) of each reading."""
+        return self.structure.group
+
+    @property
+    def statement(self) -> NoiseStatement:
+        """What is stated of the noise."""
+        return self.structure.statement
+
+    @property
+    def stated_law(self) -> NoiseLaw:
+        """The law that is stated."""
+        return NoiseLaw(stated_laws(self.structure))
 
     def signature(
         self,
@@ -114,26 +136,6 @@ def prepare(
     `covariates` has one row a reading of the series, as in a Dataset: set-up, run and
     order, and direction, time, feed, payload and temperatures where they are known.
     Raises IdentificationError.
-
-    >>> import numpy as np
-    >>> import pandas as pd
-    >>> from oed import Measurement, mount
-    >>> from oed.gap import prepare
-    >>> from oed.measurement import draw_parameters, draw_readings
-    >>> from pkm_models.instruments.pose_tracker import position
-    >>> from pkm_models.machines.planar_2dof import machine
-    >>> measurement = Measurement(machine, [mount(position, "tracker")])
-    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
-    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
-    >>> rng = np.random.default_rng(1)
-    >>> truth = draw_parameters(measurement, rng)
-    >>> y = draw_readings(measurement, [series], truth, rng)
-    >>> covariates = pd.DataFrame(
-    ...     {"setup": "tracker", "run": "1", "order": np.arange(25), "direction": 1}
-    ... )
-    >>> problem = prepare(measurement, [series], y, covariates)
-    >>> problem.residual.shape  # x, y and z of 25 readings, in units of the stated noise
-    (75,)
     """
     series = tuple(series)
     theta = identification.identify(measurement, series, y).theta
@@ -164,15 +166,6 @@ def assemble(
     residual = y - measurement.readings(series, theta) + off_nominal
     states = tuple(states_of.states(measurement, series, covariates, theta, gravity))
     rows = _rows(measurement, series, covariates, states)
-    runs = rows.groupby(["setup", "run"], sort=False).indices.values()
-    blocks = tuple(np.asarray(members, dtype=np.intp) for members in runs)
-    kinds = rows["instrument"] + "." + rows["channel"]
-    levels = []
-    for s in series:  # 1 where a set-up does not state what a run's level moves by
-        setup = measurement.setups[s.setup]
-        names = [c.name for c in setup.instrument.channels]
-        unknown = [float(name not in setup.statement.levels) for name in names]
-        levels.append(np.tile(unknown, len(s)))
     return GapProblem(
         measurement=measurement,
         series=series,
@@ -186,14 +179,26 @@ def assemble(
         residual=residual / sigma,
         slopes=measurement.in_prior_units(jacobian)[:, free] / sigma[:, None],
         names=tuple(measurement.names[k] for k in free),
-        stated=stated_errors(measurement, series, sigma),
-        members=blocks,
-        position=rows["order"].to_numpy(dtype=float),
-        channel=pd.factorize(kinds)[0].astype(np.intp),
-        seat=renewed_slopes(measurement, series, theta),
-        level=np.concatenate(levels),
+        structure=_structure(measurement, series, theta, rows).over(sigma),
         rows=rows,
-        statement=common_statement(measurement, series),
+    )
+
+
+def _structure(
+    measurement: Measurement,
+    series: tuple[Series, ...],
+    theta: Array,
+    rows: pd.DataFrame,
+) -> ReadingStructure:
+    """Structure of the readings: by the order of their rows, without a course."""
+    structure = reading_structure(measurement, series, theta)
+    group, names = pd.factorize(rows["instrument"] + "." + rows["channel"])
+    return dataclasses.replace(
+        structure,
+        names=tuple(names),
+        group=group.astype(np.intp),
+        position=rows["order"].to_numpy(dtype=float),
+        course=np.zeros((len(group), 0)),
     )
 
 

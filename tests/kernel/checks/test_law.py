@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from kernel.dense_noise import dense_covariance
-from oed.checks.law import CheckedLaw
+from oed.checks.session import CheckedLaw
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.process import Laws
 from oed.noise.structure import LEVEL

@@ -12,13 +12,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oed.checks import candidates, copies, outlier_sets
+from oed.checks import candidates, copies, outlier_odds
 from oed.checks.evidence import linear_readings, log_evidence
 from oed.checks.far_reading import FarReading, LeaveOneOut, alike_readings
 from oed.checks.fit import fit, fit_of_any_misfit
 from oed.checks.judgement import probability_of_strain
-from oed.checks.outlier_search import far_readings
-from oed.checks.outliers import find_outliers
+from oed.checks.outliers import far_readings, find_outliers
 from oed.checks.ranges import predict_ranges
 from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
@@ -112,7 +111,7 @@ def test_the_best_set_is_the_best_of_all(rng: np.random.Generator) -> None:
         return float(gradient[k] @ solved) - 9.0 * len(k)
 
     sets = [s for n in (1, 2, 3) for s in itertools.combinations(range(9), n)]
-    found = outlier_sets.best_set(prediction, [4], limit=3.0)
+    found = outlier_odds.best_set(prediction, [4], limit=3.0)
     assert tuple(found) == max(sets, key=gain)
 
 

@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 
 from oed.checks import explain
+from oed.checks.findings import rounded
 from oed.checks.fit import fit
 from oed.checks.goodness import goodness, goodness_of, goodness_of_estimate
 from oed.checks.mistakes import Given
-from oed.checks.words import rounded
 from oed.estimation.identification import identify
 
 SIGMA = 0.5e-3  # mm, of the bar

@@ -12,7 +12,7 @@ from kernel import a3_plans
 from oed import checks
 from oed.accuracy.budget import budget_model
 from oed.checks import fit as check_fit
-from oed.estimation import machine_fits
+from oed.estimation import identification
 from oed.estimation.identification import identify
 from oed.estimation.run_prediction import predict_runs
 from oed.gap.data.problem import assemble
@@ -91,7 +91,7 @@ def test_the_fit_is_that_of_the_closed_form(
     assert np.abs((estimate.theta - mean)[free] / sd).max() < 2e-3
     independent = identify(_independent(m), [series], y)
     assert np.abs(independent.sd[free] / sd - 1.0).max() > 0.2
-    batch = machine_fits.fit_machines(m, [series], y[None])
+    batch = identification.fit_machines(m, [series], y[None])
     assert np.abs((batch[0] - estimate.theta)[free] / sd).max() < 1e-3
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from oed.estimation import effect_sizes
-from oed.estimation.effect_sizes import HEALTHY, LARGE, SMALL
+from oed.estimation import discrepancy
+from oed.estimation.discrepancy import HEALTHY, LARGE, SMALL
 
 #: draws; the standard error of a mean is 1.6 % of the standard deviation
 COUNT = 4000
@@ -39,7 +39,7 @@ def test_draws_are_those_of_the_mixture(
 ) -> None:
     evidence, mean, variance = exact_mixture(INFORMATION, np.array(score), sizes)
     rng = np.random.default_rng(1)
-    drawn = effect_sizes.sample(INFORMATION, np.array(score), sizes, rng, COUNT)
+    drawn = discrepancy.sample_effects(INFORMATION, np.array(score), sizes, rng, COUNT)
     error = np.sqrt(variance / COUNT)
     assert np.abs((drawn.coefficients.mean(axis=0) - mean) / error).max() < 5.0
     # fourth moments of tails are large: the variance is known to some 10 %
@@ -50,7 +50,7 @@ def test_draws_are_those_of_the_mixture(
 def test_evidence_of_one_effect_is_that_by_quadrature() -> None:
     """One reading of 3 noise sd, of an effect that changes it by 2 of them."""
     slope, reading, sizes = 2.0, 3.0, np.array([0.5])
-    drawn = effect_sizes.sample(
+    drawn = discrepancy.sample_effects(
         np.array([[slope**2]]),
         np.array([slope * reading]),
         sizes,
@@ -68,7 +68,7 @@ def test_evidence_of_one_effect_is_that_by_quadrature() -> None:
 
 def test_effects_without_readings_keep_their_prior() -> None:
     rng = np.random.default_rng(2)
-    drawn = effect_sizes.sample(np.zeros((1, 1)), np.zeros(1), SMALL, rng, COUNT)
+    drawn = discrepancy.sample_effects(np.zeros((1, 1)), np.zeros(1), SMALL, rng, COUNT)
     shares = (drawn.size[:, None] == SMALL).mean(axis=0)
     assert np.abs(shares - 1.0 / len(SMALL)).max() < 5.0 * np.sqrt(0.25 / COUNT)
     assert drawn.log_evidence == pytest.approx(0.0, abs=1e-9)
@@ -82,6 +82,6 @@ def test_the_same_generator_gives_the_same_draws() -> None:
     def drawn() -> np.ndarray:
         score = np.array([5.0, 0.0])
         rng = np.random.default_rng(3)
-        return effect_sizes.sample(np.eye(2), score, SMALL, rng, 50).coefficients
+        return discrepancy.sample_effects(np.eye(2), score, SMALL, rng, 50).coefficients
 
     assert (drawn() == drawn()).all()

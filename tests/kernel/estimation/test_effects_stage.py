@@ -13,8 +13,7 @@ import pytest
 from kernel.planar_session import ruler_session
 from oed.compensate.effects.expected_columns import expected_columns
 from oed.estimation import identify
-from oed.estimation.discrepancy import SampledEffects
-from oed.estimation.effect_sizes import LARGE, SMALL
+from oed.estimation.discrepancy import LARGE, SMALL, SampledEffects
 from oed.estimation.estimate import Estimate
 from pkm_models.effects import backlash, encoder_scale
 

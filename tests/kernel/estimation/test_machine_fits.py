@@ -7,9 +7,8 @@ import pytest
 from oracles import a3_geometry as a3
 
 from kernel import a3_plans
-from oed.estimation import machine_fits
-from oed.estimation.identification import identify
-from oed.estimation.machine_fits import fit_machines
+from oed.estimation import identification
+from oed.estimation.identification import fit_machines, identify
 from oed.measurement import simulation
 from oed.measurement.measurement import Measurement, Series
 
@@ -81,7 +80,7 @@ def test_batches_of_any_size_agree(
     m, series = bar
     y = oracle_sessions(m, series, 3)
     together = fit_machines(m, [series], y)
-    monkeypatch.setattr(machine_fits, "ENTRIES", 1)
+    monkeypatch.setattr(identification, "ENTRIES", 1)
     one_by_one = fit_machines(m, [series], y)
     scale = np.where(m.free, m.tolerance, 1.0)
     np.testing.assert_allclose(one_by_one / scale, together / scale, rtol=0, atol=1e-6)
@@ -95,7 +94,7 @@ def test_rounding_at_the_minimum_keeps_no_machine_from_converging(
     def unneeded(*_: object, **__: object) -> None:
         raise AssertionError("a machine was fitted alone")
 
-    monkeypatch.setattr(machine_fits, "identify", unneeded)
+    monkeypatch.setattr(identification, "identify", unneeded)
     fit_machines(m, [series], oracle_sessions(m, series, 20), stages=STAGES)
 
 
@@ -104,8 +103,8 @@ def test_what_does_not_converge_is_fitted_alone(
 ) -> None:
     m, series = bar
     y = oracle_sessions(m, series, 1)
-    one_step = functools.partial(machine_fits.minimise, steps=1)
-    monkeypatch.setattr(machine_fits, "minimise", one_step)
+    one_step = functools.partial(identification.minimise, steps=1)
+    monkeypatch.setattr(identification, "minimise", one_step)
     theta = fit_machines(m, [series], y)[0]
     assert (theta == identify(m, [series], y[0]).theta).all()
 

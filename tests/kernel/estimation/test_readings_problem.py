@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from oracles import planar_geometry
 
-from oed.estimation.readings_problem import ReadingsProblem
+from oed.estimation.coordinates import ReadingsProblem
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments.pose_tracker import position

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import BOW, planted, readings
+from kernel.laws import STATED_LAW
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.forms.library import DIFFER, Library
 from oed.model.effect import Column, Effect, State
-from oed.noise.law import STATED_LAW
 
 LOOSE = dataclasses.replace(BOW, constants={"turns": (2.0,)})
 TWINS = dataclasses.replace(LOOSE, name="twins", common_to_limbs=True)

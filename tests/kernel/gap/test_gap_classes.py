@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from kernel import a3_plans, gap_a3
+from kernel.laws import STATED_LAW
 from oed.gap.cause import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
@@ -22,7 +23,6 @@ from oed.gap.forms import library
 from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import Setup, mount
-from oed.noise.law import STATED_LAW
 from pkm_models.effects import bar_length, encoder_scale
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head

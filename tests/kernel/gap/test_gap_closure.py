@@ -10,11 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from kernel import gap_problem as case
+from kernel.laws import STATED_LAW
 from oed.gap.cause.closure import closure
 from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
-from oed.noise.law import STATED_LAW
 from pkm_models.instruments import calliper
 from pkm_models.machines import linear_delta
 

@@ -11,12 +11,12 @@ from scipy import stats
 
 from kernel import a3_plans, gap_a3
 from kernel.dense_noise import law_covariance
+from kernel.laws import STATED_LAW, noise_law
 from oed.gap.before import detect, runs
 from oed.gap.before.confusion import in_words
 from oed.gap.before.forms import ROOM
 from oed.gap.before.power import needed_lambda, power
 from oed.gap.data.signature import signature
-from oed.noise.law import STATED_LAW, NoiseLaw
 
 FIVE = (0.0, 0.05, 0.1, 0.15, 0.2)
 ALL = [gap_a3.encoder_scale, gap_a3.bar_length, gap_a3.gravity]
@@ -74,7 +74,7 @@ def test_power_at_six():
 @pytest.mark.parametrize("tools", [(0.0,), (0.0, 0.1)])
 def test_lambdas_are_those_of_the_dense_covariance(tools):
     p = problem(tools, strokes=(0.0, 0.1, 0.2))
-    law = NoiseLaw(0.4, 0.7, 3.0, 1.4, level=1.3)
+    law = noise_law(0.4, 0.7, 3.0, 1.4, level=1.3)
     detection = detect.detect(p, law, [*ALL, gap_a3.warming], np.random.default_rng(0))
     c = dense(p, law)
     for name, effect, constants in (

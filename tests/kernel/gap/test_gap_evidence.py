@@ -10,11 +10,12 @@ from scipy import stats
 
 from kernel.dense_noise import law_covariance
 from kernel.gap_lines import white_lines
+from kernel.laws import STATED_LAW, noise_law
 from oed.gap.data import evidence
 from oed.gap.data import problem as problems
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import STATED_LAW, NoiseLaw
+from oed.noise.law import NoiseLaw
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +24,7 @@ def problem() -> GapProblem:
 
 
 def _law(problem: GapProblem) -> NoiseLaw:
-    ratio = np.where(problem.channel == 0, 1.0, 1.7)
-    return NoiseLaw(0.8, 1.5, 4.0, 2.0, channel_ratio=ratio)
+    return noise_law(0.8, 1.5, 4.0, 2.0, ratios=(1.0, 1.7))
 
 
 def _grams(problem: GapProblem, law: NoiseLaw, columns: np.ndarray) -> evidence.Grams:

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from scipy import special
 
 from kernel.gap_lines import BOW, planted, readings
+from kernel.laws import noise_law
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
 from oed.gap.cause.search import Search
 from oed.gap.data import laws
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.noise.law import STATED_LAW
 
 
 def _under(problem: GapProblem, run_sd: float, log_prior: float = 0.0) -> Search:
-    law = dataclasses.replace(STATED_LAW, run_sd=run_sd)
+    law = noise_law(run_sd=run_sd)
     forms, none = library.build(problem, [BOW]), library.build(problem, ())
     return Search(problem, forms, none, law, log_prior)
 

@@ -8,6 +8,7 @@ from scipy import linalg, special
 
 from kernel.dense_noise import law_covariance
 from kernel.gap_lines import white_lines
+from kernel.laws import noise_law
 from oed.gap.data import evidence, laws
 from oed.gap.data.problem import GapProblem
 from oed.noise.law import NoiseLaw
@@ -29,7 +30,7 @@ def _readings(problem: GapProblem, law: NoiseLaw, seed: int) -> GapProblem:
 def test_evidence_over_laws_is_the_mean_over_the_prior(repeat: float) -> None:
     """By many laws drawn from the prior; the mixture serves both models at once."""
     lines = white_lines(3, runs=6, length=12)
-    true = NoiseLaw(repeat, 0.0, 1.0)
+    true = noise_law(repeat, 0.0, 1.0)
     problem, rng = _readings(lines, true, 5), np.random.default_rng(6)
     models = [np.zeros((len(problem), 0)), 0.8 * rng.standard_normal((len(problem), 2))]
     posteriors = [laws.posterior(problem, columns) for columns in models]
@@ -37,7 +38,7 @@ def test_evidence_over_laws_is_the_mean_over_the_prior(repeat: float) -> None:
     drawn = rng.standard_normal((500, posteriors[0].draws.shape[1]))
     every = laws._laws(problem, drawn)
     for model in posteriors:
-        values = [evidence.log_evidence(problem, law, model.columns) for law in every]
+        values = laws.log_evidences(problem, model.columns, every)
         exact = float(special.logsumexp(values)) - np.log(len(drawn))
         assert model.log_evidence == pytest.approx(exact, abs=0.25)
         terms = [
@@ -52,14 +53,13 @@ def test_the_most_probable_law_is_near_the_true_one(
     repeat: float, wander: float
 ) -> None:
     problem = white_lines(7, runs=12, length=40)
-    true = NoiseLaw(repeat, wander, 6.0)
+    true = noise_law(repeat, wander, 6.0)
     readings = _readings(problem, true, 8)
-    mode = laws.posterior(readings, np.zeros((len(problem), 0))).mode
-    level = mode.channel_ratio[0] if mode.channel_ratio is not None else 1.0
-    assert level == pytest.approx(1.0, abs=0.1)
-    single = np.sqrt(mode.variance)
+    mode = laws.posterior(readings, np.zeros((len(problem), 0))).mode.law
+    assert mode.scale[0, 0] == pytest.approx(1.0, abs=0.1)
+    single, wandering = np.sqrt([1.0 - mode.carried[0], mode.carried[0]])
     # the reference reading of RM 5 is shared already: repeat comes on top
-    assert mode.run_sd / single == pytest.approx(repeat, abs=0.5 + 0.4 * repeat)
-    assert mode.ar1_sd / single == pytest.approx(wander, abs=0.5 + 0.3 * wander)
+    assert mode.level[0] / single == pytest.approx(repeat, abs=0.5 + 0.4 * repeat)
+    assert wandering / single == pytest.approx(wander, abs=0.5 + 0.3 * wander)
     if wander:
-        assert 2.5 < mode.ar1_length < 15.0
+        assert 2.5 < mode.reach[0] < 15.0

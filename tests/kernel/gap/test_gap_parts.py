@@ -15,10 +15,11 @@ from oed.gap.cause.folds import FOLDS, Paths
 from oed.gap.cause.form_products import energies
 from oed.gap.cause.searches import WIDE, wide_model
 from oed.gap.data import evidence
-from oed.gap.data.laws import LawEvidence
+from oed.gap.data.laws import log_evidences
 from oed.gap.data.metric import Metric
 from oed.gap.forms import discrepancy, library
 from oed.noise.law import NoiseLaw
+from oed.noise.process import Laws
 
 
 def test_a_root_leaves_out_what_readings_do_not_show(rng: np.random.Generator) -> None:
@@ -67,12 +68,16 @@ def test_evidence_of_many_laws_is_that_of_each(rng: np.random.Generator) -> None
     problem = case.circles(8)
     problem = problem.with_residual(2.0 * rng.standard_normal(len(problem)))
     columns = np.hstack([problem.slopes, rng.standard_normal((len(problem), 2))])
-    laws = [
-        NoiseLaw(run, carried, length, 1.0 - carried**2)
-        for run, carried, length in ((0.0, 0.0, 4.0), (1.5, 0.0, 4.0), (0.5, 0.6, 7.0))
-    ]
-    told = LawEvidence(problem, columns)(laws)
-    wanted = [evidence.log_evidence(problem, law, columns) for law in laws]
+    laws = Laws(
+        scale=np.ones((3, 1)),
+        carried=np.array([0.0, 0.0, 0.36]),
+        reach=np.array([4.0, 4.0, 7.0]),
+        level=np.array([0.0, 1.5, 0.5]),
+        seat=np.zeros(3),
+    )
+    told = log_evidences(problem, columns, laws)
+    every = [NoiseLaw(laws.take([k])) for k in range(3)]
+    wanted = [evidence.log_evidence(problem, law, columns) for law in every]
     assert told == pytest.approx(wanted, abs=1e-6)
 
 

@@ -13,10 +13,10 @@ from numpy.testing import assert_allclose
 
 from kernel import gap_problem as case
 from kernel.cases import CASES, reading_series
+from kernel.laws import STATED_LAW
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.places.draws import LikelyForms, draw_energies
 from oed.gap.places.place import STANDS_OUT, locate
-from oed.noise.law import STATED_LAW
 from oed.result.gap import PlaceRecord
 
 KINDS = ("leg", "run", "time", "phase", "direction")

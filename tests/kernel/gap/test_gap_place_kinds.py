@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from kernel import gap_lines, planar_session
+from kernel.laws import STATED_LAW
 from oed.gap import procedure as diagnosing
 from oed.gap.cause.search import Search
 from oed.gap.data import problem as problems
@@ -17,7 +18,6 @@ from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.gap.places.place import STANDS_OUT
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
-from oed.noise.law import STATED_LAW
 from oed.result.gap import PlaceRecord
 from pkm_models.effects import encoder_scale, leg_thermal, mount_drift, step
 from pkm_models.instruments.pose_tracker import position

@@ -11,6 +11,7 @@ import pytest
 
 from kernel import a3_plans, gap_a3
 from kernel.dense_noise import law_covariance
+from kernel.laws import STATED_LAW, noise_law
 from oed.design import exchange
 from oed.design.plan_limits import SetupLimit, TimeBudget
 from oed.design.rules import Rules
@@ -19,7 +20,6 @@ from oed.gap.before.forms import ROOM
 from oed.gap.before.runs import pool_runs
 from oed.gap.before.separation import Separation
 from oed.gap.data.signature import signature
-from oed.noise.law import STATED_LAW, NoiseLaw
 
 WANTED = [gap_a3.gravity, gap_a3.encoder_scale]
 
@@ -69,7 +69,7 @@ def dense(p, law, rows, target, rival):
 
 def test_lambdas_of_a_plan_are_those_of_its_readings_covariance():
     _, p, rows = laid_out()
-    law = NoiseLaw(0.4, 0.7, 3.0, 1.3)
+    law = noise_law(0.4, 0.7, 3.0, 1.3)
     candidates = pool_runs(p, law, rows, WANTED)
     plan = np.array([1, 6, 12, 17])
     at = np.concatenate([rows[k] for k in plan])

@@ -13,17 +13,25 @@ from scipy import integrate, stats
 
 from kernel.dense_noise import law_covariance
 from kernel.gap_lines import EFFECTS, SLIP, planted, readings, white_lines
+from kernel.laws import STATED_LAW, noise_law
 from oed.gap import procedure as diagnosing
 from oed.gap.cause.searches import detect_outliers
 from oed.gap.data.problem import GapProblem
 from oed.noise import outliers
-from oed.noise.law import STATED_LAW, describe
+from oed.noise.law import describe
 
 
 def alone(problem: GapProblem) -> GapProblem:
     """The same readings, each independent of the others, with nothing to absorb."""
-    free = np.zeros((len(problem), 1))
-    return dataclasses.replace(problem, stated=None, slopes=free)
+    free, size = np.zeros((len(problem), 1)), len(problem)
+    structure = dataclasses.replace(
+        problem.structure,
+        unit=np.ones(size),
+        decouple=None,
+        columns=np.zeros((size, 0)),
+        kinds=np.zeros(0, dtype=np.intp),
+    )
+    return dataclasses.replace(problem, structure=structure, slopes=free)
 
 
 @pytest.mark.parametrize("shape", outliers.CANDIDATE_DENSITIES, ids=str)
@@ -163,7 +171,7 @@ def test_a_stray_does_not_spoil_its_neighbours() -> None:
     be they far off.
     """
     problem = readings(3)
-    law = dataclasses.replace(STATED_LAW, ar1_sd=2.0, ar1_length=8.0)
+    law = noise_law(ar1_sd=2.0, ar1_length=8.0)
     rng = np.random.default_rng(4)
     y = np.zeros(len(problem))
     for k, members in enumerate(problem.members):

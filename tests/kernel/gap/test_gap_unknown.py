@@ -8,12 +8,12 @@ import pytest
 from kernel import gap_problem
 from kernel.gap_lines import EFFECTS, readings
 from kernel.gap_unknown import orthogonal_sum, smooth, some, terms
+from kernel.laws import STATED_LAW
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data import laws
 from oed.gap.forms import discrepancy, library
-from oed.noise.law import STATED_LAW
 
 #: root of the energy that is planted
 SIZE = 40.0
@@ -122,6 +122,6 @@ def test_what_is_the_same_whenever_the_machine_is_there_is_a_gap_and_what_is_not
             for pair in laws.mixture(acting, posteriors)
         ]
     )
-    carried = posteriors[0].mode
-    assert carried.ar1_sd + carried.seat_sd > 0.5
+    mode = posteriors[0].mode.law
+    assert np.sqrt(mode.carried[0]) + mode.seat[0] > 0.5
     assert ranked[0].unknown == back

@@ -11,13 +11,13 @@ import pytest
 from effects_sample import session
 
 from kernel.gap_lines import readings
+from kernel.laws import STATED_LAW
 from oed.gap.cause.compare import compare
 from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy, library
 from oed.model.effect import State
-from oed.noise.law import STATED_LAW
 
 
 def _with(problem: GapProblem, **changes: object) -> GapProblem:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kernel.gap_lines import EFFECTS, readings
+from kernel.laws import STATED_LAW
 from oed.gap import procedure as diagnose
 from oed.gap.cause import searches as searching
 from oed.gap.cause.compare import compare
@@ -15,7 +16,6 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, library, waves
 from oed.gap.forms.library import Library
-from oed.noise.law import STATED_LAW
 
 
 def test_a_steady_wave_is_found_at_its_period() -> None:

@@ -11,6 +11,7 @@ from scipy import stats
 from kernel.dense_noise import law_covariance
 from kernel.gap_lines import BOW, EFFECTS, planted, readings
 from kernel.gap_unknown import smooth
+from kernel.laws import STATED_LAW
 from oed.gap.cause import withheld
 from oed.gap.cause.compare import probabilities
 from oed.gap.cause.hypothesis import Hypothesis
@@ -18,7 +19,6 @@ from oed.gap.cause.search import Search
 from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.noise.law import STATED_LAW
 from oed.result.gap import ClosureRecord
 
 

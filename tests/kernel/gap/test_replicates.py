@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 from scipy import integrate, stats
 
+from kernel.laws import STATED_LAW
 from oed import Measurement, mount
 from oed.gap import diagnose, prepare
 from oed.gap.cause.scatter import Energies, replicates, shape
 from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import UNKNOWN_SIZES
-from oed.noise.law import STATED_LAW
 from pkm_models.effects.encoder_scale import effect
 from pkm_models.instruments.pose_tracker import position
 from pkm_models.machines.planar_2dof import machine

@@ -10,6 +10,7 @@ import pytest
 from scipy import stats
 
 from kernel.gap_lines import with_readings
+from kernel.laws import STATED_LAW
 from oed.gap import procedure
 from oed.gap.before import repeats, second_visit
 from oed.gap.before.expected import (
@@ -21,7 +22,6 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import assemble
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
-from oed.noise.law import STATED_LAW
 from pkm_models.effects import encoder_scale, gravity
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines import planar_2dof

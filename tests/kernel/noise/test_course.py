@@ -7,7 +7,7 @@ import pytest
 
 from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
-from oed.noise import course
+from oed.measurement.reading_structure import course_terms
 from oed.noise.law_noise import COURSE, errors_of, errors_of_readings, factor_of
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening
@@ -17,7 +17,7 @@ from oed.noise.structure import ReadingStructure
 def test_the_variance_grows_with_the_session() -> None:
     """A Wiener process has variance t; four terms leave a little of it."""
     progress = np.linspace(0.0, 1.0, 41)
-    terms = course.course_terms(np.zeros(41, dtype=np.intp), progress)
+    terms = course_terms(np.zeros(41, dtype=np.intp), progress)
     variance = (terms**2).sum(axis=1)
     assert np.all(variance <= progress + 1e-12)
     assert np.abs(variance - progress).max() < 0.06
@@ -28,7 +28,7 @@ def test_the_variance_grows_with_the_session() -> None:
 
 def test_a_group_has_a_term_for_each_five_readings() -> None:
     group = np.repeat([0, 1, 2], [20, 14, 4]).astype(np.intp)
-    terms = course.course_terms(group, np.linspace(0.0, 1.0, len(group)))
+    terms = course_terms(group, np.linspace(0.0, 1.0, len(group)))
     of_group = [np.count_nonzero(terms[group == k].any(axis=0)) for k in range(3)]
     assert of_group == [4, 2, 0]
 

@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from oed.base.arrays import Array
-from oed.noise.factor import Errors, LinearFactor
-from oed.noise.hold_out import Chains, Innovations
+from oed.noise.factor import Chains, Errors, Innovations, LinearFactor
 
 N, STARTS = 14, (0, 6)
 CARRIED = np.repeat([0.6, 0.3, 0.9], (6, 4, 4))  # of each chain
@@ -17,14 +16,11 @@ CARRIED = np.repeat([0.6, 0.3, 0.9], (6, 4, 4))  # of each chain
 @pytest.fixture
 def errors(rng: np.random.Generator) -> Errors:
     """Two segments, the second of two chains, in an order that is not the readings'."""
-    before = np.maximum(np.arange(N) - 1, 0)
-    before[[6, 10]] = [6, 10]
     decay = rng.uniform(0.3, 0.9, N)
     decay[[0, 6, 10]] = 0.0
     return Errors(
         order=rng.permutation(N),
         starts=np.array(STARTS),
-        before=before,
         decay=decay,
         single=rng.uniform(0.2, 1.0, N),
         carried=CARRIED,
@@ -39,8 +35,8 @@ def ordered_covariance(errors: Errors) -> Array:
     for j in range(N):
         carried[j, j] = CARRIED[j]
         b, step = j, 1.0
-        while errors.before[b] != b:
-            step, b = step * errors.decay[b], errors.before[b]
+        while errors.decay[b]:
+            step, b = step * errors.decay[b], b - 1
             carried[j, b] = carried[b, j] = step * CARRIED[j]
     same = np.zeros((N, N))
     same[:6, :6] = same[6:, 6:] = 1.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from oed.noise import law_mode
+from oed.noise import proposal
 
 
 def test_the_mode_of_a_law_does_not_hang_on_rounding() -> None:
@@ -18,8 +18,8 @@ def test_the_mode_of_a_law_does_not_hang_on_rounding() -> None:
 
     starts = np.zeros((2, 4))
     starts[1, 0] = 2.0
-    mode = law_mode.polish(cost, law_mode.find_mode(cost, starts, 4.5), 4.5)
+    mode = proposal.polish(cost, proposal.find_mode(cost, starts, 4.5), 4.5)
     np.testing.assert_allclose(mode, wanted, atol=1e-3)
-    root = law_mode.signed(law_mode.root_about(cost, mode))
+    root = proposal.signed(proposal.root_about(cost, mode))
     largest = np.argmax(np.abs(root), axis=0)
     assert (root[largest, range(4)] > 0.0).all()

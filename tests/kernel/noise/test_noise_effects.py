@@ -9,9 +9,9 @@ from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
 from oed.noise.law_noise import noise_under
 from oed.noise.marginal import ResidualModel
+from oed.noise.outliers import robust_residuals
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening, stated_laws
-from oed.noise.robust import robust_residuals
 from oed.noise.structure import ReadingStructure
 
 EFFECTS = 5

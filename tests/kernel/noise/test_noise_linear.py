@@ -8,84 +8,58 @@ import tracemalloc
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy import sparse
+from scipy import linalg, sparse
 
 from kernel import gap_problem as case
 from kernel.dense_noise import law_covariance
 from kernel.gap_lines import readings
-from oed.base.arrays import Array, Index
+from kernel.laws import noise_law
+from oed.base.arrays import Array
 from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
-from oed.gap.data.laws import LawEvidence
+from oed.gap.data.laws import log_evidences
 from oed.gap.data.problem import GapProblem
-from oed.noise.banded import ROWS, BandedFactor, ChainFactor
+from oed.noise.banded import ROWS, ChainFactor, SharedFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import with_columns
-from oed.noise.runs import Runs
-from oed.noise.shared import SharedFactor
-from oed.noise.stated import StatedErrors
+from oed.noise.process import Laws
+from oed.noise.statement import NoiseStatement
+from oed.noise.structure import KNOWN, LEVEL, RENEWED, ReadingStructure
 
 
-def chains(
-    size: int, channels: int, rng: np.random.Generator
-) -> tuple[Index, Array, Array]:
-    """The readings before, decays and fresh variances of interleaved chains."""
-    before = np.maximum(np.arange(size) - channels, 0)
-    before[:channels] = np.arange(min(channels, size))
+def chains(size: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Decays and fresh variances of several chains, one after the other."""
     decay = rng.uniform(0.2, 0.99, size)
-    decay[:channels] = 0.0
-    return before, decay, 0.7 * (1.0 - decay**2)
+    decay[:: size // 3 + 1] = 0.0
+    return decay, 0.7 * (1.0 - decay**2)
 
 
-def carried(before: Index, decay: Array, fresh: Array) -> Array:
+def carried(decay: Array, fresh: Array) -> Array:
     """Covariance (N, N) of what is carried, reading after reading."""
-    differences = np.eye(len(decay))
-    rows = np.flatnonzero(decay)
-    differences[rows, before[rows]] -= decay[rows]
-    inverse = np.linalg.inv(differences)
+    inverse = np.linalg.inv(np.eye(len(decay)) - np.diag(decay[1:], k=-1))
     return np.asarray(inverse @ np.diag(fresh) @ inverse.T)
 
 
-@pytest.mark.parametrize(("size", "channels"), [(5, 1), (ROWS, 1), (99, 3), (98, 2)])
-def test_a_banded_root_is_choleskys(
-    size: int, channels: int, rng: np.random.Generator
-) -> None:
-    before, decay, fresh = chains(size, channels, rng)
+@pytest.mark.parametrize("size", [1, 2, 5, ROWS, 98, 99])
+def test_a_root_of_chains_is_choleskys(size: int, rng: np.random.Generator) -> None:
+    decay, fresh = chains(size, rng)
     single = rng.uniform(0.1, 1.0, size)
-    dense = np.diag(single) + carried(before, decay, fresh)
-    factor, root = (
-        BandedFactor(before, decay, single, fresh),
-        np.linalg.cholesky(dense),
-    )
+    dense = np.diag(single) + carried(decay, fresh)
+    factor, root = ChainFactor(decay, single, fresh), np.linalg.cholesky(dense)
     values = rng.standard_normal((size, 3))
     assert_allclose(factor.whiten(values), np.linalg.solve(root, values), atol=1e-12)
+    assert_allclose(factor.unwhiten(values), root @ values, atol=1e-12)
     assert_allclose(
         factor.whiten_back(values), np.linalg.solve(root.T, values), atol=1e-12
     )
-    assert factor.log_det == pytest.approx(np.linalg.slogdet(dense)[1])
-    assert_allclose(
-        factor.precision_diagonal(), np.diag(np.linalg.inv(dense)), rtol=1e-10
-    )
-
-
-@pytest.mark.parametrize("size", [1, 2, 40])
-def test_halves_of_chains_have_the_precisions_products(
-    size: int, rng: np.random.Generator
-) -> None:
-    before, decay, fresh = chains(size, 1, rng)
-    decay[:: size // 3 + 1] = 0.0  # several chains, one after the other
-    single = rng.uniform(0.1, 1.0, size)
-    dense = np.diag(single) + carried(before, decay, fresh)
-    values = rng.standard_normal((size, 3))
-    factor = ChainFactor(decay, single, fresh)
+    inverse = np.linalg.inv(dense)
+    assert_allclose(factor.precision_diagonal(), np.diag(inverse), rtol=1e-10)
     differences, solved = factor.halves(values)
-    assert_allclose(
-        differences.T @ solved, values.T @ np.linalg.solve(dense, values), rtol=1e-9
-    )
+    assert_allclose(differences.T @ solved, values.T @ inverse @ values, rtol=1e-9)
     log_det = np.linalg.slogdet(dense)[1]
     assert factor.log_variances.sum() == pytest.approx(log_det)
     with pytest.raises(np.linalg.LinAlgError):
-        ChainFactor(np.full(2, 0.5), np.zeros(2), np.zeros(2))
+        ChainFactor(np.full(size, 0.5), np.zeros(size), np.zeros(size))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -101,47 +75,42 @@ def test_shared_errors_have_choleskys_root(
     assert_allclose(white, np.linalg.solve(np.linalg.cholesky(dense), values))
 
 
-def stated_errors(problem: GapProblem, share: float) -> StatedErrors:
-    """Stated errors: related channels, a share carried along, two errors of a run."""
+def with_stated_errors(problem: GapProblem, share: float) -> GapProblem:
+    """Related channels, a share that is carried along, two errors of a run."""
     rng, size = np.random.default_rng(6), len(problem)
     channels = int(problem.channel.max()) + 1
     blocks = np.tril(rng.uniform(0.2, 0.5, (size // channels, channels, channels)))
-    return StatedErrors(
-        inverse=sparse.csr_array(sparse.block_diag(list(np.linalg.inv(blocks)))),
-        carried=share,
-        reach=3.0,
-        place=problem.position,
-        shared=rng.uniform(0.1, 0.5, (size, 2)),
+    whole, structure = linalg.block_diag(*np.linalg.inv(blocks)), problem.structure
+    structure = dataclasses.replace(
+        structure,
+        decouple=sparse.csr_array(whole),
+        columns=np.hstack([structure.columns, rng.uniform(0.1, 0.5, (size, 2))]),
+        kinds=np.append(structure.kinds, [KNOWN, KNOWN]),
+        statement=NoiseStatement(carried=share, reach=3.0),
     )
+    return dataclasses.replace(problem, structure=structure)
 
 
-def dense_covariance(problem: Runs, law: NoiseLaw) -> Array:
+def dense_covariance(problem: GapProblem, law: NoiseLaw) -> Array:
     covariance = np.zeros((len(problem), len(problem)))
-    for number, members in enumerate(problem.members):
-        covariance[np.ix_(members, members)] = law_covariance(
-            law, problem, problem.members[number]
-        )
+    for members in problem.members:
+        covariance[np.ix_(members, members)] = law_covariance(law, problem, members)
     return covariance
 
 
 def problems() -> list[tuple[GapProblem, NoiseLaw]]:
     """Readings of one channel and of two, with laws of all that the model has."""
-    several = []
-    for problem in (case.circles(), readings(3)):
-        size = len(problem)
-        law = dataclasses.replace(
-            case.law(problem), channel_ratio=1.0 + 0.5 * problem.channel
-        )
-        several.append((problem, law))
-        assert size < 1000
-    two, law = several[1]
-    alone = dataclasses.replace(law, ar1_sd=0.0)
-    several += [
-        (dataclasses.replace(two, stated=stated_errors(two, 0.0)), law),
-        (dataclasses.replace(two, stated=stated_errors(two, 0.0)), alone),
-        (dataclasses.replace(two, stated=stated_errors(two, 0.4)), alone),
+    one, two = case.circles(), readings(3)
+    law = noise_law(0.7, 0.9, 5.0, 1.2, level=1.3, seat_sd=0.6, ratios=(1.0, 1.5))
+    alone = noise_law(0.7, variance=1.2, seat_sd=0.6, ratios=(1.0, 1.5))
+    related = with_stated_errors(two, 0.4)
+    return [
+        (one, law),
+        (two, law),
+        (related, law),
+        (related, alone),
+        (related, related.stated_law),
     ]
-    return several
 
 
 @pytest.mark.parametrize("number", range(5))
@@ -149,7 +118,7 @@ def test_a_law_is_whitened_as_its_covariance_is(
     number: int, rng: np.random.Generator
 ) -> None:
     problem, law = problems()[number]
-    dense, factor = dense_covariance(problem, law), law.factor(problem)
+    dense, factor = dense_covariance(problem, law), law.factor(problem.structure)
     inverse, values = np.linalg.inv(dense), rng.standard_normal((len(problem), 3))
     white = factor.whiten(values)
     assert_allclose(white.T @ white, values.T @ inverse @ values, rtol=1e-9)
@@ -183,15 +152,22 @@ def test_what_is_held_out_is_predicted_as_by_dense_conditioning(
 def test_laws_that_differ_in_what_runs_share_have_their_evidence(
     rng: np.random.Generator,
 ) -> None:
-    for problem in (case.circles(), readings(3)):
-        columns = rng.standard_normal((len(problem), 4))
-        laws = []
-        for share, run, seat in ((0.3, 0.5, 0.0), (0.3, 2.0, 0.7), (0.0, 0.0, 0.0)):
-            law = NoiseLaw(run, np.sqrt(share), 4.0, 1.0 - share)
-            ratio = 1.0 + run * problem.channel
-            laws.append(dataclasses.replace(law, seat_sd=seat, channel_ratio=ratio))
-        expected = [evidence.log_evidence(problem, law, columns) for law in laws]
-        assert_allclose(LawEvidence(problem, columns)(laws), expected, rtol=1e-9)
+    two = readings(3)
+    for problem in (case.circles(), two, with_stated_errors(two, 0.4)):
+        columns, groups = (
+            rng.standard_normal((len(problem), 4)),
+            problem.channel.max() + 1,
+        )
+        laws = Laws(
+            scale=np.array([[1.0, 1.5], [1.0, 3.0], [1.0, 1.0]])[:, :groups],
+            carried=np.array([0.3, 0.3, 0.0]),
+            reach=np.full(3, 4.0),
+            level=np.array([0.5, 2.0, 0.0]),
+            seat=np.array([0.0, 0.7, 0.0]),
+        )
+        every = [NoiseLaw(laws.take([k])) for k in range(3)]
+        expected = [evidence.log_evidence(problem, law, columns) for law in every]
+        assert_allclose(log_evidences(problem, columns, laws), expected, rtol=1e-9)
 
 
 def test_the_precision_with_columns_is_that_of_the_whole_covariance(
@@ -200,7 +176,7 @@ def test_the_precision_with_columns_is_that_of_the_whole_covariance(
     problem = case.circles()
     law, columns = case.law(problem), rng.standard_normal((len(problem), 6))
     dense = np.linalg.inv(dense_covariance(problem, law) + columns @ columns.T)
-    precision = with_columns(law.factor(problem), columns)
+    precision = with_columns(law.factor(problem.structure), columns)
     assert_allclose(precision.diagonal, np.diag(dense), rtol=1e-9)
     values = rng.standard_normal(len(problem))
     assert_allclose(precision.apply(values), dense @ values, atol=1e-10)
@@ -211,17 +187,21 @@ def test_the_memory_of_long_runs_is_that_of_their_readings(
 ) -> None:
     """Four runs of 1250 readings: one dense matrix of a run has 12.5 MB."""
     size = 5000
-    runs = Runs(
-        stated=None,
-        members=tuple(np.arange(size).reshape(4, -1)),
+    structure = ReadingStructure(
+        names=("a",),
+        group=np.zeros(size, dtype=np.intp),
+        chain=np.repeat(np.arange(4), size // 4),
+        run=np.arange(4),
         position=np.tile(np.arange(size // 4, dtype=float), 4),
-        channel=np.zeros(size, dtype=np.intp),
-        seat=rng.standard_normal((size, 3)),
+        unit=np.ones(size),
+        decouple=None,
+        columns=rng.standard_normal((size, 4)),
+        kinds=np.array([LEVEL, RENEWED, RENEWED, RENEWED]),
     )
-    law = NoiseLaw(0.5, 0.6, 8.0, 0.64, seat_sd=0.3)
+    law = noise_law(0.5, 0.6, 8.0, 0.64, seat_sd=0.3)
     values = rng.standard_normal((size, 4))
     tracemalloc.start()
-    factor = law.factor(runs)
+    factor = law.factor(structure)
     factor.whiten(values)
     factor.precision(values)
     factor.precision_diagonal()

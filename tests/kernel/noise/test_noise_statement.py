@@ -25,6 +25,7 @@ from oed.measurement import simulation
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_structure import reading_structure
 from oed.noise import prior
+from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Precision, StudentT, detect, fisher_information
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
@@ -278,8 +279,8 @@ def test_stated_tails_go_before_those_that_are_tried() -> None:
     assert light is None
 
 
-def test_the_diagnosis_takes_what_is_stated_as_known() -> None:
-    """With all stated, the law is the stated covariance, up to a common factor."""
+def test_a_diagnosis_has_the_prior_of_an_identification() -> None:
+    """With all stated, laws are about the stated covariance, up to a common factor."""
     statement = dataclasses.replace(
         STATED, levels=frozenset({"length"}), outlier_share=0.0
     )
@@ -288,11 +289,15 @@ def test_the_diagnosis_takes_what_is_stated_as_known() -> None:
     rows = {"setup": "cup", "run": series.run, "order": np.tile(np.arange(8), 3)}
     problem = assemble(m, [series], pd.DataFrame(rows))
     law = gap_laws.posterior(problem, problem.slopes[:, :0])
-    assert law.draws.shape[1] == 0
-    for k, members in enumerate(problem.members):
-        block = law_covariance(law.mode, problem, problem.members[k]) * np.outer(
-            *2 * [problem.sigma[members]]
-        )
+    structure = reading_structure(m, [series], m.nominal)
+    assert (
+        law.draws.shape[1]
+        == prior.noise_prior(structure).without(prior.COURSE).dimensions - 1
+    )
+    middle = NoiseLaw(gap_laws._laws(problem, np.zeros((1, 4))))
+    for members in problem.members:
+        sigma = problem.sigma[members]
+        block = law_covariance(middle, problem, members) * np.outer(sigma, sigma)
         exact = expected(series, RUN)[np.ix_(members, members)]
         assert block == pytest.approx(exact, rel=1e-9)
     assert len(gap_laws.mixture(problem, [law])) == gap_laws.EACH

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from oed.noise.outliers import FEWEST, robust_residuals
 from oed.noise.process import stated_laws
-from oed.noise.robust import FEWEST, robust_residuals
 from oed.noise.structure import ReadingStructure
 
 

@@ -10,7 +10,7 @@ from oed.base.arrays import Index
 from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.blocks import information
 from oed.design.exchange import Choice
-from oed.estimation.effect_sizes import HEALTHY
+from oed.estimation.discrepancy import HEALTHY
 from oed.identifiability.information import prior_information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection

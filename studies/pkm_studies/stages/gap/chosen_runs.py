@@ -17,7 +17,6 @@ from oed.gap.before.separation import Separation
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
-from oed.noise.law import STATED_LAW
 from oed.result.gap_before import ChosenRun, ChosenRuns, SeparationRecord
 from pkm_studies.resolve import conventions
 from pkm_studies.resolve.gap import GapRequest
@@ -79,7 +78,7 @@ def choose_runs(
         volume=choice.volume,
         seconds=choice.seconds,
         separations=separations,
-        table=detect.detect(taken, STATED_LAW, request.effects, rng),
+        table=detect.detect(taken, taken.stated_law, request.effects, rng),
     )
     return chosen, poses_csv(measurement, series, covariates)
 
@@ -87,7 +86,7 @@ def choose_runs(
 def _pool(
     candidates: GapProblem, rows: Sequence[Index], design: GapDesignRequest
 ) -> Separation:
-    law = STATED_LAW
+    law = candidates.stated_law
     return pool_runs(candidates, law, rows, design.wanted, design.rivals)
 
 

@@ -13,7 +13,6 @@ from oed.design.rules import Rules
 from oed.gap.before import detect
 from oed.gap.data import problem
 from oed.measurement.measurement import Measurement, Series
-from oed.noise.law import STATED_LAW
 from oed.result.gap_before import GapBeforeSection
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest
@@ -55,7 +54,7 @@ def preview(
     if design is not None:
         fine |= detect.fine_units(design[0])
         chosen, csv = chosen_runs.choose_runs(*design, planned, request, rng)
-    table = detect.detect(planned, STATED_LAW, request.effects, rng)
+    table = detect.detect(planned, planned.stated_law, request.effects, rng)
     section = GapBeforeSection(table, fine, chosen, [])
     words = sentences(section)
     return GapPreview(msgspec.structs.replace(section, words=words), csv)

@@ -12,7 +12,6 @@ from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.metric import Metric
-from oed.noise.law import STATED_LAW
 from oed.result.gap import Spot, Trace
 from pkm_studies.resolve.conditions import FEED, PASS_SUFFIX
 
@@ -58,7 +57,7 @@ def _after_calibration(diagnosis: Diagnosis, change: Array) -> Array:
     """What remains of a change (N,) of the readings, SI, after fitting parameters."""
     problem = diagnosis.problem
     scaled = problem.in_noise_units(change)
-    fitted = Metric(problem, STATED_LAW).fit(scaled)
+    fitted = Metric(problem, problem.stated_law).fit(scaled)
     remainder = scaled - problem.slopes @ fitted
     return remainder * problem.sigma
 
