@@ -14,9 +14,11 @@ from hypothesis import strategies as st
 from result_sample import Change, drop, put, rename, twice, whole, whole_once
 
 from oed.result import StudyResult, relations
+from oed.result.relations import base as breaches
 from pkm_reports import sections
 from pkm_reports.sections import answer
 from pkm_reports.view import scene
+from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import cli
 
 #: one of each kind; tests/kernel/result has all
@@ -50,6 +52,16 @@ def test_a_contradiction_is_refused_with_its_field(
     assert error.count("\n") == 1
     assert len(error) < 800
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
+
+
+def test_units_of_effects_are_known() -> None:
+    """SI units of the catalogue, as products of base units, and not of others."""
+    effects = [effect for _, effect in catalogue.named_items("effects").values()]
+    written = {unit for effect in effects for unit in effect.units.values()}
+    assert {"N2/m2", "1/K", "m/N", "s2"} <= written
+    refused = [unit for unit in written if list(breaches.unit("unit", unit))]
+    assert refused == []
+    assert list(breaches.unit("unit", "furlong/N2"))
 
 
 @pytest.mark.parametrize("text", ['{"schema": NaN}', '{"schema"', "[]", "nan"])

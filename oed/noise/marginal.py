@@ -18,6 +18,7 @@ import functools
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from oed.base.arrays import Array
 from oed.base.linear_algebra import triangle_of_sums
@@ -26,8 +27,10 @@ from oed.noise.process import BATCH_NUMBERS, Laws, Whitening
 from oed.noise.proposal import find_mode, kernels_at, root_about, split_student
 from oed.noise.structure import ReadingStructure
 
-#: laws drawn in each of two rounds
-DRAWS = 160
+#: laws drawn in a round
+DRAWS = 320
+#: equally weighted laws that a first round is worth, below which there is a second
+ENOUGH_DRAWS = 100.0
 #: coordinates beyond which a law is not looked at, in prior sd
 FARTHEST = 8.0
 #: how far the mode stays from there, prior sd: readings without noise have theirs at the
@@ -168,8 +171,8 @@ def integrate(
 
     mode  (d,) most probable coordinates; sought by default
 
-    Laws are drawn in two rounds, the second where the first has weight, and weighted by
-    both rounds' density together (`oed.noise.proposal`).
+    Where a first round of laws is worth too few, a second is drawn where the first has
+    weight, and all are weighted by both rounds' density together (`oed.noise.proposal`).
     """
     if mode is None:
         mode = most_probable(model, prior)
@@ -180,14 +183,16 @@ def integrate(
     root = root_about(cost, mode)
     first = split_student(cost, mode, root)
     draws, solutions, target = _solve_at(model, prior, first.points(DRAWS))
-    second = kernels_at(draws, target - first.log_density(draws))
-    further, more, more_target = _solve_at(model, prior, second.points(DRAWS))
-    draws, target = np.vstack([draws, further]), np.concatenate([target, more_target])
-    solutions = concatenate_solutions([solutions, more])
-    log_proposal = np.logaddexp(first.log_density(draws), second.log_density(draws))
-    log_weights = target - log_proposal
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
+    log_weights = target - first.log_density(draws)
+    weights = special.softmax(log_weights)
+    if 1.0 / (weights @ weights) < ENOUGH_DRAWS:
+        second = kernels_at(draws, log_weights)
+        further, more, more_target = _solve_at(model, prior, second.points(DRAWS))
+        draws = np.vstack([draws, further])
+        solutions = concatenate_solutions([solutions, more])
+        target = np.concatenate([target, more_target])
+        densities = first.log_density(draws), second.log_density(draws)
+        weights = special.softmax(target - np.logaddexp(*densities))
     mean = weights @ solutions.mean
     offsets = solutions.mean - mean
     of_law = solutions.root

@@ -24,8 +24,7 @@ import numpy as np
 from scipy import optimize, special
 
 from oed.base.arrays import Array
-from oed.noise import outliers
-from oed.noise.factor import LinearFactor, WideFactor
+from oed.noise.factor import ROUNDING, LinearFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.law_noise import factor_of
 from oed.noise.process import Laws
@@ -171,11 +170,24 @@ class Precision:
 
 
 def with_columns(factor: LinearFactor, columns: Array) -> Precision:
-    """The precision of C + G G^T, for the factor of C and columns G (N, k)."""
-    wide = WideFactor(factor, columns)
-    return Precision(
-        lambda values: wide.precision(values[:, None])[:, 0], wide.precision_diagonal()
-    )
+    """The precision of C + G G^T, for the factor of C and columns G (N, k).
+
+    It is C^-1 - A A^T with A = C^-1 G V / sqrt(1 + s), G^T C^-1 G = V s V^T: products, as
+    a root of all columns of a long session is slow. The numbers s of columns that follow
+    from others are rounding about 0, and so is the diagonal of readings that the columns
+    alone determine.
+    """
+    solved = factor.precision(columns)
+    squares, axes = np.linalg.eigh(columns.T @ solved)
+    shared = (solved @ axes) / np.sqrt(1.0 + np.maximum(squares, 0.0))
+
+    def apply(values: Array) -> Array:
+        alone = factor.precision(values[:, None])[:, 0]
+        return np.asarray(alone - shared @ (shared.T @ values))
+
+    alone = factor.precision_diagonal()
+    diagonal = alone - np.einsum("nk,nk->n", shared, shared)
+    return Precision(apply, np.maximum(diagonal, ROUNDING * alone))
 
 
 def detect(
@@ -256,8 +268,6 @@ def robust_residuals(
         return residual.copy()
     if structure.has_effects:
         slopes = np.hstack([slopes, structure.effects])
-    precision = outliers.with_columns(factor_of(structure, laws), slopes)
-    result = outliers.detect(
-        residual, precision, outliers.ROBUST_DENSITIES, structure.statement
-    )
+    precision = with_columns(factor_of(structure, laws), slopes)
+    result = detect(residual, precision, ROBUST_DENSITIES, structure.statement)
     return residual.copy() if result is None else result.pseudo_residual

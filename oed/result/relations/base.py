@@ -118,9 +118,11 @@ def same_commands(field: str, rows: Sequence[Mapping[str, Any]]) -> Iterator[Bre
 
 
 def unit(field: str, name: str) -> Iterator[Breach]:
-    """A unit that nobody knows."""
+    """A unit that nobody knows: no product of known ones, with their powers."""
     of_effects = [shown for shown, _ in units.EFFECT.values()]
-    if name not in (*units.UNITS, *OTHER_UNITS, *of_effects):
+    known = {*units.UNITS, *OTHER_UNITS, *of_effects}
+    factors = name.replace("/", " ").split()
+    if not all(factor in known or factor.rstrip("23") in known for factor in factors):
         yield Breach(field, f"{shorten(name, 40)!r} is no known unit")
 
 

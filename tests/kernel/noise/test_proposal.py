@@ -75,3 +75,16 @@ def test_kernels_of_equal_weights_follow_silvermans_rule(
 def test_weights_count_by_their_square_root() -> None:
     mixture = kernels_at(np.array([[0.0], [1.0]]), np.log([0.2, 0.8]))
     assert mixture.weights == pytest.approx([1.0 / 3.0, 2.0 / 3.0])
+
+
+def test_few_laws_of_ten_coordinates_are_wasted() -> None:
+    """Of a normal density, whose integral is 1 whatever the number of coordinates."""
+
+    def cost(u: np.ndarray) -> np.ndarray:
+        return 0.5 * (u**2).sum(axis=1)
+
+    split = split_student(cost, np.zeros(10), np.eye(10))
+    points = split.points(320)
+    weights = np.exp(-cost(points) - split.log_density(points)) / (2.0 * np.pi) ** 5
+    assert weights.mean() == pytest.approx(1.0, abs=0.1)
+    assert weights.sum() ** 2 / (weights @ weights) > 100.0
