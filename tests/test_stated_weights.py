@@ -51,6 +51,8 @@ def test_doubt_of_the_noise_widens_intervals_and_moves_no_value(amplitude):
     assert factor > 0.5 * np.sqrt(stated.chi2 / stated.dof)
     wider, alone = (np.diag(determined_covariance(e)) for e in (doubted, stated))
     assert np.allclose(np.sqrt(wider / alone), factor, rtol=0.02)
+    # what readings tell of a parameter is no matter of the widening
+    assert np.allclose(doubted.shrinkage, stated.shrinkage, atol=0.02)
 
 
 @pytest.mark.usefixtures("contradicted")

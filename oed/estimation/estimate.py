@@ -122,8 +122,11 @@ class Estimate:
     def shrinkage(self) -> Array:
         """Posterior over prior standard deviation (n,); 0 for held parameters.
 
-        1 means that the readings carry no information.
+        1 means that the readings carry no information. Where intervals are widened, with
+        the tolerances, it is that of the fit before: lost directions were not widened.
         """
+        lost = (self.coordinates.null_basis**2).sum(axis=1)
+        variance = (self.sd**2 - lost) / self.widening**2 + lost
+        sd = np.sqrt(np.maximum(variance, 0.0))
         free = self.prior_sd > 0
-        ratio = np.zeros_like(self.sd)
-        return np.divide(self.sd, self.prior_sd, out=ratio, where=free)
+        return np.divide(sd, self.prior_sd, out=np.zeros_like(sd), where=free)
