@@ -171,6 +171,7 @@ def visit_again(
     """
     both, rows = with_runs(first.case, runs)
     geometry = _geometry(make, first, both)
+    both.at(geometry)  # legs' forces and directions are those of the machine as built
     total = importlib.import_module("truth").Pert()
     for state, pool, amplitude, change in first.effects:
         effect = _effect(make, first, both, state, pool)
