@@ -96,8 +96,9 @@ def test_words_name_answers_disagreement_and_each_compensation(
     assert "backlash (90 %), no gap (5 %)" in answers
     assert "5 % together, are left out" in answers
     assert "disagree most on da1y: 75 %" in parameter
-    assert "1 um by the parameters over all answers" in choices
-    assert "1 um by those of the best answer alone" in choices
+    assert "1 arcsec by the parameters over all answers" in choices
+    assert choices.startswith("Expected rms error over all answers: ")
+    assert "best answer alone" not in choices
 
 
 def test_answers_that_agree_are_said_to(result: StudyResult) -> None:

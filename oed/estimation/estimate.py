@@ -129,4 +129,5 @@ class Estimate:
         variance = (self.sd**2 - lost) / self.widening**2 + lost
         sd = np.sqrt(np.maximum(variance, 0.0))
         free = self.prior_sd > 0
-        return np.divide(sd, self.prior_sd, out=np.zeros_like(sd), where=free)
+        ratio = np.zeros_like(self.sd)
+        return np.asarray(np.divide(sd, self.prior_sd, out=ratio, where=free))

@@ -323,18 +323,12 @@ def _of_choices(section: MixtureSection) -> list[str]:
     """Expected errors of the compensations, in one sentence."""
     if section.prediction is None:
         return []
-    unit, parts = section.prediction.unit, []
-    for name, component in section.prediction.components.items():
-        if not component.compensatable:
-            continue
-        figures = [
-            f"{format_number(choice.rms[name])} {unit[name]} {PHRASES[choice.name]}"
-            for choice in section.choices
-            if choice.name in (section.sent, BEST, BEST_WITH_EFFECTS, NOTHING)
-        ]
-        parts.append(f"{name} {', '.join(figures)}")
-    return [
-        "Over all answers of the diagnosis, the expected rms error after compensation is"
-        f" {'; '.join(parts)}. Of the parameters, the least error is expected"
-        f" {PHRASES[section.sent]}."
-    ]
+    unit = section.prediction.unit
+    components = section.prediction.components.items()
+    driven = [name for name, component in components if component.compensatable]
+    parts = []
+    for choice in section.choices:
+        if choice.name in (section.sent, BEST_WITH_EFFECTS, NOTHING):
+            figures = [f"{n} {format_number(choice.rms[n])} {unit[n]}" for n in driven]
+            parts.append(f"{join_words(figures)} {PHRASES[choice.name]}")
+    return [f"Expected rms error over all answers: {'; '.join(parts)}."]
