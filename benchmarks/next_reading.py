@@ -32,7 +32,7 @@ from oed.base.arrays import Array
 from oed.design import candidates
 from oed.measurement import simulation
 from oed.measurement.measurement import Series
-from pkm_studies.sessions.next_reading import AS_PLANNED, Advice, Adviser
+from pkm_studies.sessions import Advice, Adviser
 from pkm_studies.study import load, shipped
 
 #: readings at which a machine counts as not reached
@@ -115,7 +115,7 @@ def session(setting: Mapping[str, Any], seed: int) -> dict[str, float]:
 
 @functools.cache
 def _adviser(study: str) -> Adviser:
-    return Adviser(load(shipped.study_path(Path(study))), AS_PLANNED)
+    return Adviser(load(shipped.study_path(Path(study))), "plan")
 
 
 def markdown(sessions: pd.DataFrame) -> str:

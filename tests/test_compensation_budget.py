@@ -21,7 +21,7 @@ from oed.result import BudgetLine, BudgetSection, PredictionSection
 from oed.result.prediction import ComponentAccuracy, SpreadRecord
 from pkm_models.machines import a3_head
 from pkm_studies.commands import cli
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.results import load_result
 
 GRID = """
 [prediction]

@@ -29,9 +29,9 @@ from hypothesis import strategies as st
 
 from oed.posterior import checkpoint
 from pkm_models.machines import linear_delta
+from pkm_studies import result_folder
 from pkm_studies.base.errors import InputError
 from pkm_studies.commands import cli
-from pkm_studies.results import result_folder
 
 NAME = "pkm_canary"
 #: modules and files that lie where data might lead to: all exist

@@ -14,7 +14,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from pkm_studies.commands import cli
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.results import load_result
 from pkm_studies.stages.forecast.task import forecast_task
 from pkm_studies.stages.plan.earlier import stored_knowledge
 from pkm_studies.study.loader import load

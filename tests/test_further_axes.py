@@ -28,7 +28,7 @@ from pkm_models.machines import (
     tripod_rps,
 )
 from pkm_studies.commands import cli
-from pkm_studies.results import stored_result
+from pkm_studies.results import load_result
 
 ARCSEC = np.pi / 648000.0
 CUP = np.array([0.0, 0.0, a3.Z_TEACH])
@@ -150,7 +150,7 @@ def rms(folder: Path, axes: bool) -> np.ndarray:
 
 
 def section(folder: Path) -> StudyResult:
-    return stored_result.load_result(folder)
+    return load_result(folder)
 
 
 def test_table_and_axes_leave_what_the_report_says(folder: Path) -> None:

@@ -213,7 +213,7 @@ def test_readings_that_do_not_fit_end_no_session(
 
 def test_the_file_is_followed(study: Path, readings: Callable[[int], Path]) -> None:
     path = readings(5)
-    following = advice.watch(advice.Adviser(load(study)), path)
+    following = advice.Adviser(load(study)).watch(path)
     assert next(following)[0].startswith("5 readings taken")
     path.write_text(readings(7).read_text(encoding="utf-8"), encoding="utf-8")
     assert next(following)[0].startswith("7 readings taken")
@@ -228,7 +228,7 @@ def test_before_the_first_reading_the_plan_begins(study: Path, tmp_path: Path) -
         "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
         encoding="utf-8",
     )
-    lines = advice.sentences(*_advised(study, sheet))
+    lines = advice.advice_sentences(*_advised(study, sheet))
     assert lines[0].startswith("0 readings taken")
     assert any(line.startswith("Next: ") for line in lines)
 

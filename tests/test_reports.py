@@ -25,7 +25,8 @@ from pkm_reports import sections, write_report
 from pkm_reports.page import document
 from pkm_reports.page import html as html_writer
 from pkm_reports.page import pdf as pdf_writer
-from pkm_studies.results import result_folder, stored_result
+from pkm_studies import result_folder
+from pkm_studies.results import load_result
 
 pytestmark = pytest.mark.pictures
 
@@ -233,7 +234,7 @@ def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
     old = {key: full[key] for key in keys}
     file = tmp_path / "result.json"
     file.write_text(json.dumps(old), encoding="utf-8")
-    loaded = stored_result.load_result(tmp_path)
+    loaded = load_result(tmp_path)
     assert loaded.design is not None
     assert loaded.design.value == full["design"]["value"]
     assert (loaded.headline, loaded.claims, loaded.gap) == ([], [], None)

@@ -17,7 +17,7 @@ from pkm_reports import write_comparison
 from pkm_reports.comparison import accuracy, content, glance, parameters
 from pkm_reports.page import text
 from pkm_studies.commands import cli
-from pkm_studies.results import result_folder
+from pkm_studies.sessions import comparison
 
 
 @pytest.fixture
@@ -128,6 +128,6 @@ def test_the_command_puts_folders_side_by_side(
 
 def test_folders_get_names_that_tell_them_apart() -> None:
     folders = [Path("a/x/out"), Path("b/x/out"), Path("c")]
-    assert result_folder.short_names(folders[:2]) == ["a/x/out", "b/x/out"]
-    assert result_folder.short_names([folders[0], folders[2]]) == ["out", "c"]
-    assert len(set(result_folder.short_names([folders[0]] * 2))) == 2
+    assert comparison.short_names(folders[:2]) == ["a/x/out", "b/x/out"]
+    assert comparison.short_names([folders[0], folders[2]]) == ["out", "c"]
+    assert len(set(comparison.short_names([folders[0]] * 2))) == 2

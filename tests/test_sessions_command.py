@@ -13,7 +13,7 @@ import sample
 
 from oed.estimation import session_change
 from pkm_studies.commands import cli
-from pkm_studies.results import comparison
+from pkm_studies.sessions import comparison
 
 Run = Callable[..., tuple[int, str, str]]
 #: offset dq1 (mm) of the machine by date

@@ -14,9 +14,9 @@ from report_fixture import result_of
 from oed.result import StudyResult, VerdictRecord, VerificationSection, verdict
 from pkm_reports.page.blocks import Table
 from pkm_reports.sections.answer import accuracy
+from pkm_studies import result_folder
+from pkm_studies import sessions as advice
 from pkm_studies.commands import cli
-from pkm_studies.results import result_folder
-from pkm_studies.sessions import next_reading as advice
 from pkm_studies.study import load
 
 WANTED = "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n"
@@ -101,7 +101,7 @@ def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
         "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
         encoding="utf-8",
     )
-    lines = advice.sentences(adviser, adviser.advise(sheet))
+    lines = advice.advice_sentences(adviser, adviser.advise(sheet))
     (line,) = [line for line in lines if "wanted 20: " in line]
     assert line.endswith("fail (within it with under 1 %)")
     option = advice.Adviser(load(study), "z_um=5")

@@ -21,7 +21,7 @@ from pkm_page.session import MachineSession
 from pkm_page.shelf import RESULT, Shelf
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.user_code import Consent
-from pkm_studies.sessions.next_reading import Adviser
+from pkm_studies.sessions import Adviser
 from pkm_studies.study import SUFFIX, Study, load, shipped
 
 LOCAL: Final = "127.0.0.1"
@@ -95,7 +95,7 @@ def _study(target: Path, consent: Consent) -> tuple[Study, Path, Path]:
         return study, target, Path("out") / study.name
     from oed.base.own_files import write_own
     from pkm_studies.compensation.stored_study import result_study
-    from pkm_studies.results.stored_result import load_result
+    from pkm_studies.results import load_result
 
     result = load_result(target)
     study = result_study(result, target, None)

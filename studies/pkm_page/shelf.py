@@ -13,7 +13,7 @@ from oed.result.verdict import Judgement
 from pkm_reports.page import text
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.results import load_result
 from pkm_studies.study import SUFFIX
 
 #: folders deep, and results, that are looked for

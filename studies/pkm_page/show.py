@@ -18,7 +18,6 @@ from pkm_page.session import MachineSession, Pose, SessionState
 from pkm_reports.page import text
 from pkm_reports.view import scene
 from pkm_reports.view.scene import PageView, ViewReading
-from pkm_studies.sessions.next_sentences import stop
 from pkm_studies.stages import describe
 from pkm_studies.stages.fit.estimate import estimate_section
 
@@ -68,7 +67,7 @@ def page_values(session: MachineSession, state: SessionState) -> dict[str, Any]:
     is_wanted = bool(np.isfinite(advice.limits).any())
     return values | {
         "number": 1 + (values["last"][0].number if values["last"] else 0),
-        "stop": stop(advice),
+        "stop": advice.stop_sentences(),
         "finished": known.remaining(advice) == 0 and not advice.objections,
         "time_left": _time_left(state),
         "is_wanted": is_wanted,

@@ -36,9 +36,9 @@ class ClaimNotMet(Exception):  # noqa: N818 - pytest shows the claim, not the cl
 
     def __init__(self, claim: Claim, where: str) -> None:
         """State what was measured and what is claimed."""
-        from pkm_studies.results import claims
+        from pkm_studies.results import claim_failure
 
-        super().__init__(claims.failure(claim, where))
+        super().__init__(claim_failure(claim, where))
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -25,7 +25,7 @@ import pytest
 from oed.result import StudyResult
 from pkm_studies import pipeline
 from pkm_studies.base.errors import InputError, Place, SourceAbsentError
-from pkm_studies.results import claims, stored_result
+from pkm_studies.results import check_claim, claim_failure, load_result, value_at
 from pkm_studies.study import Study, load, shipped, vary
 from pkm_studies.study.tables import ClaimTable
 
@@ -68,12 +68,12 @@ class VariedStudy:
             pytest.skip(str(absent))
         except InputError as error:
             _fail(str(error))
-        return stored_result.load_result(folder)
+        return load_result(folder)
 
     def figure(self, path: str) -> Any:
         """What stands in result.json at a dotted path, as in [expect]."""
         try:
-            return claims.lookup(self._plain, path)
+            return value_at(self._plain, path)
         except LookupError as error:
             _fail(str(error))
 
@@ -88,9 +88,9 @@ class VariedStudy:
     ) -> None:
         """Fail the test unless the figure at a path is as claimed, as in [expect]."""
         table = ClaimTable(of=of, min=min, max=max, equals=equals, contains=contains)
-        claim = claims.check_claim(of.rpartition(".")[2], table, self._plain)
+        claim = check_claim(of.rpartition(".")[2], table, self._plain)
         if not claim.met:
-            _fail(claims.failure(claim, self._where))
+            _fail(claim_failure(claim, self._where))
 
     def check_claims(self, *names: str) -> None:
         """Fail the test unless the study's own claims hold: all, or those named."""
@@ -100,7 +100,7 @@ class VariedStudy:
             known = ", ".join(by_name) or "no claims"
             _fail(f"{self._where}: no claim {unknown[0]}; it has {known}")
         chosen = [by_name[name] for name in names or by_name]
-        failures = [claims.failure(c, self._where) for c in chosen if not c.met]
+        failures = [claim_failure(c, self._where) for c in chosen if not c.met]
         if failures:
             _fail("\n".join(failures))
 

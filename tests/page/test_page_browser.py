@@ -26,7 +26,7 @@ import pytest
 
 from page.page_server import Client, Operator, rows, served
 from pkm_page import serving
-from pkm_studies.sessions.next_reading import Adviser
+from pkm_studies.sessions import Adviser
 from pkm_studies.study import load, shipped
 
 playwright = pytest.importorskip("playwright.sync_api")

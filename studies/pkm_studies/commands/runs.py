@@ -204,7 +204,7 @@ def forecast(
     """Plan the nodes of forecast compensation, or make the table of measured ones."""
     loaded, folder = load_for(study, allow_code, out, "-forecast")
     from pkm_studies import pipeline
-    from pkm_studies.results import claims
+    from pkm_studies.results import claim_failure
     from pkm_studies.stages.forecast.words import sentences
 
     result = pipeline.forecast(loaded, folder, readings=readings, seed=seed)
@@ -215,7 +215,7 @@ def forecast(
         name, words = ("forecast_table.csv", "Table")
     print(f"{words}: {own_files.latest(folder / name)}")
     failing = [
-        claims.failure(claim, loaded.path.name)
+        claim_failure(claim, loaded.path.name)
         for claim in result.claims
         if not claim.met
     ]

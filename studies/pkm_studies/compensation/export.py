@@ -34,8 +34,7 @@ from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.compensation.table_grid import COMMANDS
 from pkm_studies.resolve.workspace import regular
-from pkm_studies.results import stored_result
-from pkm_studies.results.stored_result import BadFitError
+from pkm_studies.results import BadFitError, load_result
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
 
@@ -82,7 +81,7 @@ def export_folder(
     Raises InputError, and BadFitError where the fit is bad.
     """
     controller = named_format(reference, Origin.command(consent))
-    result = stored_result.load_result(folder)
+    result = load_result(folder)
     study = result_study(result, folder, study_file, consent)
     if firmware is not None:
         study = _with_version(study, controller, firmware)

@@ -20,7 +20,7 @@ from oed.result import (
     StudyResult,
 )
 from pkm_studies.base.errors import Place
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.results import load_result
 from pkm_studies.study import Study
 
 FILE = "posterior.nc"

@@ -19,7 +19,7 @@ from oed.posterior.posterior import Posterior
 from oed.result import StudyResult
 from pkm_studies.base import files
 from pkm_studies.resolve import conventions
-from pkm_studies.results.result_folder import (
+from pkm_studies.result_folder import (
     RESULT,
     VISIT,
     renamed_sentences,

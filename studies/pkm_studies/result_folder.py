@@ -1,10 +1,10 @@
-"""The folder of a result: result.json, whose its files are, and reports of several."""
+"""The folder of a result: result.json, whose its files are, and their reports."""
 
 from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import msgspec
@@ -14,7 +14,7 @@ from oed.result import StudyResult
 from oed.result.verdict import accuracy_verdicts
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
-from pkm_studies.results.stored_result import load_result, read_result
+from pkm_studies.results import load_result, read_result
 
 RESULT = "result.json"
 #: readings of a second visit, to fill in
@@ -117,43 +117,3 @@ def write_report(
     from pkm_reports import write_report
 
     return write_report(load_result(folder), folder, html=html, pdf=pdf)
-
-
-def write_comparison(folders: Sequence[Path], out: Path) -> tuple[Path, ...]:
-    """HTML and PDF of the results in several folders side by side; their paths.
-
-    Two results of one machine, with estimates under one prior, are also compared as
-    `oed compare` does. Raises InputError where a folder holds no result.
-    """
-    from pkm_reports import write_comparison
-
-    loaded = [load_result(folder) for folder in folders]
-    results = dict(zip(short_names(folders), loaded, strict=True))
-    changes = _changes(folders, loaded) if len(folders) == 2 else []
-    files.out_folder(out)
-    return write_comparison(results, out, changes)
-
-
-def short_names(folders: Sequence[Path]) -> list[str]:
-    """A different name for each folder: its last parts, as few as tell them apart."""
-    parts = [folder.resolve().parts for folder in folders]
-    most = max(map(len, parts))
-    for count in range(1, most + 1):
-        names = ["/".join(p[-count:]) for p in parts]
-        if len(set(names)) == len(names):
-            return names
-    return [f"{'/'.join(p[-1:])} ({k})" for k, p in enumerate(parts, 1)]
-
-
-def _changes(folders: Sequence[Path], results: Sequence[StudyResult]) -> list[str]:
-    """What changed between two sessions; nothing where they cannot be compared."""
-    if results[0].machine.name != results[1].machine.name:
-        return []
-    if any(r.final_estimate is None for r in results):
-        return []
-    from pkm_studies.results import comparison
-
-    try:
-        return comparison.compare(*folders).sentences
-    except InputError:
-        return []

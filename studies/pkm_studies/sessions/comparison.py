@@ -22,8 +22,9 @@ from oed.result import (
     StudyResult,
     trust,
 )
+from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
-from pkm_studies.results import stored_result
+from pkm_studies.results import load_result
 
 #: a section with parameters, their covariance and chi2
 Fitted = EstimateSection | CorrectedSection
@@ -50,7 +51,7 @@ def compare(before: Path, after: Path) -> SessionReport:
     where both hold one session.
     """
     folders = (before, after)
-    results = [stored_result.load_result(folder) for folder in folders]
+    results = [load_result(folder) for folder in folders]
     refuse_same_sessions(results, folders)
     estimates = [_estimate(r, f) for r, f in zip(results, folders, strict=True)]
     tables = [
@@ -246,3 +247,41 @@ def _cause(cause: SingleCause, units: Mapping[str, str]) -> str:
         f"{cause.parameter}: {cause.change:+.4g} {unit}, sd {cause.sd:.2g} {unit};"
         f" chi2 falls to {cause.chi2:.4g}, p = {cause.p_value:.2g}"
     )
+
+
+def write_comparison(folders: Sequence[Path], out: Path) -> tuple[Path, ...]:
+    """HTML and PDF of the results in several folders side by side; their paths.
+
+    Two results of one machine, with estimates under one prior, are also compared as
+    `oed compare` does. Raises InputError where a folder holds no result.
+    """
+    from pkm_reports import write_comparison
+
+    loaded = [load_result(folder) for folder in folders]
+    results = dict(zip(short_names(folders), loaded, strict=True))
+    changes = _changes(folders, loaded) if len(folders) == 2 else []
+    files.out_folder(out)
+    return write_comparison(results, out, changes)
+
+
+def short_names(folders: Sequence[Path]) -> list[str]:
+    """A different name for each folder: its last parts, as few as tell them apart."""
+    parts = [folder.resolve().parts for folder in folders]
+    most = max(map(len, parts))
+    for count in range(1, most + 1):
+        names = ["/".join(p[-count:]) for p in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [f"{'/'.join(p[-1:])} ({k})" for k, p in enumerate(parts, 1)]
+
+
+def _changes(folders: Sequence[Path], results: Sequence[StudyResult]) -> list[str]:
+    """What changed between two sessions; nothing where they cannot be compared."""
+    if results[0].machine.name != results[1].machine.name:
+        return []
+    if any(r.final_estimate is None for r in results):
+        return []
+    try:
+        return compare(*folders).sentences
+    except InputError:
+        return []

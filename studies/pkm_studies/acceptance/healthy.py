@@ -8,7 +8,7 @@ from pathlib import Path
 from oed.base.text import rounded
 from oed.result import PromiseRecord, StudyResult, VerificationSection
 from pkm_studies.base.errors import InputError
-from pkm_studies.results import stored_result
+from pkm_studies.results import load_result
 
 
 def healthy_accuracy(
@@ -19,7 +19,7 @@ def healthy_accuracy(
     plan  folder of `oed plan` or `oed run`; by default the result's own plan. Raises
           InputError where a folder's plan allows for no effects, or is of another machine.
     """
-    planned = result if plan is None else stored_result.load_result(plan)
+    planned = result if plan is None else load_result(plan)
     if planned.machine.name != result.machine.name:
         raise InputError(
             f"that is a plan for the machine {planned.machine.name}",

@@ -19,6 +19,15 @@ from oed.result import (
     VerificationSection,
 )
 from oed.result.verdict import Judgement
+from pkm_studies import result_folder
+from pkm_studies.acceptance import plan
+from pkm_studies.acceptance.healthy import (
+    healthy_accuracy,
+    healthy_sentences,
+)
+from pkm_studies.acceptance.judge import judge_file
+from pkm_studies.acceptance.plan import AXES
+from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.base import files
 from pkm_studies.base.errors import InputError
 from pkm_studies.base.random_streams import Stream
@@ -26,18 +35,9 @@ from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
-from pkm_studies.results import result_folder, stored_result
-from pkm_studies.results.stored_result import refuse_bad_fit
-from pkm_studies.sessions.acceptance import plan
-from pkm_studies.sessions.acceptance.healthy import (
-    healthy_accuracy,
-    healthy_sentences,
-)
-from pkm_studies.sessions.acceptance.judge import judge_file
-from pkm_studies.sessions.acceptance.plan import AXES
-from pkm_studies.sessions.acceptance.promise import promised_accuracy
+from pkm_studies.results import load_result, refuse_bad_fit
 
-FILE = "acceptance.csv"
+ACCEPTANCE_FILE = "acceptance.csv"
 CONCLUSIONS: Final[dict[Judgement, str]] = {
     "pass": "The machine meets its promised accuracy.",
     "fail": "The machine does not meet its promised accuracy.",
@@ -71,7 +71,7 @@ def plan_folder(
 
     Raises InputError, and BadFitError where the fit promises nothing.
     """
-    result = stored_result.load_result(folder)
+    result = load_result(folder)
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     machine = study_machine(study)
@@ -88,7 +88,7 @@ def plan_folder(
     section = msgspec.structs.replace(section, healthy=healthy)
     text = plan.to_fill_in(section, machine)
     known = list(result.written.values())
-    path = own_files.write_own(folder / FILE, text.encode(), known)
+    path = own_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), known)
     written = {**result.written, path.name: files.digest(text.encode())}
     result = msgspec.structs.replace(
         result, acceptance=section, verification=None, written=written
@@ -103,7 +103,7 @@ def judge_folder(folder: Path, readings: Path) -> VerificationSection:
     Raises InputError where the folder has no acceptance plan, and BadFitError where the
     fit promises nothing.
     """
-    result = stored_result.load_result(folder)
+    result = load_result(folder)
     if result.acceptance is None:
         raise InputError(
             "this result has no acceptance plan",

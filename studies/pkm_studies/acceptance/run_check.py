@@ -20,12 +20,12 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
 from oed.result import CorrectedSection, EstimateSection, RunCurve
+from pkm_studies import result_folder
 from pkm_studies.base.errors import Place
 from pkm_studies.base.progress import Silent
 from pkm_studies.base.user_code import Consent
 from pkm_studies.compensation.stored_study import result_study
-from pkm_studies.results import result_folder, stored_result
-from pkm_studies.results.stored_result import refuse_bad_fit
+from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.run_curves import ReadingCurves
 from pkm_studies.stages.run_state import start
@@ -65,7 +65,7 @@ def check_folder(
     or out of reach, and as readings are read; BadFitError where the fit promises
     nothing.
     """
-    result = stored_result.load_result(folder)
+    result = load_result(folder)
     place = Place(str(folder / "result.json"))
     section = result.final_estimate
     if section is None or not section.covariance:
@@ -156,7 +156,7 @@ def _noise_sigma(
     return scale * measurement.sigma(series)
 
 
-def sentences(check: RunCheck) -> Iterator[str]:
+def check_sentences(check: RunCheck) -> Iterator[str]:
     """The comparison in words."""
     largest, unit = 0.0, ""
     inside = count = 0
