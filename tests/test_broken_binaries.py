@@ -11,8 +11,8 @@ import xarray
 
 from oed.design import open_candidates
 from oed.posterior import checkpoint
-from pkm_studies.base import csv_table
-from pkm_studies.base.errors import InputError
+from pkm_studies import csv_table
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 from pkm_studies.resolve.earlier_result import read_draws
 from pkm_studies.study.data_sources import tables

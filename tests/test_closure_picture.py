@@ -16,10 +16,10 @@ from oed.model.machine import Machine
 from pkm_models.machines import cable_robot, hexapod, tripod_passive_leg
 from pkm_reports.figures import closure as figures
 from pkm_reports.page import style
-from pkm_studies.base.errors import Place
-from pkm_studies.base.user_code import Origin
+from pkm_studies.base import Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import cli
+from pkm_studies.user_code import Origin
 
 MY_MACHINE = Path(__file__).parents[1] / "docs" / "tutorial" / "my_machine.py"
 DRAWING = "BASE, PLATE, CRANK, ROD = 0.350, 0.100, 0.200, "

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from oed import dataset
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 
 MAP = """\

@@ -20,7 +20,7 @@ from oed.measurement.measurement import Measurement
 from oed.model.machine import Machine
 from oed.result import StudyResult
 from pkm_models.machines import a3_head, hexapod, linear_delta
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
 from pkm_studies.study import parse

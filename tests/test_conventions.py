@@ -29,7 +29,7 @@ from pkm_models.machines import (
     planar_2dof,
     prs_spindle,
 )
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import cli
 

@@ -30,7 +30,7 @@ from hypothesis import strategies as st
 from oed.posterior import checkpoint
 from pkm_models.machines import linear_delta
 from pkm_studies import result_folder
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 
 NAME = "pkm_canary"

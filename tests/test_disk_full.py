@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.base import files
+from pkm_studies import files
 from pkm_studies.commands import cli
 
 STUDY = (

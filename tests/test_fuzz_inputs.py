@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import parse, sources
 

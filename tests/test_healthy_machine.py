@@ -17,7 +17,7 @@ from oed.result import (
     VerificationSection,
 )
 from pkm_studies.acceptance import healthy
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 DEMANDS = {
     "z": PromiseRecord(promised=30.0, limit=36.0, power=0.9, uncertainty=6.0, unit="um")

@@ -13,7 +13,7 @@ import pytest
 from oed.model.machine import Machine
 from pkm_models.machines import linear_delta
 from pkm_page import PageOptions, open_page
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 from pkm_studies.compensation.formats import body_names
 from pkm_studies.resolve.quantities import column

@@ -9,7 +9,7 @@ import pytest
 from oracles.delta_trilateration import nozzle, travel_to
 
 import oed
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import ballbar, base, session
 
 #: the shipped delta, and a true one: mm and rad

@@ -9,8 +9,8 @@ import pytest
 from oracles import planar_cables
 
 import oed
-from pkm_studies.base import csv_table
-from pkm_studies.base.errors import InputError
+from pkm_studies import csv_table
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import oed
 from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import hexapod, prs_spindle
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 
 MAP = """\

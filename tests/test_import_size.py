@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers.base import ImportRequest
 from pkm_studies.importers.bodies import mjcf_file, urdf_file
 from pkm_studies.importers.column_map import load

@@ -12,13 +12,13 @@ import pytest
 import sample
 
 from pkm_studies import study
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Origin
+from pkm_studies.base import InputError, Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.commands.cli import main
 from pkm_studies.importers import drafts
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import schemas
+from pkm_studies.user_code import Origin
 
 
 def test_a_machine_from_a_file(tmp_path: Path) -> None:

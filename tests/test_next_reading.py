@@ -14,7 +14,7 @@ import sample
 
 from oed.design import candidates, next_reading
 from oed.design.next_reading import Belief
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 from pkm_studies.sessions import next_reading as advice
 from pkm_studies.stages.design.select import select_design

@@ -17,8 +17,7 @@ from oed.design.stages.stage.prediction import predict_stage
 from oed.measurement import Series
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines.planar_2dof import machine
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.progress import Silent
+from pkm_studies.base import InputError, Silent
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.streams import plan_streams

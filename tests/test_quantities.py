@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oed.base import units
-from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base import InputError, Place
 from pkm_studies.resolve import quantities
 
 HERE = Place("x.study.toml")

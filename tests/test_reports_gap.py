@@ -25,7 +25,7 @@ from pkm_reports.page import document, missing, style, text
 from pkm_reports.page import html as html_writer
 from pkm_reports.page import pdf as pdf_writer
 from pkm_reports.sections.gap import chapter, explanations
-from pkm_studies.base.progress import Silent
+from pkm_studies.base import Silent
 from pkm_studies.stages.gap.section import gap_section
 from pkm_studies.stages.run_state import start
 from pkm_studies.stages.steps.readings import planned_series, simulate_readings

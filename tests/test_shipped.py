@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from pkm_studies import pipeline
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.study import SUFFIX, Study, load, shipped
 
 Run = Callable[..., tuple[int, str, str]]

@@ -11,7 +11,7 @@ import pytest
 import sample
 import test_bad_fit
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.stages.fit.states import (

@@ -10,7 +10,7 @@ import pytest
 import sample
 
 from pkm_studies import study
-from pkm_studies.base.errors import SourceAbsentError
+from pkm_studies.base import SourceAbsentError
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import shipped
 

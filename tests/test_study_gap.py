@@ -18,7 +18,7 @@ import sample
 
 from oed import result
 from oed.compensate.effects import answer_fits
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.study import load, parse, schemas

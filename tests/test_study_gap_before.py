@@ -25,7 +25,7 @@ from pkm_reports import sections
 from pkm_reports.figures.gap import confusable
 from pkm_reports.page import style
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve
 
 HERE = Path("before.study.toml")

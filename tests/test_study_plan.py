@@ -22,7 +22,7 @@ from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.result import AlternativePlan, PlanSection, StudyResult
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.stages.plan.phrases import at_most_better, more_accurate

@@ -11,7 +11,7 @@ import pytest
 import sample
 
 from pkm_studies import pipeline, sweep
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.study import load, vary
 
 #: nothing to choose and nothing to fit: a plan is looked at

@@ -20,10 +20,10 @@ import sample
 import oed
 from pkm_models.machines import linear_delta
 from pkm_studies import study
-from pkm_studies.base import permissions
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 from pkm_studies.resolve.resolved import resolve
+from pkm_studies.user_code import permissions
 
 Run = Callable[..., tuple[int, str, str]]
 #: a machine whose file leaves a trace where it runs

@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.base import console, files
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Origin
+from pkm_studies import console, files
+from pkm_studies.base import InputError, Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import cli
+from pkm_studies.user_code import Origin
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("oed", "models", "studies", "reports", "benchmarks")

@@ -29,7 +29,7 @@ from pkm_reports.sections.gap import chapter as gap
 from pkm_reports.sections.gap import second_visit
 from pkm_studies import pipeline
 from pkm_studies import study as studies
-from pkm_studies.base.progress import Silent
+from pkm_studies.base import Silent
 from pkm_studies.stages import run_state, session_files
 from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.stages.steps.checks import check_readings

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import AllowCode
+from pkm_studies.user_code import consent
 
 
 def campaign(

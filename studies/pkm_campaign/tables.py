@@ -12,12 +12,11 @@ from oed.mechanism.kinematics import AssemblyError
 from pkm_campaign.case import COLUMNS, Figures
 from pkm_campaign.case_function import CaseFunction, UserFunction
 from pkm_campaign.virtual_machine import VirtualMachine
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place, shorten
-from pkm_studies.base.names import Name
-from pkm_studies.base.user_code import Consent, Origin
+from pkm_studies import files
+from pkm_studies.base import InputError, Name, Place, shorten
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import Study, decode, load, shipped, vary
+from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
 SUFFIX = ".campaign.toml"

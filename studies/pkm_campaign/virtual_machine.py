@@ -18,8 +18,7 @@ from oed.identifiability.assessment import assess
 from oed.mechanism.compiled.switch import begin_job
 from oed.result import trust
 from pkm_campaign.interval import HALF_WIDTH
-from pkm_studies.base.progress import Silent
-from pkm_studies.base.user_code import Consent
+from pkm_studies.base import Silent
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.stages.run_state import (
     Fitted,
@@ -35,6 +34,7 @@ from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import gap as gap_steps
 from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.study import Study, loader
+from pkm_studies.user_code import Consent
 
 #: prepared combinations that a process remembers
 REMEMBERED = 4

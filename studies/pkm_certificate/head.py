@@ -17,8 +17,8 @@ from oed.result.certificate import (
     Person,
     UsedInstrument,
 )
-from pkm_studies.base import files
-from pkm_studies.base.errors import Place
+from pkm_studies import files
+from pkm_studies.base import Place
 from pkm_studies.study import decode
 from pkm_studies.study.tables.base import Positive, StudyTable
 

@@ -9,13 +9,13 @@ from typing import Final
 
 import msgspec
 
+from pkm_studies import files
 from pkm_studies.acceptance import (
     ACCEPTANCE_FILE,
     judge_folder,
     verdict_sentences,
 )
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.results import BadFitError
 
 #: bytes of a file to fill in

@@ -18,7 +18,7 @@ from pkm_page.job import BackgroundCommand
 from pkm_page.readings_log import StaleError
 from pkm_page.session import DoubtfulError, MachineSession
 from pkm_page.shelf import Shelf
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.results import BadFitError
 
 #: time between two looks at the readings file, s

@@ -18,9 +18,8 @@ from oed.model.instrument import Instrument
 from oed.model.machine import Dimension, Machine
 from pkm_page import typed
 from pkm_reports.view.scene import PageView, ViewLine
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Consent, Origin
+from pkm_studies import files
+from pkm_studies.base import InputError, Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.importers import drafts, template
 from pkm_studies.importers.axis_lines import SHARES, format_numbers
@@ -28,6 +27,7 @@ from pkm_studies.resolve.machine import described_machine
 from pkm_studies.resolve.quantities import column
 from pkm_studies.study import SUFFIX, shipped
 from pkm_studies.study.tables import MachineTable
+from pkm_studies.user_code import Consent, Origin
 
 #: characters of a size, as a list of numbers
 LONGEST: Final = 2000

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from pkm_studies.base.errors import Place, shorten
+from pkm_studies.base import Place, shorten
 from pkm_studies.study.data_sources.tables import AS_PUBLISHED, Row, read_csv, read_json
 
 TOWERS = "abc"

@@ -29,7 +29,7 @@ from pkm_printers.marlin_version import (
     MeaningOfB,
     PossibleRules,
 )
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.catalogue.controller_format import (
     Compensation,
     ControllerFormat,

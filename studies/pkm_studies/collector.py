@@ -86,7 +86,7 @@ class StudyCollector(pytest.File):
 
     def collect(self) -> Iterator[pytest.Item]:
         """One item a claim. A study that cannot be read is an error of collection."""
-        from pkm_studies.base.errors import InputError
+        from pkm_studies.base import InputError
         from pkm_studies.study import load
 
         try:
@@ -121,7 +121,7 @@ class ClaimItem(pytest.Item):
 
     def runtest(self) -> None:
         """Measure the claim."""
-        from pkm_studies.base.errors import SourceAbsentError
+        from pkm_studies.base import SourceAbsentError
 
         assert isinstance(self.parent, StudyCollector)
         try:
@@ -136,7 +136,7 @@ class ClaimItem(pytest.Item):
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
     ) -> Any:
         """The claim, or the paragraph of a bad input; else a traceback."""
-        from pkm_studies.base.errors import InputError
+        from pkm_studies.base import InputError
 
         if isinstance(excinfo.value, ClaimNotMet | InputError):
             return str(excinfo.value)

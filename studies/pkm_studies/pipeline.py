@@ -15,9 +15,8 @@ from oed.base.arrays import Array
 from oed.dataset.digests import digests
 from oed.result import StudyResult
 from oed.result.verdict import accuracy_verdicts
-from pkm_studies import result_folder
-from pkm_studies.base import files
-from pkm_studies.base.progress import Progress, Silent
+from pkm_studies import files, result_folder
+from pkm_studies.base import Progress, Silent
 from pkm_studies.resolve.counted import counted
 from pkm_studies.results import check_claims, load_result
 from pkm_studies.stages import describe, headline, run_files

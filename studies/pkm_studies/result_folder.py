@@ -12,8 +12,8 @@ import msgspec
 from oed.base import own_files
 from oed.result import StudyResult
 from oed.result.verdict import accuracy_verdicts
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
+from pkm_studies import files
+from pkm_studies.base import InputError
 from pkm_studies.results import load_result, read_result
 
 RESULT = "result.json"

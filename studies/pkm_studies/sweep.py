@@ -24,7 +24,7 @@ import pytest
 
 from oed.result import StudyResult
 from pkm_studies import pipeline
-from pkm_studies.base.errors import InputError, Place, SourceAbsentError
+from pkm_studies.base import InputError, Place, SourceAbsentError
 from pkm_studies.results import check_claim, claim_failure, load_result, value_at
 from pkm_studies.study import Study, load, shipped, vary
 from pkm_studies.study.tables import ClaimTable

@@ -13,7 +13,7 @@ import sample
 
 from oed import compensate
 from pkm_campaign import results, runner, tables
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands import cli
 
 STUDY = sample.changed(

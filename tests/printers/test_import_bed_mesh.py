@@ -11,7 +11,7 @@ from pkm_printers.bed_mesh import copied_margin
 from pkm_reports.page import text
 from pkm_reports.page.blocks import Notice
 from pkm_reports.sections.answer import accuracy
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 from pkm_studies.results import load_result
 from printers import mesh_printer as virtual

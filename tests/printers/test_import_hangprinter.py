@@ -8,7 +8,7 @@ import pytest
 
 import oed
 from oed.mechanism.kinematics import Kinematics
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 from pkm_studies.resolve.machine import study_machine
 

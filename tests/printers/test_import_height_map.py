@@ -10,7 +10,7 @@ from oracles.firmware.geometry import delta
 import oed
 from pkm_printers.bed_mesh import BedMesh, distinct
 from pkm_printers.probed_point import ProbedPoint
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 from printers.delta_printer import take
 from printers.test_import_rrf import FILES, TILT_CONFIG

@@ -14,7 +14,7 @@ from oracles.klipper_cost import Delta, cost
 
 import oed
 from oed.base import units
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.commands.cli import main
 from pkm_studies.importers import session
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import oed
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 
 YAML = """\

@@ -10,7 +10,7 @@ from oracles.delta_trilateration import nozzle, travel_to
 
 import oed
 from oed.base import units
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 
 #: what the firmware believes, and the true printer: mm and rad

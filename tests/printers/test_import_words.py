@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.importers import session
 from pkm_studies.importers.base import ImportedSession
 

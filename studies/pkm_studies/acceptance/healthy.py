@@ -7,7 +7,7 @@ from pathlib import Path
 
 from oed.base.text import rounded
 from oed.result import PromiseRecord, StudyResult, VerificationSection
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.results import load_result
 
 

@@ -15,10 +15,10 @@ from oed.result import (
     VerificationSection,
     verdict,
 )
+from pkm_studies import csv_table
 from pkm_studies.acceptance.plan import AXES, error_columns
-from pkm_studies.base import csv_table
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
+from pkm_studies.csv_table import CsvTable
 
 #: largest difference of a commanded coordinate from the plan, in its unit
 SAME_POSE = 1e-3

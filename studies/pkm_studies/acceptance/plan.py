@@ -20,7 +20,7 @@ from oed.model.machine import Component, Machine
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult
 from oed.result.record import finite_or_none
 from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve import conventions
 from pkm_studies.stages import describe
 

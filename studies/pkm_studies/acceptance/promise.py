@@ -20,7 +20,7 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.compensation import identified
 from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.resolve.machine import study_kinematics

@@ -21,14 +21,13 @@ from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
 from oed.result import CorrectedSection, EstimateSection, RunCurve
 from pkm_studies import result_folder
-from pkm_studies.base.errors import Place
-from pkm_studies.base.progress import Silent
-from pkm_studies.base.user_code import Consent
+from pkm_studies.base import Place, Silent
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.run_curves import ReadingCurves
 from pkm_studies.stages.run_state import start
+from pkm_studies.user_code import Consent
 
 #: probability below which readings contradict their prediction
 SURPRISE = 1e-3

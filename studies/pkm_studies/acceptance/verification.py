@@ -19,7 +19,7 @@ from oed.result import (
     VerificationSection,
 )
 from oed.result.verdict import Judgement
-from pkm_studies import result_folder
+from pkm_studies import files, result_folder
 from pkm_studies.acceptance import plan
 from pkm_studies.acceptance.healthy import (
     healthy_accuracy,
@@ -28,14 +28,12 @@ from pkm_studies.acceptance.healthy import (
 from pkm_studies.acceptance.judge import judge_file
 from pkm_studies.acceptance.plan import AXES
 from pkm_studies.acceptance.promise import promised_accuracy
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.base.user_code import Consent
+from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.results import load_result, refuse_bad_fit
+from pkm_studies.user_code import Consent
 
 ACCEPTANCE_FILE = "acceptance.csv"
 CONCLUSIONS: Final[dict[Judgement, str]] = {

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from oed.base.arrays import Array
 from oed.model.machine import Machine
 from oed.result import EffectTable
-from pkm_studies.base.errors import shorten
+from pkm_studies.base import shorten
 
 if TYPE_CHECKING:
     from oed.compensate.command_grid import CommandGrid

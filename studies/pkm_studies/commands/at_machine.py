@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.console import DONE, FAILED
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import consent
+from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode, StudyPath, Wanted
+from pkm_studies.console import DONE, FAILED
+from pkm_studies.user_code import consent
 
 
 def next_reading(

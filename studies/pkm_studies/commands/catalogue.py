@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pkm_studies.base import console
-from pkm_studies.base.console import DONE
+from pkm_studies import console
+from pkm_studies.console import DONE
 
 if TYPE_CHECKING:
     from pkm_studies.catalogue.catalogue import CatalogueEntry

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from pkm_studies.base.plugins import project_plugins
-from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import AllowCode
+from pkm_studies.plugins import project_plugins
+from pkm_studies.user_code import consent
 
 
 def import_files(

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Origin, consent
+from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode
+from pkm_studies.user_code import Origin, consent
 
 
 def new(

@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.console import DONE, FAILED
-from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import (
     AllowCode,
     MachineStudy,
     ResultFolder,
     StoredResult,
 )
+from pkm_studies.console import DONE, FAILED
+from pkm_studies.user_code import consent
 
 
 def report(
@@ -32,8 +32,7 @@ def report(
     ] = Path("out/comparison"),
 ) -> int:
     """Write HTML and PDF again from result.json, or a comparison of several results."""
-    from pkm_studies import result_folder
-    from pkm_studies.base import files
+    from pkm_studies import files, result_folder
 
     if len(folders) == 1:
         paths = result_folder.write_report(folders[0])

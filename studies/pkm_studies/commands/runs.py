@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from oed.base import own_files
-from pkm_studies.base import console
-from pkm_studies.base.console import DONE, FAILED
+from pkm_studies import console
 from pkm_studies.commands.options import (
     AllowCode,
     OutFolder,
@@ -18,6 +17,7 @@ from pkm_studies.commands.options import (
     StudyPath,
     Verbose,
 )
+from pkm_studies.console import DONE, FAILED
 from pkm_studies.stages.outcome import report_outcome
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def simulate(
     allow_code: AllowCode = False,
 ) -> int:
     """Write readings of a virtual machine, and its truth in a second file."""
-    from pkm_studies.base import files
+    from pkm_studies import files
 
     files.check_new(out)
     loaded = load(study, allow_code)
@@ -227,8 +227,8 @@ def forecast(
 def load(path: Path, allow_code: bool) -> Study:
     """The study of a file or of a shipped study's name."""
     from pkm_studies import study
-    from pkm_studies.base.user_code import consent
     from pkm_studies.study import shipped
+    from pkm_studies.user_code import consent
 
     return study.load(shipped.study_path(path), consent(allow_code=allow_code))
 
@@ -241,7 +241,7 @@ def load_for(
     Raises InputError where the folder cannot be written, or has a result that the study
     rests on.
     """
-    from pkm_studies.base import files
+    from pkm_studies import files
 
     loaded = load(path, allow_code)
     folder = out or Path("out") / f"{loaded.name}{suffix}"
@@ -252,7 +252,7 @@ def load_for(
 
 def _check_apart(study: Study, folder: Path) -> None:
     """Raises InputError where the study takes its prior from the folder of its results."""
-    from pkm_studies.base.errors import InputError
+    from pkm_studies.base import InputError
 
     named = {"earlier": [study.prior.earlier or ""], "from": study.prior.from_}
     for key, names in named.items():

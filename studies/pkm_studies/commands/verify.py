@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.console import DONE, FAILED
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Consent, consent
+from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode, MachineStudy, StoredResult
+from pkm_studies.console import DONE, FAILED
+from pkm_studies.user_code import Consent, consent
 
 
 def verify(
@@ -51,7 +51,7 @@ def verify(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan the acceptance test of a compensated machine, or judge its readings."""
-    from pkm_studies.base import csv_table
+    from pkm_studies import csv_table
 
     given = consent(allow_code=allow_code)
     if readings is not None:

@@ -12,7 +12,7 @@ from oed.base.arrays import Array
 from oed.compensate.command_grid import GridAxis
 from oed.model.machine import Machine
 from oed.result import StudyResult
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.catalogue.controller_format import (
     Compensation,
     ControllerFormat,

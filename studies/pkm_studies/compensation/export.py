@@ -19,9 +19,8 @@ from oed.compensate import (
 )
 from oed.result import StudyResult, trust, verdict
 from oed.result.verdict import accuracy_verdicts
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Consent, Origin
+from pkm_studies import files
+from pkm_studies.base import InputError, Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.catalogue.controller_format import (
     Compensation,
@@ -37,6 +36,7 @@ from pkm_studies.resolve.workspace import regular
 from pkm_studies.results import BadFitError, load_result
 from pkm_studies.study import Study
 from pkm_studies.study.tables import ControllerTable
+from pkm_studies.user_code import Consent, Origin
 
 #: the end of a file's name that is no part of the name itself
 ENDING = re.compile(r"\.[A-Za-z]\w*")

@@ -19,7 +19,7 @@ from oed.result import (
     StudyResult,
 )
 from oed.result.mixture import BEST, MIXTURE, PLAIN
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.catalogue.controller_format import Identified
 from pkm_studies.resolve.earlier_result import (
     controller_values,

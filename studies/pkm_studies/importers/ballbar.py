@@ -18,8 +18,8 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import column_map
 from pkm_studies.importers.ballbar_circles import MeasuredCircle, measured_circles
 from pkm_studies.importers.ballbar_traces import BarTrace, trace_columns

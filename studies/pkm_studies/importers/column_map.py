@@ -19,9 +19,8 @@ import tomli_w
 
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies.base import files, user_code
-from pkm_studies.base.errors import Place
-from pkm_studies.base.user_code import Origin
+from pkm_studies import files, user_code
+from pkm_studies.base import Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.importers import column_sources
 from pkm_studies.importers.axis_lines import prediction_table
@@ -31,6 +30,7 @@ from pkm_studies.study import decode, loader
 from pkm_studies.study.tables.column_map import ColumnMap
 from pkm_studies.study.tables.fit import PredictionReference
 from pkm_studies.study.tables.machine import MachineTable
+from pkm_studies.user_code import Origin
 
 LIMIT = 200_000
 

@@ -24,8 +24,8 @@ from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError, Place, suggest
+from pkm_studies.base import InputError, Place, suggest
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
     column_map,
     column_sources,

@@ -8,15 +8,15 @@ from pathlib import Path
 
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Origin
+from pkm_studies import files
+from pkm_studies.base import InputError, Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.importers import template
 from pkm_studies.importers.axis_lines import SHARES
 from pkm_studies.importers.bodies import families
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import SUFFIX, parse, shipped
+from pkm_studies.user_code import Origin
 
 #: instruments to draft a study with, the most informative first
 DEFAULTS = ("pose_tracker", "pose_tracker_position", "redundancy")

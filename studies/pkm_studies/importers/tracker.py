@@ -26,8 +26,8 @@ from oed.base.arrays import Array
 from oed.dataset.columns import SIGMA
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base import InputError, Place
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
     column_map,
     column_sources,

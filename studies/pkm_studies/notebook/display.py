@@ -7,8 +7,8 @@ import sys
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from pkm_studies.base import console
-from pkm_studies.base.progress import Progress, Silent
+from pkm_studies import console
+from pkm_studies.base import Progress, Silent
 
 if TYPE_CHECKING:
     from oed.result import PlanSection, StageRecord

@@ -17,8 +17,7 @@ from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement
 from oed.result import StudyResult
 from pkm_studies import pipeline
-from pkm_studies.base.progress import Silent
-from pkm_studies.base.user_code import Origin, consent
+from pkm_studies.base import Silent
 from pkm_studies.notebook.views import (
     AccuracyView,
     DesignView,
@@ -41,6 +40,7 @@ from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import prediction as prediction_steps
 from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.study import Study, load, loader, shipped
+from pkm_studies.user_code import Origin, consent
 
 
 def load_study(study: str | Path, *, allow_code: bool = False) -> Study:

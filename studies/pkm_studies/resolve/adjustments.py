@@ -8,7 +8,7 @@ from collections.abc import Collection
 
 from oed.model.adjustment import Adjustment
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve import lookup, quantities
 from pkm_studies.study.tables import AdjustTable, MachineTable
 

@@ -10,7 +10,7 @@ import numpy as np
 from oed.base import units
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve import command_ranges, grids, limits, lookup, quantities
 from pkm_studies.resolve.grids import Circles, ReferencePlan
 from pkm_studies.resolve.quantities import format_value

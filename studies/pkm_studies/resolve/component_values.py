@@ -8,7 +8,7 @@ import numpy as np
 
 from oed.base import units
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve.quantities import split_key
 
 

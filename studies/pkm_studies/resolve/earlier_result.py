@@ -19,7 +19,7 @@ from oed.result import (
     ParameterEstimate,
     StudyResult,
 )
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
 

@@ -19,7 +19,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate, Machine
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve import poses, quantities
 from pkm_studies.resolve.command_ranges import check_tool_workspace, command_units
 from pkm_studies.resolve.lookup import known_name

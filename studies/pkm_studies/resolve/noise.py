@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.noise.statement import NoiseStatement
-from pkm_studies.base.errors import Place, suggest
+from pkm_studies.base import Place, suggest
 from pkm_studies.resolve import quantities
 from pkm_studies.study import Study
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from oed.base import units
-from pkm_studies.base.errors import InputError, Place, suggest
+from pkm_studies.base import InputError, Place, suggest
 
 
 def allowed_units(si: str) -> list[str]:

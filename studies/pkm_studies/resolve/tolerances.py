@@ -13,7 +13,7 @@ from oed.base.arrays import Array
 from oed.model.instrument import Setup
 from oed.model.machine import CommonTolerance, Machine, Parameter
 from oed.model.parameter_vector import ParameterVector
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve import lookup, quantities
 from pkm_studies.resolve.earlier_result import known_parameters, named_result
 from pkm_studies.resolve.fleet import fleet_knowledge

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve import quantities
 
 #: sampled commands, steps at most, slope step (m, rad), and miss that is accepted (m)

@@ -23,11 +23,9 @@ from oed.result import (
     EstimateSection,
     StudyResult,
 )
-from pkm_studies import result_folder
+from pkm_studies import files, result_folder
 from pkm_studies.acceptance import covariances
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Consent
+from pkm_studies.base import InputError
 from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve import earlier_result
@@ -36,6 +34,7 @@ from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.study import Study
+from pkm_studies.user_code import Consent
 
 CSV, NOMINAL = "adjust.csv", "adjusted.toml"
 

@@ -22,8 +22,8 @@ from oed.result import (
     StudyResult,
     trust,
 )
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
+from pkm_studies import files
+from pkm_studies.base import InputError
 from pkm_studies.results import load_result
 
 #: a section with parameters, their covariance and chi2

@@ -17,14 +17,13 @@ from oed.estimation.session_change import CombinationChange, Session
 from oed.estimation.session_drift import SessionDrift
 from oed.result import ParameterEstimate, StudyResult
 from pkm_studies.acceptance import promised_accuracy
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.base.user_code import Consent
+from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.results import load_result
 from pkm_studies.sessions import comparison
 from pkm_studies.sessions.comparison import SessionReport
+from pkm_studies.user_code import Consent
 
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 #: probability of a false alarm, and combinations that are printed

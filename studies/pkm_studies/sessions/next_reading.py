@@ -20,9 +20,7 @@ from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
 from oed.result import trust
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.progress import Silent
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import InputError, Silent, Stream
 from pkm_studies.resolve import quantities, roles
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.sessions.next_effects import (

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from oed.base import units
 from oed.result import ChosenRun, GapSection, StudyResult
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.result_folder import VISIT
 from pkm_studies.results import load_result
 from pkm_studies.study import Study

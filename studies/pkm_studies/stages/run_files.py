@@ -17,7 +17,7 @@ from oed.posterior import posterior
 from oed.posterior.checkpoint import Checkpoint
 from oed.posterior.posterior import Posterior
 from oed.result import StudyResult
-from pkm_studies.base import files
+from pkm_studies import files
 from pkm_studies.resolve import conventions
 from pkm_studies.result_folder import (
     RESULT,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from oed.dataset import dialect
 from oed.dataset.digests import digests, is_counted
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.results import load_result
 from pkm_studies.stages.run_state import RunState
 from pkm_studies.study import Study, sources

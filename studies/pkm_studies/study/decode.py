@@ -17,8 +17,7 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from pkm_studies.base.errors import InputError, Place, shorten, suggest
-from pkm_studies.base.names import PATTERN as NAME_PATTERN
+from pkm_studies.base import NAME_PATTERN, InputError, Place, shorten, suggest
 
 T = TypeVar("T")
 #: what a draft has in place of a number that nobody but its user knows

@@ -8,11 +8,11 @@ from typing import Any
 
 import msgspec
 
-from pkm_studies.base import files
-from pkm_studies.base.errors import Place
-from pkm_studies.base.user_code import Consent, Origin
+from pkm_studies import files
+from pkm_studies.base import Place
 from pkm_studies.study import decode
 from pkm_studies.study.tables import ReadingsTable, StudyFile
+from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
 #: bytes of the largest study file

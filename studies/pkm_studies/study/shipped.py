@@ -8,9 +8,8 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place, suggest
-from pkm_studies.base.names import check_name
+from pkm_studies import files
+from pkm_studies.base import InputError, Place, check_name, suggest
 from pkm_studies.study import SUFFIX
 
 NAME_LINE = re.compile(r'^name = ".*"$', re.MULTILINE)

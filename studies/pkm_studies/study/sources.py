@@ -9,8 +9,8 @@ from oed import dataset
 from oed.dataset import Dataset, ReadingsError
 from oed.dataset import table as readings_table
 from oed.measurement.measurement import Measurement
-from pkm_studies.base.errors import InputError, SourceAbsentError, suggest
-from pkm_studies.base.plugins import project_plugins
+from pkm_studies.base import InputError, SourceAbsentError, suggest
+from pkm_studies.plugins import project_plugins
 from pkm_studies.study import Study
 from pkm_studies.study.data_sources.tables import Row
 from pkm_studies.study.tables import ReadingsTable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from oed.base import units
 from oed.model.machine import Machine
-from pkm_studies.base.errors import InputError, shorten
+from pkm_studies.base import InputError, shorten
 from pkm_studies.catalogue.controller_format import (
     LONGEST_COMMENT,
     Compensation,

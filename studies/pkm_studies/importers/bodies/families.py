@@ -23,7 +23,7 @@ from pkm_models.machines import (
     rotary_delta,
 )
 from pkm_models.parts import legs
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.importers.bodies import mjcf_file, urdf_file
 from pkm_studies.importers.bodies.limbs import (
     CARRIAGE,

@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array
-from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base import InputError, Place
 from pkm_studies.importers.bodies.tree import (
     BALL,
     FREE,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.importers.bodies.tree import (
     BALL,
     FREE,

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
-from pkm_studies.base import files
-from pkm_studies.base.csv_table import named_errors
-from pkm_studies.base.errors import Place
+from pkm_studies import files
+from pkm_studies.base import Place
+from pkm_studies.csv_table import named_errors
 from pkm_studies.importers.bodies.tree import (
     BALL,
     FREE,

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
-from pkm_studies.base import files
-from pkm_studies.base.errors import Place
+from pkm_studies import files
+from pkm_studies.base import Place
 
 LIMIT = 20_000_000
 #: largest number of a file, m or degrees: what is beyond is no place of a machine

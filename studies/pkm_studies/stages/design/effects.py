@@ -14,7 +14,7 @@ from oed.estimation.discrepancy import HEALTHY
 from oed.identifiability.information import prior_information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.resolve.component_values import with_fine_units
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.planned_effects import (

@@ -18,7 +18,7 @@ from oed.design.candidates import reading_time
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import WorkingOrder
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve import command_ranges, grids
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.study.tables import DesignTable, OrderTable

@@ -14,7 +14,7 @@ from oed.design.exchange import Choice
 from oed.measurement import simulation
 from oed.mechanism.kinematics import AssemblyError
 from oed.result import RobustSummary
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.how_many import chosen_pool
 from pkm_studies.stages.design.search import DesignProblem

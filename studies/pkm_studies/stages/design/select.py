@@ -25,7 +25,7 @@ from oed.result import (
     RobustSummary,
     WorkingOrder,
 )
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import Circles
 from pkm_studies.resolve.planned_effects import NONE

@@ -17,7 +17,7 @@ from oed.design.stages.search import PlanSearchResult, search_plan
 from oed.design.stages.sequence.beam import BEAM
 from oed.design.stages.sequence.stage_memory import StageMemory
 from oed.design.stages.sequence.stage_plan import StagePlan
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve.component_values import with_fine_units
 from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.resolve.resolved import ResolvedStudy

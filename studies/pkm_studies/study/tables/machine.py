@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal
 
 import msgspec
 
-from pkm_studies.base.names import Name
+from pkm_studies.base import Name
 from pkm_studies.study.tables.base import (
     Count,
     Numbers,

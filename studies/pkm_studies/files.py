@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from oed.base.whole_file import flush, temporary_file
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 #: what helps where the system refuses, by error number
 REMEDIES = {

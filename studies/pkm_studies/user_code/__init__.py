@@ -14,8 +14,8 @@ import sys
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import ModuleType
 
-from pkm_studies.base import permissions
-from pkm_studies.base.errors import InputError, Place, shorten
+from pkm_studies.base import InputError, Place, shorten
+from pkm_studies.user_code import permissions
 
 SUFFIX = ".py"
 #: bytes of the largest file that is run

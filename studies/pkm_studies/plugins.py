@@ -9,7 +9,7 @@ from __future__ import annotations
 from importlib import metadata
 from importlib.metadata import EntryPoint
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 #: how the groups of entry points begin
 GROUPS = "pkm_oed."

@@ -21,14 +21,15 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.base.units import UNITS
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, suggest
-from pkm_studies.base.plain_number import plain_number
+from pkm_studies import files
+from pkm_studies.base import InputError, suggest
 
 #: bytes of the largest file
 LIMIT = 64_000_000
 SEPARATORS = (";", "\t", ",", "|")
 COMMENTS = ("#", "//", "%", "!")
+#: a number as machines and instruments write it: not all that Python takes for one
+PLAIN = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 #: number of a line in its file, and its cells
@@ -256,3 +257,13 @@ def _number(cell: str) -> float | None:
     text = cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
     value = plain_number(text)
     return value if value is not None and math.isfinite(value) else None
+
+
+def plain_number(text: str) -> float | None:
+    """The value of a decimal number; None for other text.
+
+    Underscores, digits of other scripts, `nan` and `inf` are none. The value may be
+    infinite where the exponent is.
+    """
+    stripped = text.strip()
+    return float(stripped) if PLAIN.fullmatch(stripped) else None

@@ -16,8 +16,8 @@ from pathlib import Path
 import platformdirs
 
 from oed.base.private_folder import is_private, make_private
-from pkm_studies.base import files
-from pkm_studies.base.errors import Place, shorten
+from pkm_studies import files
+from pkm_studies.base import Place, shorten
 
 APP = "pkm-oed"
 #: trusted folders, separated as in PATH
