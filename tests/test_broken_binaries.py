@@ -13,7 +13,7 @@ from oed.design import open_candidates
 from oed.posterior import checkpoint
 from pkm_studies import csv_table
 from pkm_studies.base import InputError
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.resolve.earlier_result import read_draws
 from pkm_studies.study.data_sources import tables
 
@@ -112,7 +112,7 @@ def test_nested_tables_are_named(
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_text(DEEP, encoding="utf-8")
     (tmp_path / "r.csv").write_text("x,y\n1,2\n", encoding="utf-8")
-    assert cli.main(command) == 2
+    assert main(command) == 2
     assert f"{name}: tables or lists are nested too deeply" in capsys.readouterr().err
 
 

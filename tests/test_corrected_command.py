@@ -12,7 +12,7 @@ import pytest
 import sample
 
 from oed.result import CoefficientRecord, StudyResult
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.results import improvements, load_result
 from pkm_studies.stages import outcome
 from pkm_studies.stages.accuracy_table import shown_components
@@ -20,7 +20,7 @@ from pkm_studies.stages.gap import implausible
 
 
 def run(*arguments: str | Path) -> int:
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -8,7 +8,7 @@ import pytest
 
 from pkm_studies import plugins
 from pkm_studies.catalogue import catalogue
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 
 MODULE = '''
 import dataclasses

@@ -12,7 +12,7 @@ import pytest
 from oracles import forecast_data, planar_geometry
 from scipy.interpolate import RegularGridInterpolator
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.results import load_result
 from pkm_studies.stages.forecast.task import forecast_task
@@ -50,7 +50,7 @@ def study(folder: Path, text: str = PLAN) -> Path:
 
 
 def run(*arguments: object) -> int:
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def section(folder: Path) -> dict[str, Any]:

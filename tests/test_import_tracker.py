@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 import oed
 from oed.base import units
 from pkm_studies.base import InputError
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 from pkm_studies.importers import session
 
 #: the shipped delta, and a true one: mm and rad

@@ -20,7 +20,7 @@ from oed import checks
 from oed.checks import sentences
 from oed.checks.goodness import Goodness
 from oed.checks.outliers import find_outliers
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.importers import session
 
 PLAIN = "\n[posterior]\nenabled = false\n[identify]\neffects = 'none'\n"
@@ -33,7 +33,7 @@ EFFECT, HARMONIC = 3.0, 5
 
 
 def call(*arguments: object) -> int:
-    return cli.main([str(one) for one in arguments])
+    return main([str(one) for one in arguments])
 
 
 def klipper(dent: float) -> str:

@@ -14,7 +14,7 @@ import sample
 from pkm_studies import study
 from pkm_studies.base import InputError, Place
 from pkm_studies.catalogue import catalogue
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 from pkm_studies.importers import drafts
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import schemas

@@ -16,7 +16,7 @@ from oed.result import StudyResult
 from pkm_reports import write_comparison
 from pkm_reports.comparison import accuracy, content, glance, parameters
 from pkm_reports.page import text
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.sessions import comparison
 
 
@@ -119,7 +119,7 @@ def test_the_command_puts_folders_side_by_side(
 ) -> None:
     folders = [_stored(tmp_path / name / "out", r) for name, r in results.items()]
     out = tmp_path / "side"
-    assert cli.main(["report", *map(str, folders), "--out", str(out)]) == 0
+    assert main(["report", *map(str, folders), "--out", str(out)]) == 0
     assert str(out / "comparison.html") in capsys.readouterr().out
     shown = text_of((out / "comparison.html").read_text(encoding="utf-8"))
     assert "one/out and two/out side by side" in shown

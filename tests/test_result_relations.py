@@ -19,7 +19,7 @@ from pkm_reports import sections
 from pkm_reports.sections import answer
 from pkm_reports.view import scene
 from pkm_studies.catalogue import catalogue
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 #: one of each kind; tests/kernel/result has all
 MUTATIONS: list[tuple[Change, str]] = [
@@ -45,7 +45,7 @@ def test_a_contradiction_is_refused_with_its_field(
     plain = whole()
     change(plain)
     (tmp_path / "result.json").write_bytes(msgspec.json.encode(plain))
-    assert cli.main(["report", str(tmp_path)]) == 2
+    assert main(["report", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert field in error
     assert str(tmp_path / "result.json") in error
@@ -69,7 +69,7 @@ def test_a_file_that_is_no_result(
     text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "result.json").write_text(text, encoding="utf-8")
-    assert cli.main(["report", str(tmp_path)]) == 2
+    assert main(["report", str(tmp_path)]) == 2
     assert "this is no result" in capsys.readouterr().err
 
 

@@ -18,7 +18,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.result import RunCurve, relations
 from pkm_reports.figures import run_curves as figure
 from pkm_reports.page import document, style
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 from pkm_studies.results import load_result
 from pkm_studies.stages.fit import run_curves
 

@@ -21,7 +21,7 @@ import oed
 from pkm_models.machines import linear_delta
 from pkm_studies import study
 from pkm_studies.base import InputError
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.user_code import permissions
 
@@ -59,7 +59,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def call(capsys: pytest.CaptureFixture[str]) -> Run:
     def call(*arguments: object) -> tuple[int, str, str]:
-        code = cli.main([str(a) for a in arguments])
+        code = main([str(a) for a in arguments])
         out, err = capsys.readouterr()
         return code, out, err
 

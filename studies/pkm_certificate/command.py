@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.commands.options import AllowCode, MachineStudy, ResultFolder
+from pkm_studies.commands import AllowCode, MachineStudy, ResultFolder
 from pkm_studies.console import DONE, FAILED
 from pkm_studies.user_code import consent
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import oed
 from oed.base import units
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 from pkm_studies.importers import session
 from pkm_studies.importers.base import ImportedSession
 

@@ -15,7 +15,7 @@ from oracles.klipper_cost import Delta, cost
 import oed
 from oed.base import units
 from pkm_studies.base import InputError
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 from pkm_studies.importers import session
 
 ARMS = (217.0, 217.0, 217.0)

@@ -15,7 +15,7 @@ from oracles.firmware.geometry import Delta, Probe, contact, delta, spiral
 
 import oed
 from pkm_studies.base import InputError
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 from printers import delta_printer
 from printers.delta_printer import compensate, endstops, fitted, nominal, said, take
 

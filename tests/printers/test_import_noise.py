@@ -10,7 +10,7 @@ from oracles.firmware import marlin, rrf
 from oracles.firmware.geometry import Delta, Probe, delta, spiral
 from oracles.firmware.klipper import Klipper, example
 
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 from pkm_studies.results import load_result
 from printers.delta_printer import take
 

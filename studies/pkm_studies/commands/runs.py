@@ -36,7 +36,7 @@ def run(
     allow_code: AllowCode = False,
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
-    from pkm_studies.notebook import display
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline  # only now: errors of input come at once
@@ -94,7 +94,7 @@ def identify(
     allow_code: AllowCode = False,
 ) -> int:
     """Identify the machine from readings."""
-    from pkm_studies.notebook import display
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline
@@ -136,7 +136,7 @@ def diagnose(
     allow_code: AllowCode = False,
 ) -> int:
     """Find what causes the gap between model and machine: which effect, and where."""
-    from pkm_studies.notebook import display
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline
@@ -167,7 +167,7 @@ def plan(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
-    from pkm_studies.notebook import display
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out, "-plan")
     from pkm_studies import pipeline
