@@ -14,8 +14,8 @@ import pytest
 from oed.mechanism.closest_closure import closest_closure
 from oed.model.machine import Machine
 from pkm_models.machines import cable_robot, hexapod, tripod_passive_leg
-from pkm_reports.figures import closure as figures
-from pkm_reports.page import style
+from pkm_reports import style
+from pkm_reports.sections import draw_closure
 from pkm_studies.base import Place
 from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import main
@@ -117,7 +117,7 @@ def test_amounts_stand_beside_their_bars(tmp_path: Path) -> None:
     machine = _machine(_file(tmp_path, "0.020"))
     closest = closest_closure(machine, machine.home_command)
     with style.applied():
-        figure = figures.draw(closest, "title", ["q1", "q2", "q3"])
+        figure = draw_closure(closest, "title", ["q1", "q2", "q3"])
     (bars,) = [axes for axes in figure.axes if axes.get_title(loc="left")]
     words = [text.get_text().strip() for text in bars.texts]
     assert words == ["0.2", "0.03"] * 3

@@ -13,9 +13,8 @@ from report_fixture import result_of, text_of
 from report_fixture_fit import spread
 
 from oed.result import StudyResult
-from pkm_reports import write_comparison
+from pkm_reports import text, write_comparison
 from pkm_reports.comparison import accuracy, content, glance, parameters
-from pkm_reports.page import text
 from pkm_studies.commands import main
 from pkm_studies.sessions import comparison
 

@@ -16,8 +16,8 @@ from result_sample import Change, drop, put, rename, twice, whole, whole_once
 from oed.result import StudyResult, relations
 from oed.result.relations import base as breaches
 from pkm_reports import sections
-from pkm_reports.sections import answer
-from pkm_reports.view import scene
+from pkm_reports.sections import answer_parts
+from pkm_reports.view import build_view
 from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import main
 
@@ -137,7 +137,7 @@ def test_what_is_not_refused_can_be_shown(draw: st.DataObject) -> None:
         return
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        answer.parts(result)
+        answer_parts(result)
         sections.chapters(result)
         sections.appendix(result)
-        scene.build(result)
+        build_view(result)

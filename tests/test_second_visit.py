@@ -14,7 +14,7 @@ import msgspec
 import pytest
 
 from oed.result import ChosenRun, GapSection, SecondVisitRecord, StudyResult
-from pkm_reports.page.blocks import Paragraph, Table
+from pkm_reports.blocks import Paragraph, Table
 from pkm_reports.sections.gap import second_visit as chapter
 from pkm_studies.sessions import next_visit
 from pkm_studies.stages.gap import second_visit

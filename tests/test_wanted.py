@@ -12,7 +12,7 @@ import sample
 from report_fixture import result_of
 
 from oed.result import StudyResult, VerdictRecord, VerificationSection, verdict
-from pkm_reports.page.blocks import Table
+from pkm_reports.blocks import Table
 from pkm_reports.sections.answer import accuracy
 from pkm_studies import result_folder
 from pkm_studies import sessions as advice

@@ -17,7 +17,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
 from oed.model.machine import Dimension, Machine
 from pkm_page import typed
-from pkm_reports.view.scene import PageView, ViewLine
+from pkm_reports.view import PageView, ViewLine
 from pkm_studies import files
 from pkm_studies.base import InputError, Place
 from pkm_studies.catalogue import catalogue

@@ -10,7 +10,7 @@ from typing import Final
 
 from oed.result import StudyResult, trust
 from oed.result.verdict import Judgement
-from pkm_reports.page import text
+from pkm_reports import text
 from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.results import load_result

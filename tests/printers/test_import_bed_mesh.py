@@ -8,8 +8,8 @@ import pytest
 from oracles.delta_trilateration import nozzle, travel_to
 
 from pkm_printers.bed_mesh import copied_margin
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Notice
+from pkm_reports import text
+from pkm_reports.blocks import Notice
 from pkm_reports.sections.answer import accuracy
 from pkm_studies.base import InputError
 from pkm_studies.importers import session

@@ -53,12 +53,12 @@ def _machine(path: Path, consent: Consent) -> Machine:
 
 
 def _save(machine: Machine, closure: ClosestClosure, words: str, picture: Path) -> None:
-    from pkm_reports.figures import closure as figures
-    from pkm_reports.page import style
+    from pkm_reports import style
+    from pkm_reports.sections import draw_closure
 
     title = f"{machine.name} {words.partition(':')[0]}"
     with style.applied():
-        figure = figures.draw(closure, title, [c.name for c in machine.joints])
+        figure = draw_closure(closure, title, [c.name for c in machine.joints])
         content, kind = io.BytesIO(), picture.suffix[1:].lower()
         figure.savefig(content, format=kind, dpi=style.PIXELS_PER_INCH)
     files.write_whole(picture, content.getvalue())
