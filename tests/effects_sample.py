@@ -11,8 +11,8 @@ from kernel.cases import CASES
 from oed.gap.data.state import states
 from oed.measurement.measurement import Measurement
 from oed.model.effect import Column, Effect, State
+from pkm_studies import catalogue
 from pkm_studies.base import Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.user_code import Origin
 
 NAMES = (

@@ -16,8 +16,8 @@ from oed.model.machine import Machine
 from pkm_models.machines import cable_robot, hexapod, tripod_passive_leg
 from pkm_reports import style
 from pkm_reports.sections import draw_closure
+from pkm_studies import catalogue
 from pkm_studies.base import Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import main
 from pkm_studies.user_code import Origin
 

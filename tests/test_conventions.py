@@ -29,8 +29,8 @@ from pkm_models.machines import (
     planar_2dof,
     prs_spindle,
 )
+from pkm_studies import catalogue
 from pkm_studies.base import Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import main
 
 PLACE = Place("catalogue")

@@ -22,9 +22,9 @@ from effects_sample import (
 from kernel.cases import CASES
 
 from oed.gap.data.signature import exact_readings, signature, untestable
+from pkm_studies import catalogue
 from pkm_studies import study as studies
 from pkm_studies.base import InputError
-from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve import machine as resolve_machine
 from pkm_studies.user_code import Origin
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies import plugins
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue, plugins
 from pkm_studies.commands import main
 
 MODULE = '''

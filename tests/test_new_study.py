@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 import sample
 
-from pkm_studies import study
+from pkm_studies import catalogue, study
 from pkm_studies.base import InputError, Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import main
 from pkm_studies.importers import drafts
 from pkm_studies.resolve.resolved import resolve

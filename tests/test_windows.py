@@ -16,9 +16,8 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import console, files
+from pkm_studies import catalogue, console, files
 from pkm_studies.base import InputError, Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.commands import main
 from pkm_studies.user_code import Origin
 

@@ -202,7 +202,7 @@ class MachinePage:
 
 def format_names() -> list[str]:
     """Formats of controllers that the catalogue has; no file of a user's."""
-    from pkm_studies.catalogue import catalogue
+    from pkm_studies import catalogue
 
     return [entry.name for entry in catalogue.listing("formats")]
 

@@ -18,9 +18,8 @@ from oed.model.instrument import Instrument
 from oed.model.machine import Dimension, Machine
 from pkm_page import typed
 from pkm_reports.view import PageView, ViewLine
-from pkm_studies import files
+from pkm_studies import catalogue, files
 from pkm_studies.base import InputError, Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.importers import drafts, template
 from pkm_studies.importers.axis_lines import SHARES, format_numbers
 from pkm_studies.resolve.machine import described_machine

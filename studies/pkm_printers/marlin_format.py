@@ -30,11 +30,7 @@ from pkm_printers.marlin_version import (
     PossibleRules,
 )
 from pkm_studies.base import InputError
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.study.tables import NOT_KNOWN, ControllerTable
 
 NAME = "marlin"

@@ -11,7 +11,7 @@ from pkm_studies import console
 from pkm_studies.console import DONE
 
 if TYPE_CHECKING:
-    from pkm_studies.catalogue.catalogue import CatalogueEntry
+    from pkm_studies.catalogue import CatalogueEntry
 
 
 class Kind(enum.StrEnum):

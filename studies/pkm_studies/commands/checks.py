@@ -13,8 +13,8 @@ from oed import checks
 from oed.checks import Severity, blind
 from oed.dataset import Dataset
 from oed.mechanism.kinematics import AssemblyError, Kinematics
+from pkm_studies import catalogue
 from pkm_studies.base import InputError, Place, Silent, SourceAbsentError, Stream
-from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve.machine import (
     check_home,
     doubtful_lengths,

@@ -30,11 +30,7 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.results import advice_on, error_quantities
 

@@ -13,11 +13,7 @@ from oed.compensate.command_grid import GridAxis
 from oed.model.machine import Machine
 from oed.result import StudyResult
 from pkm_studies.base import InputError
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    MeasuringPose,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, MeasuringPose
 from pkm_studies.compensation import identified, table_grid
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.quantities import column

@@ -19,14 +19,9 @@ from oed.compensate import (
 )
 from oed.result import StudyResult, trust, verdict
 from oed.result.verdict import accuracy_verdicts
-from pkm_studies import files
+from pkm_studies import catalogue, files
 from pkm_studies.base import InputError, Place
-from pkm_studies.catalogue import catalogue
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation import build
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.identified import adjusted_result

@@ -19,9 +19,8 @@ import tomli_w
 
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies import files, user_code
+from pkm_studies import catalogue, files, user_code
 from pkm_studies.base import Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.importers import column_sources
 from pkm_studies.importers.axis_lines import prediction_table
 from pkm_studies.importers.base import ImportRequest, readings_name

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
-from pkm_studies import files
+from pkm_studies import catalogue, files
 from pkm_studies.base import InputError, Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.importers import template
 from pkm_studies.importers.axis_lines import SHARES
 from pkm_studies.importers.bodies import families

@@ -13,8 +13,8 @@ from oed.design.rules import Rules
 from oed.gap.before.runs import Run
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
+from pkm_studies import catalogue
 from pkm_studies.base import Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve import candidate_runs
 from pkm_studies.resolve.conditions import MINUTE
 from pkm_studies.resolve.grids import ReferencePlan

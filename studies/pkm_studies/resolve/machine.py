@@ -12,9 +12,8 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Coordinate, Dimension, Machine
-from pkm_studies import user_code
+from pkm_studies import catalogue, user_code
 from pkm_studies.base import Place
-from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve import quantities, reach
 from pkm_studies.resolve.adjustments import with_adjustments
 from pkm_studies.study import Study

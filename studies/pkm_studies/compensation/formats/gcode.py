@@ -5,7 +5,7 @@ from __future__ import annotations
 from oed.base import units
 from oed.model.machine import Machine
 from pkm_studies.base import InputError, shorten
-from pkm_studies.catalogue.controller_format import (
+from pkm_studies.catalogue import (
     LONGEST_COMMENT,
     Compensation,
     ControllerFormat,

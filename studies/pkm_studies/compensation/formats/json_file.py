@@ -11,11 +11,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.compensate import compensated_joints, corrected_commands, joint_corrections
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.resolve.quantities import column, display_unit
 
 
