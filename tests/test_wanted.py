@@ -112,7 +112,7 @@ def test_the_prediction_s_limit_wins_over_that_of_a_design() -> None:
     raw = report_fixture.sample()
     raw["prediction"]["wanted"] = {"z": 3.0}
     raw["design"]["how_many"]["wanted"] = {"z_um": 9.0, "x_um": 8.0}
-    assert accuracy.wanted(result_of(raw)) == {"z_um": 3.0, "x_um": 8.0}
+    assert accuracy.wanted_accuracy(result_of(raw)) == {"z_um": 3.0, "x_um": 8.0}
 
 
 @pytest.mark.parametrize(

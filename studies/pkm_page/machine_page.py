@@ -209,12 +209,12 @@ def format_names() -> list[str]:
 
 def compensation_files(folder: Path, word: str) -> dict[str, Any]:
     """Files of a format for the result in a folder, written there as by the command."""
-    from pkm_studies.compensation import export
+    from pkm_studies.compensation import export_folder
 
     if word not in format_names():
         raise InputError("no such format", "choose one of the list", value=word)
     try:
-        written = export.export_folder(folder, word)
+        written = export_folder(folder, word)
     except BadFitError as error:
         raise InputError(str(error), "look for the cause first") from error
     texts = {path.name: path.read_text(encoding="utf-8") for path in written.paths}

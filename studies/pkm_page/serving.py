@@ -94,7 +94,7 @@ def _study(target: Path, consent: Consent) -> tuple[Study, Path, Path]:
         study = load(shipped.study_path(target), consent)
         return study, target, Path("out") / study.name
     from oed.base.own_files import write_own
-    from pkm_studies.compensation.stored_study import result_study
+    from pkm_studies.compensation import result_study
     from pkm_studies.results import load_result
 
     result = load_result(target)

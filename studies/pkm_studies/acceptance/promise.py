@@ -21,7 +21,7 @@ from oed.result import (
     StudyResult,
 )
 from pkm_studies.base import InputError
-from pkm_studies.compensation import identified
+from pkm_studies.compensation import identified_parameters
 from pkm_studies.resolve.earlier_result import mixture_of
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import between, regular_commands
@@ -231,7 +231,7 @@ def _further(
 ) -> FurtherPromise | None:
     """The promise for components that no drive corrects; None where there are none."""
     machine = kinematics.machine
-    parameters = identified.identified_parameters(result, machine, tables=True)
+    parameters = identified_parameters(result, machine, tables=True)
     if not chosen or parameters is None:
         return None
     try:

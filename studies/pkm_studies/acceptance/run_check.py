@@ -22,7 +22,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.result import CorrectedSection, EstimateSection, RunCurve
 from pkm_studies import result_folder
 from pkm_studies.base import Place, Silent
-from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.compensation import result_study
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.run_curves import ReadingCurves

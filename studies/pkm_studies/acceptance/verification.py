@@ -29,7 +29,7 @@ from pkm_studies.acceptance.judge import judge_file
 from pkm_studies.acceptance.plan import AXES
 from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.base import InputError, Stream
-from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.compensation import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.results import load_result, refuse_bad_fit

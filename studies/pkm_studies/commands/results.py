@@ -153,15 +153,15 @@ def compensate(
     allow_code: AllowCode = False,
 ) -> int:
     """Write what the controller reads: parameters, tables, measuring poses."""
-    from pkm_studies.compensation import export, table_grid
+    from pkm_studies.compensation import export_folder
 
-    written = export.export_folder(
+    written = export_folder(
         folder,
         to,
         out=out,
         study_file=study,
         force=force,
-        commands=table_grid.COMMANDS if commands is None else commands,
+        commands=commands,
         firmware=firmware,
         adjusted=adjusted,
         consent=consent(allow_code=allow_code),

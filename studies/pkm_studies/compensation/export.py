@@ -26,7 +26,6 @@ from pkm_studies.compensation import build
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
-from pkm_studies.compensation.table_grid import COMMANDS
 from pkm_studies.resolve.workspace import regular
 from pkm_studies.results import BadFitError, load_result
 from pkm_studies.study import Study
@@ -57,7 +56,7 @@ def export_folder(
     out: Path | None = None,
     study_file: Path | None = None,
     force: bool = False,
-    commands: int = COMMANDS,
+    commands: int | None = None,
     firmware: str | None = None,
     adjusted: bool = False,
     consent: Consent = Consent.RECORDED,
@@ -84,7 +83,7 @@ def export_folder(
     if adjusted:
         result = adjusted_result(result)
         notes = (*notes, AFTER_ADJUSTMENT)
-    return export(
+    return export_result(
         result,
         study,
         controller,
@@ -132,7 +131,7 @@ def _with_version(study: Study, controller: ControllerFormat, version: str) -> S
     return msgspec.structs.replace(study, controller=stated)
 
 
-def export(
+def export_result(
     result: StudyResult,
     study: Study,
     controller: ControllerFormat,
@@ -140,7 +139,7 @@ def export(
     *,
     out: Path | None = None,
     force: bool = False,
-    commands: int = COMMANDS,
+    commands: int | None = None,
     notes: tuple[str, ...] = (),
 ) -> Export:
     """As `export_folder`, from a result in memory; `notes` are further comments."""

@@ -339,15 +339,13 @@ def write_compensation(
     >>> [path.name for path in oed.write_compensation(estimate, "json", "out/control")]
     ['compensation.json']
     """
-    from pkm_studies.compensation.export import export, named_format
-    from pkm_studies.compensation.table_grid import COMMANDS
+    from pkm_studies.compensation import export_result, named_format
 
     given = view.state.study.consent
     controller = named_format(to, Origin.command(given))
     result, study, folder = _result(view.state), view.state.study, Path(out)
-    largest = COMMANDS if commands is None else commands
-    return export(
-        result, study, controller, folder, force=force, commands=largest
+    return export_result(
+        result, study, controller, folder, force=force, commands=commands
     ).paths
 
 

@@ -26,8 +26,7 @@ from oed.result import (
 from pkm_studies import files, result_folder
 from pkm_studies.acceptance import covariances
 from pkm_studies.base import InputError
-from pkm_studies.compensation.identified import adjusted_result
-from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.compensation import adjusted_result, result_study
 from pkm_studies.resolve import earlier_result
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.resolve.machine import study_kinematics

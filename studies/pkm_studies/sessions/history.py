@@ -18,7 +18,7 @@ from oed.estimation.session_drift import SessionDrift
 from oed.result import ParameterEstimate, StudyResult
 from pkm_studies.acceptance import promised_accuracy
 from pkm_studies.base import InputError, Stream
-from pkm_studies.compensation.stored_study import result_study
+from pkm_studies.compensation import result_study
 from pkm_studies.resolve.component_values import component_values
 from pkm_studies.results import load_result
 from pkm_studies.sessions import comparison
