@@ -37,7 +37,7 @@ from oed.estimation.fleet import (
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from pkm_studies import commands
-from pkm_studies.importers import session
+from pkm_studies.importers import import_files
 from pkm_studies.resolve import resolved
 from pkm_studies.resolve.tolerances import with_mean_and_covariance
 
@@ -253,9 +253,7 @@ def printers(data: Path) -> Iterator[str]:
 
 
 def _import(data: Path, folder: Path, file: str) -> None:
-    study, _ = session.import_files(
-        "klipper", [data / f"{file}.cfg"], folder / file, name=file
-    )
+    study, _ = import_files("klipper", [data / f"{file}.cfg"], folder / file, name=file)
     text = study.read_text()
     lines = [line for line in text.splitlines() if not line.startswith("fixed =")]
     study.write_text("\n".join(lines).replace('"]  # as Klipper', "") + PLAIN)

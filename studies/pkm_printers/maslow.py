@@ -29,8 +29,13 @@ from pkm_printers.words import (
 )
 from pkm_studies.base import InputError, Place
 from pkm_studies.csv_table import plain_number
-from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
-from pkm_studies.importers.column_map import Model, imported_study
+from pkm_studies.importers import (
+    ImportedSession,
+    ImportRequest,
+    Model,
+    Row,
+    imported_study,
+)
 from pkm_studies.resolve.machine import described_machine
 from pkm_studies.study.tables.machine import MachineTable
 from pkm_studies.user_code import Origin

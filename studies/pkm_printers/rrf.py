@@ -33,7 +33,7 @@ from pkm_printers.rrf_words import WORDS
 from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import plain_number
-from pkm_studies.importers.base import ImportedSession, ImportRequest, line_field
+from pkm_studies.importers import ImportedSession, ImportRequest, line_field
 
 DELTA = re.compile(
     rf"Diagonals?\s+(?P<L>{NUMBER}(?::{NUMBER})*),\s*delta radius\s+(?P<R>{NUMBER}),"

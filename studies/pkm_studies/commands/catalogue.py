@@ -69,9 +69,9 @@ def _list_studies(as_json: bool) -> int:
 
 
 def _list_importers(as_json: bool) -> int:
-    from pkm_studies.importers import registry
+    from pkm_studies.importers import importers
 
-    known = [(name, one.about) for name, one in registry.importers().items()]
+    known = [(name, one.about) for name, one in importers().items()]
     if as_json:
         console.print_json([{"name": name, "about": about} for name, about in known])
         return DONE

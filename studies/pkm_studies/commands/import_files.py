@@ -57,9 +57,9 @@ def import_files(
     allow_code: AllowCode = False,
 ) -> int:
     """Make a study with readings from files of another program."""
-    from pkm_studies.importers import session
+    from pkm_studies import importers
 
-    path, imported = session.import_files(
+    path, imported = importers.import_files(
         kind,
         paths,
         out,

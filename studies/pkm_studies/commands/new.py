@@ -86,12 +86,12 @@ def _new_study(
             "it is not said what to start from",
             "give --machine, a name or a file of your own, or --from STUDY",
         )
-    from pkm_studies.importers import drafts
+    from pkm_studies.drafts import default_instrument, model_of, write_draft
 
-    model = drafts.model_of(machine, origin, loops)
+    model = model_of(machine, origin, loops)
     for sentence in model.sentences:
         print(f"{sentence[0].upper()}{sentence[1:]}.")
     if instrument is None:
-        instrument, others = drafts.default_instrument(model.machine, origin)
+        instrument, others = default_instrument(model.machine, origin)
         print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
-    return drafts.write(name, model, instrument, origin)
+    return write_draft(name, model, instrument, origin)

@@ -21,8 +21,8 @@ from oed.model.instrument import Instrument
 from oed.model.machine import Machine
 from pkm_studies import catalogue, files, user_code
 from pkm_studies.base import Place
+from pkm_studies.drafts import prediction_table
 from pkm_studies.importers import column_sources
-from pkm_studies.importers.axis_lines import prediction_table
 from pkm_studies.importers.base import ImportRequest, readings_name
 from pkm_studies.resolve.machine import described_machine, study_machine
 from pkm_studies.study import decode, loader

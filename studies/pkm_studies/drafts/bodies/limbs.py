@@ -13,7 +13,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from pkm_studies.base import InputError, Place
-from pkm_studies.importers.bodies.tree import (
+from pkm_studies.drafts.bodies.tree import (
     BALL,
     FREE,
     HINGE,

@@ -12,7 +12,7 @@ from oed.base.arrays import Array
 from pkm_studies import files
 from pkm_studies.base import Place
 from pkm_studies.csv_table import named_errors
-from pkm_studies.importers.bodies.tree import (
+from pkm_studies.drafts.bodies.tree import (
     BALL,
     FREE,
     HINGE,
@@ -24,7 +24,7 @@ from pkm_studies.importers.bodies.tree import (
     BodyTree,
     turn,
 )
-from pkm_studies.importers.bodies.xml_file import (
+from pkm_studies.drafts.bodies.xml_file import (
     DEEPEST,
     LIMIT,
     read_direction,

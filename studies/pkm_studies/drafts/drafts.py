@@ -10,9 +10,9 @@ from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
 from pkm_studies import catalogue, files
 from pkm_studies.base import InputError, Place
-from pkm_studies.importers import template
-from pkm_studies.importers.axis_lines import SHARES
-from pkm_studies.importers.bodies import families
+from pkm_studies.drafts import template
+from pkm_studies.drafts.axis_lines import SHARES
+from pkm_studies.drafts.bodies import families
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import SUFFIX, parse, shipped
 from pkm_studies.user_code import Origin
@@ -78,7 +78,7 @@ def default_instrument(model: Machine, origin: Origin) -> tuple[str, list[str]]:
     return chosen, [name for name in able if name != chosen]
 
 
-def write(
+def write_draft(
     name: str | None, machine: str | StartingModel, instrument: str, origin: Origin
 ) -> Path:
     """Write NAME.study.toml into a folder; its path. Without a name, the machine's.
@@ -103,7 +103,9 @@ def write(
         tool = tool.take_channels([tool.channels[0].name])
     study = path.name.removesuffix(SUFFIX)
     drafts = (
-        template.text(study, start.name, model, instrument, tool, share, start.table)
+        template.draft_text(
+            study, start.name, model, instrument, tool, share, start.table
+        )
         for share in SHARES
     )
     draft = first_sound(drafts, path, origin)

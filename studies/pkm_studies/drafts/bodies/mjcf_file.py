@@ -11,7 +11,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from pkm_studies.base import Place
-from pkm_studies.importers.bodies.tree import (
+from pkm_studies.drafts.bodies.tree import (
     BALL,
     FREE,
     HINGE,
@@ -24,7 +24,7 @@ from pkm_studies.importers.bodies.tree import (
     of_quaternion,
     turn,
 )
-from pkm_studies.importers.bodies.xml_file import (
+from pkm_studies.drafts.bodies.xml_file import (
     read_direction,
     read_numbers,
     read_root,

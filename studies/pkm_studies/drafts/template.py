@@ -14,7 +14,7 @@ from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument, mount
 from oed.model.machine import Family, Machine
-from pkm_studies.importers.axis_lines import (
+from pkm_studies.drafts.axis_lines import (
     SHARES,
     axis,
     count_of_values,
@@ -58,7 +58,7 @@ LED_SHARE = 0.3
 SETUP = "setup1"
 
 
-def text(
+def draft_text(
     name: str,
     model: str,
     machine: Machine,

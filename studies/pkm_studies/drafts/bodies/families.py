@@ -24,8 +24,8 @@ from pkm_models.machines import (
 )
 from pkm_models.parts import legs
 from pkm_studies.base import Place
-from pkm_studies.importers.bodies import mjcf_file, urdf_file
-from pkm_studies.importers.bodies.limbs import (
+from pkm_studies.drafts.bodies import mjcf_file, urdf_file
+from pkm_studies.drafts.bodies.limbs import (
     CARRIAGE,
     CRANK,
     LEG,
@@ -33,7 +33,7 @@ from pkm_studies.importers.bodies.limbs import (
     DrawnMachine,
     drawn_machine,
 )
-from pkm_studies.importers.bodies.tree import turn
+from pkm_studies.drafts.bodies.tree import turn
 from pkm_studies.resolve.machine import unreachable, with_nominal
 from pkm_studies.resolve.quantities import column, display_unit
 
