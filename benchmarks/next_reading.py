@@ -32,8 +32,9 @@ from oed.base.arrays import Array
 from oed.design import candidates
 from oed.measurement import simulation
 from oed.measurement.measurement import Series
+from pkm_studies import shipped
 from pkm_studies.sessions import Advice, Adviser
-from pkm_studies.study import load, shipped
+from pkm_studies.study import load
 
 #: readings at which a machine counts as not reached
 MOST = 60

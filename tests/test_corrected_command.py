@@ -54,7 +54,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _shipped(name: str) -> str:
-    from pkm_studies.study import shipped
+    from pkm_studies import shipped
 
     return shipped.study_path(Path(name)).read_text(encoding="utf-8")
 

@@ -12,6 +12,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST_NAMES = 15
+#: the tables of a study file are records: as many as the file has
+RECORDS = {"pkm_studies.tables.*"}
 
 
 def _doors() -> Iterator[tuple[str, Path]]:
@@ -28,7 +30,7 @@ def _protected() -> set[str]:
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = settings["tool"]["importlinter"]["contracts"]
     held = [c["protected_modules"] for c in contracts if c["type"] == "protected"]
-    return {module for modules in held for module in modules}
+    return {module for modules in held for module in modules} - RECORDS
 
 
 def _handed_out(tree: ast.Module) -> set[str]:

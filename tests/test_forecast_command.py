@@ -17,7 +17,7 @@ from pkm_studies.resolve.resolved import resolve
 from pkm_studies.results import load_result
 from pkm_studies.stages.forecast.task import forecast_task
 from pkm_studies.stages.plan.earlier import stored_knowledge
-from pkm_studies.study.loader import load
+from pkm_studies.study import load
 
 STUDIES = Path(__file__).parents[1] / "studies"
 PLAN = """

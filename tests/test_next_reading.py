@@ -14,11 +14,12 @@ import sample
 
 from oed.design import candidates, next_reading
 from oed.design.next_reading import Belief
+from pkm_studies import shipped
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.sessions import next_reading as advice
 from pkm_studies.stages.design.select import select_design
-from pkm_studies.study import load, shipped
+from pkm_studies.study import load
 
 STUDY = sample.changed(
     sample.STUDY, ("[design]", "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n\n[design]")

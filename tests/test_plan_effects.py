@@ -21,7 +21,7 @@ from pkm_studies.base import InputError, Silent
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.streams import plan_streams
-from pkm_studies.study.loader import load
+from pkm_studies.study import load
 
 SIGMA, EFFECTS = 5e-6, 4
 PLANAR = Path(__file__).parents[1] / "studies" / "planar_plan.study.toml"

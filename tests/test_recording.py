@@ -28,7 +28,7 @@ from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.planned_effects import planned_courses
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.headline import recording_sentences
-from pkm_studies.study.tables import ConditionsTable
+from pkm_studies.tables import ConditionsTable
 
 PLAY = 8e-6
 STUDY = """

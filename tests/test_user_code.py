@@ -23,7 +23,7 @@ from pkm_studies import study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.user_code import permissions
+from pkm_studies.user_code import Consent, permissions
 
 Run = Callable[..., tuple[int, str, str]]
 #: a machine whose file leaves a trace where it runs
@@ -326,7 +326,7 @@ def test_without_a_list_consent_ends_with_the_process(
     (tmp_path / "file").write_text("", "utf-8")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     path = folder / "s.study.toml"
-    resolve(study.load(path, study.Consent.GIVEN))
+    resolve(study.load(path, Consent.GIVEN))
     with pytest.raises(InputError, match="SHA-256"):
         resolve(study.load(path))
 

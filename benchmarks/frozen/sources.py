@@ -20,10 +20,9 @@ from benchmarks.frozen.numbers import numbers
 from benchmarks.second import adapter
 from benchmarks.second import cases as second_cases
 from benchmarks.second import run as second_run
-from pkm_studies import pipeline
+from pkm_studies import pipeline, shipped
 from pkm_studies import study as studies
 from pkm_studies.base import InputError
-from pkm_studies.study import shipped
 
 #: sets of blind cases, and the seeds that they are drawn with
 FOLDER = Path("out/frozen")

@@ -35,6 +35,7 @@ from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.design import analyse_identifiability
 from pkm_studies.stages.steps.fit import fit_parameters
 from pkm_studies.stages.steps.gap import diagnose_always
+from pkm_studies.user_code import Consent
 
 #: cases of each machine in the set, and those of them that are read
 DRAWN, READ = 25, 5
@@ -106,7 +107,7 @@ def chosen(folder: Path, seed: int) -> list[Case]:
 def diagnosis(case: Case, folder: Path) -> StudyResult:
     """The result of `oed diagnose` of a case, without the accuracy of a correction."""
     path, readings = adapter.write_case(case.stem, folder)
-    study = studies.load(path, studies.Consent.GIVEN)
+    study = studies.load(path, Consent.GIVEN)
     state = run_state.start(study, None, Silent(), [readings])
     state = session_files.with_sessions(state, [readings], None)
     data = state.resolved.dataset

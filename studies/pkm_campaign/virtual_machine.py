@@ -33,7 +33,7 @@ from pkm_studies.stages.steps import design as design_steps
 from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import gap as gap_steps
 from pkm_studies.stages.steps import readings as readings_steps
-from pkm_studies.study import Study, loader
+from pkm_studies.study import Study, parse
 from pkm_studies.user_code import Consent
 
 #: prepared combinations that a process remembers
@@ -77,7 +77,7 @@ class VirtualMachine:
 @functools.lru_cache(maxsize=REMEMBERED)
 def _prepared(text: str, path: str, consent: Consent) -> Scheduled:
     """The state with its plan, made once for all machines of a combination."""
-    study: Study = loader.parse(text, Path(path), consent)
+    study: Study = parse(text, Path(path), consent)
     state = design_steps.select_design(start(study, None, Silent(), []))
     state = design_steps.plan_stages(state)
     series = readings_steps.planned_series(state)

@@ -18,7 +18,7 @@ from oed.model.instrument import Instrument
 from oed.model.machine import Dimension, Machine
 from pkm_page import typed
 from pkm_reports.view import PageView, ViewLine
-from pkm_studies import catalogue, files
+from pkm_studies import catalogue, files, shipped
 from pkm_studies.base import InputError, Place
 from pkm_studies.drafts import (
     SHARES,
@@ -29,8 +29,8 @@ from pkm_studies.drafts import (
 )
 from pkm_studies.resolve.machine import described_machine
 from pkm_studies.resolve.quantities import column
-from pkm_studies.study import SUFFIX, shipped
-from pkm_studies.study.tables import MachineTable
+from pkm_studies.study import SUFFIX
+from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin
 
 #: characters of a size, as a list of numbers

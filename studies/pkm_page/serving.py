@@ -19,9 +19,10 @@ from pkm_page.machine_page import MachinePage
 from pkm_page.server import Switch
 from pkm_page.session import MachineSession
 from pkm_page.shelf import RESULT, Shelf
+from pkm_studies import shipped
 from pkm_studies.base import InputError
 from pkm_studies.sessions import Adviser
-from pkm_studies.study import SUFFIX, Study, load, shipped
+from pkm_studies.study import SUFFIX, Study, load
 from pkm_studies.user_code import Consent
 
 LOCAL: Final = "127.0.0.1"

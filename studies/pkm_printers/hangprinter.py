@@ -32,7 +32,7 @@ from pkm_studies.importers import (
     read_tables,
 )
 from pkm_studies.resolve.machine import described_machine
-from pkm_studies.study.tables.machine import MachineTable
+from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Origin
 
 MOTORS: Final = "ABCD"

@@ -37,7 +37,7 @@ from pkm_studies.importers import (
     imported_study,
 )
 from pkm_studies.resolve.machine import described_machine
-from pkm_studies.study.tables.machine import MachineTable
+from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Origin
 
 #: corners in the order of the machine's cables

@@ -23,11 +23,11 @@ import msgspec
 import pytest
 
 from oed.result import StudyResult
-from pkm_studies import pipeline
+from pkm_studies import pipeline, shipped
 from pkm_studies.base import InputError, Place, SourceAbsentError
 from pkm_studies.results import check_claim, claim_failure, load_result, value_at
-from pkm_studies.study import Study, load, shipped, vary
-from pkm_studies.study.tables import ClaimTable
+from pkm_studies.study import Study, combinations, load, with_setting
+from pkm_studies.tables import ClaimTable
 
 MARK = "study_sweep"
 #: environment variable that the processes of pytest-xdist have
@@ -159,8 +159,8 @@ def _parameters(
     """The combinations of one base. Raises UsageError."""
     try:
         study = _base(base, folder)
-        for setting in vary.combinations(values):
-            varied = vary.with_setting(study, setting, Place(f"@{MARK}", "vary"))
+        for setting in combinations(values):
+            varied = with_setting(study, setting, Place(f"@{MARK}", "vary"))
             names = [f"{k}={_short(v)}" for k, v in setting.items()]
             if several or not names:
                 names = [study.name, *names]

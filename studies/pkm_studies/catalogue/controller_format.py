@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from oed.compensate.command_grid import CommandGrid
     from oed.compensate.further_axes import FurtherAxes
     from oed.mechanism.kinematics import Kinematics
-    from pkm_studies.study.tables import ControllerTable
+    from pkm_studies.tables import ControllerTable
 
 #: characters of a comment, which holds text of results
 LONGEST_COMMENT = 1000

@@ -34,7 +34,8 @@ def next_reading(
     allow_code: AllowCode = False,
 ) -> int:
     """Advise at the machine: the best next reading, when to stop; the next visit of a diagnosis."""
-    from pkm_studies.study import load, shipped
+    from pkm_studies import shipped
+    from pkm_studies.study import load
 
     loaded = load(shipped.study_path(study), consent(allow_code=allow_code))
     if after is not None:

@@ -55,7 +55,7 @@ def _entry_lines(entry: CatalogueEntry) -> list[str]:
 
 
 def _list_studies(as_json: bool) -> int:
-    from pkm_studies.study import shipped
+    from pkm_studies import shipped
 
     studies = list(shipped.studies().values())
     if as_json:
@@ -101,7 +101,7 @@ def schema(
     ],
 ) -> int:
     """Print a JSON schema, for editors and scripts."""
-    from pkm_studies.study import schemas
+    from pkm_studies.study import SCHEMAS
 
-    console.print_json(schemas.SCHEMAS[of.value]())
+    console.print_json(SCHEMAS[of.value]())
     return DONE

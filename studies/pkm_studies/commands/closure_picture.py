@@ -11,10 +11,10 @@ from oed.mechanism.closest_closure import closest_closure
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from oed.result.closest_closure import ClosestClosure
-from pkm_studies import catalogue, files
+from pkm_studies import catalogue, files, shipped
 from pkm_studies.base import InputError, Place
 from pkm_studies.resolve.machine import study_machine
-from pkm_studies.study import load, shipped
+from pkm_studies.study import load
 from pkm_studies.user_code import Consent, Origin
 
 KINDS = (".png", ".svg", ".pdf")

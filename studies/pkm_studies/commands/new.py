@@ -53,11 +53,11 @@ def new(
     # The study will name the files: they lie where a study's files may lie.
     origin = Origin(Path(), consent(allow_code=allow_code))
     path = _new_study(name, machine, loops, instrument, source, origin)
-    from pkm_studies.study import decode
+    from pkm_studies.study import TO_MEASURE
 
     first = "edit it"
-    if decode.TO_MEASURE in path.read_text(encoding="utf-8"):
-        first = f'write your numbers where it says "{decode.TO_MEASURE}"'
+    if TO_MEASURE in path.read_text(encoding="utf-8"):
+        first = f'write your numbers where it says "{TO_MEASURE}"'
     print(f"Study: {path}; {first}, then: oed run {shlex.quote(str(path))}")
     return 0
 
@@ -78,7 +78,7 @@ def _new_study(
             )
         if name is None:
             raise InputError("a copy needs a name", "oed new NAME --from STUDY")
-        from pkm_studies.study import shipped
+        from pkm_studies import shipped
 
         return shipped.copy(name, source, Path())
     if machine is None:

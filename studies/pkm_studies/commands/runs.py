@@ -226,8 +226,7 @@ def forecast(
 
 def load(path: Path, allow_code: bool) -> Study:
     """The study of a file or of a shipped study's name."""
-    from pkm_studies import study
-    from pkm_studies.study import shipped
+    from pkm_studies import shipped, study
     from pkm_studies.user_code import consent
 
     return study.load(shipped.study_path(path), consent(allow_code=allow_code))

@@ -29,7 +29,7 @@ from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.resolve.workspace import regular
 from pkm_studies.results import BadFitError, load_result
 from pkm_studies.study import Study
-from pkm_studies.study.tables import ControllerTable
+from pkm_studies.tables import ControllerTable
 from pkm_studies.user_code import Consent, Origin
 
 #: the end of a file's name that is no part of the name itself

@@ -11,7 +11,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.model.machine import Coordinate, Machine
 from pkm_studies.resolve.quantities import column, display_unit
-from pkm_studies.study.tables.fit import PredictionReference
+from pkm_studies.tables import PredictionReference
 
 #: most poses of the grid; its values a coordinate, and with too many poses
 POSES, VALUES, FEWER_VALUES = 1000, 5, 3

@@ -8,13 +8,13 @@ from pathlib import Path
 
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
-from pkm_studies import catalogue, files
+from pkm_studies import catalogue, files, shipped
 from pkm_studies.base import InputError, Place
 from pkm_studies.drafts import template
 from pkm_studies.drafts.axis_lines import SHARES
 from pkm_studies.drafts.bodies import families
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.study import SUFFIX, parse, shipped
+from pkm_studies.study import SUFFIX, parse
 from pkm_studies.user_code import Origin
 
 #: instruments to draft a study with, the most informative first

@@ -27,7 +27,7 @@ from pkm_studies.drafts.axis_lines import (
     turns_round,
 )
 from pkm_studies.resolve.quantities import column
-from pkm_studies.study.decode import TO_MEASURE
+from pkm_studies.study import TO_MEASURE
 
 #: a number that only the user can know, as TOML
 OPEN = f'"{TO_MEASURE}"'

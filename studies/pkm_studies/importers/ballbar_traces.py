@@ -15,9 +15,9 @@ from oed.base import units
 from oed.base.arrays import Array
 from pkm_studies.base import Place
 from pkm_studies.csv_table import CsvTable
+from pkm_studies.importers.map_tables import CircleFacts, ColumnMap
 from pkm_studies.resolve.quantities import column as usual_column
 from pkm_studies.resolve.quantities import read_values
-from pkm_studies.study.tables.column_map import CircleFacts, ColumnMap
 
 #: columns of a trace, with their SI units
 QUANTITIES = {"angle": "rad", "time": "s", "deviation": "m"}

@@ -38,10 +38,10 @@ from pkm_studies.importers.base import (
     Row,
 )
 from pkm_studies.importers.line_times import read_tables
+from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 from pkm_studies.resolve.quantities import column as usual_column
 from pkm_studies.resolve.quantities import read_values
-from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
-from pkm_studies.study.tables.fit import PredictionReference
+from pkm_studies.tables import PredictionReference
 
 #: readings that a sentence lists
 MOST_LISTED = 10

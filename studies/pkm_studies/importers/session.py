@@ -13,8 +13,7 @@ from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
 from pkm_studies.resolve import conventions
 from pkm_studies.resolve.resolved import resolve, with_readings
-from pkm_studies.study import SUFFIX, load
-from pkm_studies.study.loader import parse
+from pkm_studies.study import SUFFIX, load, parse
 from pkm_studies.user_code import Consent
 
 

@@ -37,7 +37,7 @@ from pkm_studies.importers import (
 )
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.line_times import read_tables
-from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
+from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 
 INSTRUMENT = "pose_tracker_position"
 #: tolerances of a frame that is only known by the best fit

@@ -16,7 +16,7 @@ import msgspec
 from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement
 from oed.result import StudyResult
-from pkm_studies import pipeline
+from pkm_studies import pipeline, shipped
 from pkm_studies.base import Silent
 from pkm_studies.notebook.views import (
     AccuracyView,
@@ -39,7 +39,7 @@ from pkm_studies.stages.steps import design as design_steps
 from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import prediction as prediction_steps
 from pkm_studies.stages.steps import readings as readings_steps
-from pkm_studies.study import Study, load, loader, shipped
+from pkm_studies.study import Study, from_tables, load
 from pkm_studies.user_code import Origin, consent
 
 
@@ -76,7 +76,7 @@ def build_study(
     >>> study.setup[0].instrument
     'rm4'
     """
-    return loader.from_tables(tables, Path(folder), consent(allow_code=allow_code))
+    return from_tables(tables, Path(folder), consent(allow_code=allow_code))
 
 
 def choose_design(study: Study, *, seed: int | None = None) -> DesignView:

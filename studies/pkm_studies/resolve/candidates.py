@@ -15,7 +15,7 @@ from pkm_studies.resolve import command_ranges, grids, limits, lookup, quantitie
 from pkm_studies.resolve.grids import Circles, ReferencePlan
 from pkm_studies.resolve.quantities import format_value
 from pkm_studies.study import Study
-from pkm_studies.study.tables import DesignTable, KappaTable
+from pkm_studies.tables import DesignTable, KappaTable
 
 #: largest share by which a reading may differ from what the instrument holds
 HOLD_TOLERANCE = 0.01

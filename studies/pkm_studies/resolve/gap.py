@@ -13,7 +13,7 @@ from pkm_studies import catalogue
 from pkm_studies.base import InputError, Place, suggest
 from pkm_studies.resolve.effect_sizes import check_sizes, sized
 from pkm_studies.study import Study
-from pkm_studies.study.tables import ActingTable, ConditionsTable, GapTable
+from pkm_studies.tables import ActingTable, ConditionsTable, GapTable
 
 ALL = "all"
 

@@ -19,8 +19,7 @@ from pkm_studies.resolve import candidate_runs
 from pkm_studies.resolve.conditions import MINUTE
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
-from pkm_studies.study.tables import ConditionsTable, GapDesignTable
-from pkm_studies.study.tables.gap_design import PLAN
+from pkm_studies.tables import PLAN, ConditionsTable, GapDesignTable
 
 
 @dataclasses.dataclass(frozen=True)

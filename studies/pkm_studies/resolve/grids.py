@@ -29,7 +29,7 @@ from pkm_studies.resolve.reach import (
     check_joint_range,
     reach_problem,
 )
-from pkm_studies.study.tables import Axis, GridTable, Span
+from pkm_studies.tables import Axis, GridTable, Span
 
 #: most poses of one grid
 MAX_POSES = 200_000

@@ -17,7 +17,7 @@ from pkm_studies.base import Place
 from pkm_studies.resolve import quantities, reach
 from pkm_studies.resolve.adjustments import with_adjustments
 from pkm_studies.study import Study
-from pkm_studies.study.tables import MachineTable
+from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Origin
 
 #: values of each coordinate at which the workspace is tried

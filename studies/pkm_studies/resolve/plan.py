@@ -29,8 +29,7 @@ from pkm_studies.resolve.planned_effects import (
 )
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
-from pkm_studies.study.tables import GridTable, MeasuredTable, PlanTable
-from pkm_studies.study.tables.gap_design import PLAN
+from pkm_studies.tables import PLAN, GridTable, MeasuredTable, PlanTable
 
 MeasurementWith = Callable[[Iterable[str]], Measurement]
 

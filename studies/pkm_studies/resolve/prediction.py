@@ -18,7 +18,7 @@ from oed.model.machine import Machine
 from pkm_studies.base import Place
 from pkm_studies.resolve import command_ranges, grids, quantities, reach
 from pkm_studies.study import Study
-from pkm_studies.study.tables import PredictionTable
+from pkm_studies.tables import PredictionTable
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -97,11 +97,11 @@ def dataset(
     """The readings: files given to the command, files of the study, or its source."""
     table = study.readings
     if readings is None and table is not None and not table.simulate:
-        from pkm_studies.study import sources
+        from pkm_studies import sources
 
         return sources.readings(table, study, measurement)
     if readings:
-        from pkm_studies.study import sources
+        from pkm_studies import sources
 
         return sources.from_files(readings, measurement)
     return None

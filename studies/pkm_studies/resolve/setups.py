@@ -16,7 +16,7 @@ from pkm_studies.base import Place
 from pkm_studies.resolve import command_ranges, quantities, reach
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
-from pkm_studies.study.tables import SetupTable
+from pkm_studies.tables import SetupTable
 
 
 def mounted_setups(study: Study, kinematics: Kinematics) -> dict[str, Setup]:

@@ -20,7 +20,7 @@ from pkm_studies.resolve.fleet import fleet_knowledge
 from pkm_studies.resolve.noise import LARGEST, with_noise
 from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
-from pkm_studies.study.tables import BoundsTable, ToleranceTable
+from pkm_studies.tables import BoundsTable, ToleranceTable
 
 #: least eigenvalue of a correlation matrix: nearer to 0 one combination has no error left
 LEAST = 1e-6

@@ -15,7 +15,7 @@ from typing import Any
 
 from oed.result import Claim
 from pkm_studies.base import shorten, suggest
-from pkm_studies.study.tables import ClaimTable, StudyFile
+from pkm_studies.tables import ClaimTable, StudyFile
 
 #: numbers of result.json that are in the `unit` which stands beside them
 IN_UNIT = ("rms", "rms_raw", "p95", "max", "value", "sd", "mean", "q025", "q975")

@@ -30,7 +30,7 @@ from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.stages.recording import PlanToRecord, recording_section
-from pkm_studies.study.tables import DesignTable
+from pkm_studies.tables import DesignTable
 
 
 def allowed_effects(

@@ -19,7 +19,7 @@ from pkm_studies.base import Place, Stream
 from pkm_studies.resolve import quantities
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
-from pkm_studies.study.tables import HowManyTable
+from pkm_studies.tables import HowManyTable
 
 
 def accuracy_by_size(

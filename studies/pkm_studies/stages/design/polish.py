@@ -15,7 +15,7 @@ from pkm_studies.base import Place
 from pkm_studies.resolve.design import Ranges
 from pkm_studies.stages.describe import field
 from pkm_studies.stages.design.criteria import StudyCriteria
-from pkm_studies.study.tables import PolishTable
+from pkm_studies.tables import PolishTable
 
 #: power mean that stands for E and O3
 POWER = 8

@@ -23,7 +23,7 @@ from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.streams import plan_streams
-from pkm_studies.study.tables import PlanTable
+from pkm_studies.tables import PlanTable
 
 #: a loss that any plan keeps: its bound is a single line
 ANY_LOSS = 1e6

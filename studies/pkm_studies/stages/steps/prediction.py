@@ -39,7 +39,7 @@ from pkm_studies.stages.run_state import (
     Scheduled,
     ScheduledT,
 )
-from pkm_studies.study.tables import PredictionTable
+from pkm_studies.tables import PredictionTable
 
 #: draws used for predictive intervals
 PREDICTIVE_DRAWS = 2000

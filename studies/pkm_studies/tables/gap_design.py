@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.study.tables.base import NotNegative, Positive, RunCount, StudyTable
+from pkm_studies.tables.base import NotNegative, Positive, RunCount, StudyTable
 
 #: `keep` with this name is the plan that [plan] makes
 PLAN = "plan"

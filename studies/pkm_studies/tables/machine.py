@@ -7,7 +7,7 @@ from typing import Annotated, Final, Literal
 import msgspec
 
 from pkm_studies.base import Name
-from pkm_studies.study.tables.base import (
+from pkm_studies.tables.base import (
     Count,
     Numbers,
     Pair,

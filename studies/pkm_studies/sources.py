@@ -11,9 +11,8 @@ from oed.dataset import table as readings_table
 from oed.measurement.measurement import Measurement
 from pkm_studies.base import InputError, SourceAbsentError, suggest
 from pkm_studies.plugins import project_plugins
-from pkm_studies.study import Study
-from pkm_studies.study.data_sources.tables import Row
-from pkm_studies.study.tables import ReadingsTable
+from pkm_studies.study import Row, Study
+from pkm_studies.tables import ReadingsTable
 
 
 def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Dataset:

@@ -7,30 +7,30 @@ from typing import Annotated, Literal
 import msgspec
 
 from pkm_studies.base import Name
-from pkm_studies.study.tables.base import (
+from pkm_studies.tables.base import (
     Count,
     Positive,
     StudyTable,
     Whole,
 )
-from pkm_studies.study.tables.design import DesignTable
-from pkm_studies.study.tables.fit import (
+from pkm_studies.tables.design import DesignTable
+from pkm_studies.tables.fit import (
     ForecastTable,
     IdentifyTable,
     PosteriorTable,
     PredictionTable,
     ReadingsTable,
 )
-from pkm_studies.study.tables.gap import GapTable
-from pkm_studies.study.tables.grids import KappaTable
-from pkm_studies.study.tables.machine import (
+from pkm_studies.tables.gap import GapTable
+from pkm_studies.tables.grids import KappaTable
+from pkm_studies.tables.machine import (
     ControllerTable,
     MachineTable,
     NoiseTable,
     PriorTable,
     SetupTable,
 )
-from pkm_studies.study.tables.plan import PlanTable
+from pkm_studies.tables.plan import PlanTable
 
 
 class ReportTable(StudyTable, frozen=True, kw_only=True):

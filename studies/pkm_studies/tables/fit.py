@@ -6,12 +6,12 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.study.tables.base import (
+from pkm_studies.tables.base import (
     Count,
     Positive,
     StudyTable,
 )
-from pkm_studies.study.tables.grids import Axis
+from pkm_studies.tables.grids import Axis
 
 
 class ReadingsTable(StudyTable, frozen=True, kw_only=True):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pkm_studies.study.tables.base import (
+from pkm_studies.tables import (
     Count,
+    MachineTable,
     NotNegative,
     Positive,
     StudyTable,
     Triple,
 )
-from pkm_studies.study.tables.machine import MachineTable
 
 
 class CircleFacts(StudyTable, frozen=True, kw_only=True):

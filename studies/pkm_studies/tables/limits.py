@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pkm_studies.study.tables.base import NotNegative, Positive, StudyTable, Triple
-from pkm_studies.study.tables.grids import Range
+from pkm_studies.tables.base import NotNegative, Positive, StudyTable, Triple
+from pkm_studies.tables.grids import Range
 
 
 class ConeTable(StudyTable, frozen=True, kw_only=True):

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.study.tables.base import Count, StudyTable, Triple
-from pkm_studies.study.tables.poses import CircleTable, CubeTable, LineTable
+from pkm_studies.tables.base import Count, StudyTable, Triple
+from pkm_studies.tables.poses import CircleTable, CubeTable, LineTable
 
 
 class Span(StudyTable, frozen=True, kw_only=True):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.study.tables.base import Count, Positive, StudyTable, Triple
+from pkm_studies.tables.base import Count, Positive, StudyTable, Triple
 
 #: poses on a circle, points on a line, and along an edge of a cube
 CIRCLE_COUNT, LINE_COUNT, CUBE_COUNT = 36, 11, 3

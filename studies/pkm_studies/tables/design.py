@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.study.tables.base import (
+from pkm_studies.tables.base import (
     READINGS,
     Count,
     CriterionName,
@@ -17,13 +17,13 @@ from pkm_studies.study.tables.base import (
     StudyTable,
     Whole,
 )
-from pkm_studies.study.tables.grids import (
+from pkm_studies.tables.grids import (
     Axis,
     GridTable,
     OpenRange,
     ReferenceTable,
 )
-from pkm_studies.study.tables.limits import LimitsTable
+from pkm_studies.tables.limits import LimitsTable
 
 
 class PolishTable(StudyTable, frozen=True, kw_only=True):

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import msgspec
 
-from pkm_studies.study.tables.base import NotNegative, Positive, StudyTable
-from pkm_studies.study.tables.gap_design import GapDesignTable
+from pkm_studies.tables.base import NotNegative, Positive, StudyTable
+from pkm_studies.tables.gap_design import GapDesignTable
 
 
 class WarmingTable(StudyTable, frozen=True, kw_only=True):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pkm_studies.study.tables.base import (
+from pkm_studies.tables.base import (
     Count,
     NotNegative,
     Positive,
@@ -14,7 +14,7 @@ from pkm_studies.study.tables.base import (
     Triple,
     Whole,
 )
-from pkm_studies.study.tables.grids import Axis
+from pkm_studies.tables.grids import Axis
 
 
 class MeasuredTable(StudyTable, frozen=True, kw_only=True):
