@@ -14,7 +14,7 @@ from oed.posterior import checkpoint
 from pkm_studies import csv_table
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
-from pkm_studies.resolve.earlier_result import read_draws
+from pkm_studies.earlier_result import read_draws
 from pkm_studies.study import read_csv
 
 NAMES = ("parameter", ["a", "b"])

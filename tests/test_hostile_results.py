@@ -16,7 +16,7 @@ from pkm_page import PageOptions, open_page
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.compensation.formats import body_names
-from pkm_studies.resolve.quantities import column
+from pkm_studies.quantities import column
 from pkm_studies.study import parse
 
 PATHS = (

@@ -13,7 +13,7 @@ from pkm_models.machines.a3_head import machine
 from pkm_reports.sections.gap import mixture as chapter
 from pkm_studies.acceptance import promise
 from pkm_studies.compensation import identified_parameters
-from pkm_studies.resolve.earlier_result import known_parameters
+from pkm_studies.earlier_result import known_parameters
 from pkm_studies.stages.gap import mixture as sections
 
 NAMES = ("da1y", "da1z")

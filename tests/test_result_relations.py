@@ -18,7 +18,7 @@ from oed.result.relations import base as breaches
 from pkm_reports import sections
 from pkm_reports.sections import answer_parts
 from pkm_reports.view import build_view
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue
 from pkm_studies.commands import main
 
 #: one of each kind; tests/kernel/result has all

@@ -27,8 +27,8 @@ from pkm_studies.drafts import (
     first_sound,
     format_numbers,
 )
+from pkm_studies.quantities import column
 from pkm_studies.resolve.machine import described_machine
-from pkm_studies.resolve.quantities import column
 from pkm_studies.study import SUFFIX
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin

@@ -22,7 +22,7 @@ from oed.result import (
 )
 from pkm_studies.base import InputError
 from pkm_studies.compensation import identified_parameters
-from pkm_studies.resolve.earlier_result import mixture_of
+from pkm_studies.earlier_result import mixture_of
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import between, regular_commands
 from pkm_studies.study import Study

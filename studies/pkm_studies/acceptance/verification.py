@@ -30,7 +30,7 @@ from pkm_studies.acceptance.plan import AXES
 from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation import result_study
-from pkm_studies.resolve.component_values import component_values
+from pkm_studies.quantities import component_values
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.user_code import Consent

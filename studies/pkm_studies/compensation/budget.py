@@ -31,7 +31,7 @@ from oed.result import (
     StudyResult,
 )
 from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
-from pkm_studies.resolve.earlier_result import mixture_of
+from pkm_studies.earlier_result import mixture_of
 from pkm_studies.results import advice_on, error_quantities
 
 #: end of the name of the file with the budget

@@ -15,8 +15,8 @@ from oed.result import StudyResult
 from pkm_studies.base import InputError
 from pkm_studies.catalogue import Compensation, ControllerFormat, MeasuringPose
 from pkm_studies.compensation import identified, table_grid
+from pkm_studies.quantities import column
 from pkm_studies.resolve.machine import study_kinematics
-from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.workspace import workspace_axes, workspace_commands
 from pkm_studies.study import Study
 

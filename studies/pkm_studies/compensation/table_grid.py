@@ -23,7 +23,7 @@ from oed.compensate.command_grid import (
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.result import PredictionSection
 from pkm_studies.base import InputError
-from pkm_studies.resolve.quantities import display_unit
+from pkm_studies.quantities import display_unit
 
 #: largest number of commands of a table, unless the user gives another
 COMMANDS = 5000

@@ -10,7 +10,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.model.machine import Coordinate, Machine
-from pkm_studies.resolve.quantities import column, display_unit
+from pkm_studies.quantities import column, display_unit
 from pkm_studies.tables import PredictionReference
 
 #: most poses of the grid; its values a coordinate, and with too many poses

@@ -26,7 +26,7 @@ from pkm_studies.drafts.axis_lines import (
     span_of_values,
     turns_round,
 )
-from pkm_studies.resolve.quantities import column
+from pkm_studies.quantities import column
 from pkm_studies.study import TO_MEASURE
 
 #: a number that only the user can know, as TOML

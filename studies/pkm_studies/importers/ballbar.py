@@ -31,9 +31,9 @@ from pkm_studies.importers.base import (
 from pkm_studies.importers.column_map import Model
 from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import CircleFacts, ColumnMap
+from pkm_studies.quantities import column as usual_column
+from pkm_studies.quantities import read_values
 from pkm_studies.resolve.poses import PLANES
-from pkm_studies.resolve.quantities import column as usual_column
-from pkm_studies.resolve.quantities import read_values
 from pkm_studies.resolve.tool_points import ToolPoints
 
 #: harmonics of a turn that are not noise, at most

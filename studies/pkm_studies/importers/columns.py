@@ -39,8 +39,8 @@ from pkm_studies.importers.base import (
 )
 from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
-from pkm_studies.resolve.quantities import column as usual_column
-from pkm_studies.resolve.quantities import read_values
+from pkm_studies.quantities import column as usual_column
+from pkm_studies.quantities import read_values
 from pkm_studies.tables import PredictionReference
 
 #: readings that a sentence lists

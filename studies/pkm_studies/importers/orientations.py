@@ -16,7 +16,7 @@ from pkm_studies.base import InputError, Place
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.base import Row
 from pkm_studies.importers.map_tables import OrientationColumns
-from pkm_studies.resolve.quantities import column as usual_column
+from pkm_studies.quantities import column as usual_column
 
 #: what a quaternion's length may differ by from 1
 UNIT_LENGTH = 1e-2

@@ -10,7 +10,7 @@ from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from pkm_studies.base import Place
-from pkm_studies.resolve.quantities import format_as
+from pkm_studies.quantities import format_as
 
 
 def command_units(machine: Machine) -> dict[str, str]:

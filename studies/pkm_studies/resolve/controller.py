@@ -20,8 +20,8 @@ from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Machine
 from pkm_studies import csv_table, files
 from pkm_studies.base import InputError, Place, suggest
-from pkm_studies.resolve.earlier_result import SAME, controller_values, named_result
-from pkm_studies.resolve.quantities import column, display_unit
+from pkm_studies.earlier_result import SAME, controller_values, named_result
+from pkm_studies.quantities import column, display_unit
 from pkm_studies.study import Study
 
 #: rows of a table of parameters by name: value, unit, and nominal where it is there

@@ -16,7 +16,7 @@ from oed.model.machine import Component, Coordinate, Machine, Parameter
 from oed.model.passive_joint import PassiveJoint
 from pkm_studies import catalogue
 from pkm_studies.catalogue import CatalogueEntry
-from pkm_studies.resolve.quantities import column
+from pkm_studies.quantities import column
 
 if TYPE_CHECKING:
     from oed.measurement.measurement import Measurement

@@ -13,8 +13,9 @@ from oed.base.arrays import Array
 from oed.design.quotas import QuotaSet
 from oed.design.weights import WEIGHED
 from oed.measurement.measurement import Measurement, Series
+from pkm_studies import quantities
 from pkm_studies.base import Place
-from pkm_studies.resolve import command_ranges, lookup, quantities, quotas
+from pkm_studies.resolve import command_ranges, lookup, quotas
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
 from pkm_studies.tables import CriterionName, DesignTable

@@ -18,7 +18,7 @@ from oed.estimation.fleet import (
 from oed.model.machine import Machine
 from oed.result import StudyResult, trust
 from pkm_studies.base import Place
-from pkm_studies.resolve.earlier_result import result_folder
+from pkm_studies.earlier_result import result_folder
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
 

@@ -19,8 +19,9 @@ from oed.design.candidates import reading_time
 from oed.design.nuisances import Nuisances
 from oed.design.stages.option import Option, build_option
 from oed.measurement.measurement import Measurement, Series
+from pkm_studies import quantities
 from pkm_studies.base import Place
-from pkm_studies.resolve import grids, lookup, quantities
+from pkm_studies.resolve import grids, lookup
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.resolve.planned_effects import (
     NONE,

@@ -13,9 +13,8 @@ from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
-from pkm_studies import csv_table
+from pkm_studies import csv_table, quantities
 from pkm_studies.base import Place
-from pkm_studies.resolve import quantities
 from pkm_studies.resolve.command_ranges import command_units
 from pkm_studies.resolve.tool_points import ToolPoints, ranges
 from pkm_studies.tables import CircleTable, CubeTable, GridTable, Span

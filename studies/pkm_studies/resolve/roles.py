@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import Setup
-from pkm_studies.resolve import lookup, quantities
+from pkm_studies import quantities
+from pkm_studies.resolve import lookup
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study

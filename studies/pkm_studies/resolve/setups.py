@@ -11,10 +11,10 @@ from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument, Protocol, Setup, mount
 from oed.model.machine import Machine
-from pkm_studies import catalogue
+from pkm_studies import catalogue, quantities
 from pkm_studies.base import Place
-from pkm_studies.resolve import command_ranges, quantities, reach
-from pkm_studies.resolve.quantities import check_not_negative
+from pkm_studies.quantities import check_not_negative
+from pkm_studies.resolve import command_ranges, reach
 from pkm_studies.study import Study
 from pkm_studies.tables import SetupTable
 

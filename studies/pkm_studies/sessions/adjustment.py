@@ -23,12 +23,11 @@ from oed.result import (
     EstimateSection,
     StudyResult,
 )
-from pkm_studies import files, result_folder
+from pkm_studies import earlier_result, files, result_folder
 from pkm_studies.acceptance import covariances
 from pkm_studies.base import InputError
 from pkm_studies.compensation import adjusted_result, result_study
-from pkm_studies.resolve import earlier_result
-from pkm_studies.resolve.component_values import component_values
+from pkm_studies.quantities import component_values
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
 from pkm_studies.results import load_result, refuse_bad_fit

@@ -19,7 +19,7 @@ from oed.result import ParameterEstimate, StudyResult
 from pkm_studies.acceptance import promised_accuracy
 from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation import result_study
-from pkm_studies.resolve.component_values import component_values
+from pkm_studies.quantities import component_values
 from pkm_studies.results import load_result
 from pkm_studies.sessions import comparison
 from pkm_studies.sessions.comparison import SessionReport

@@ -20,9 +20,10 @@ from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
 from oed.result import trust
+from pkm_studies import quantities
 from pkm_studies.base import InputError, Silent, Stream
-from pkm_studies.resolve import quantities, roles
-from pkm_studies.resolve.component_values import component_values
+from pkm_studies.quantities import component_values
+from pkm_studies.resolve import roles
 from pkm_studies.sessions.next_effects import (
     Outlook,
     effects_at,

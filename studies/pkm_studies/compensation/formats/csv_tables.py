@@ -19,7 +19,7 @@ from pkm_studies.compensation.formats.json_file import (
     offset_names,
     table,
 )
-from pkm_studies.resolve.quantities import column
+from pkm_studies.quantities import column
 
 #: decimals of lengths in mm and of angles in degrees
 DECIMALS = 6

@@ -12,7 +12,7 @@ from pkm_studies.catalogue import (
     MeasuringPose,
     Texts,
 )
-from pkm_studies.resolve.quantities import display_unit
+from pkm_studies.quantities import display_unit
 
 #: seconds of rest before a reading, and feed, mm/min
 DWELL, FEED = 2.0, 300

@@ -20,7 +20,7 @@ from oed.compensate.effects.tables import (
 from oed.model.machine import Machine
 from oed.result import EffectTable, PredictionSection
 from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
-from pkm_studies.resolve.quantities import column, display_unit
+from pkm_studies.quantities import column, display_unit
 from pkm_studies.stages import describe
 
 #: largest number of commands of the effects' tables

@@ -15,7 +15,7 @@ from oed.identifiability.information import prior_information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
 from pkm_studies.base import Stream
-from pkm_studies.resolve.component_values import with_fine_units
+from pkm_studies.quantities import with_fine_units
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.planned_effects import (
     NONE,

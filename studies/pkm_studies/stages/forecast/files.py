@@ -18,8 +18,8 @@ from oed.model.machine import Component
 from pkm_studies import csv_table
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import CsvTable
+from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import conventions
-from pkm_studies.resolve.quantities import column, display_unit
 from pkm_studies.stages import describe
 from pkm_studies.stages.forecast.task import ForecastTask
 

@@ -18,7 +18,7 @@ from oed.design.stages.sequence.beam import BEAM
 from oed.design.stages.sequence.stage_memory import StageMemory
 from oed.design.stages.sequence.stage_plan import StagePlan
 from pkm_studies.base import Place
-from pkm_studies.resolve.component_values import with_fine_units
+from pkm_studies.quantities import with_fine_units
 from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.earlier import EarlierSession

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from oed.base import units
 from pkm_studies.base import InputError, Place, suggest
+
+if TYPE_CHECKING:
+    from oed.model.machine import Machine
 
 
 def allowed_units(si: str) -> list[str]:
@@ -100,3 +105,30 @@ def check_not_negative(value: float, place: Place) -> None:
         raise place.error(
             "a tolerance is a standard deviation", "give a number >= 0", value
         )
+
+
+def component_values(text: str, option: str, machine: Machine) -> dict[str, float]:
+    """Positive values by component, SI, of `z_um=30,theta_arcsec=20`.
+
+    Raises InputError.
+    """
+    known = {c.name: c.unit for c in machine.components}
+    place = Place(option)
+    values = {}
+    for entry in filter(None, text.replace(",", " ").split()):
+        key, _, number = entry.partition("=")
+        name, unit = split_key(key, known, place)
+        try:
+            value = float(number)
+        except ValueError:
+            value = -1.0
+        if not 0.0 < value < math.inf:
+            raise place.key(key).error("not a positive number", "write z_um=30", number)
+        values[name] = float(units.to_si(value, unit))
+    return values
+
+
+def with_fine_units(values: Mapping[str, float], machine: Machine) -> dict[str, float]:
+    """SI values by component as values by component and fine unit (`z_um`)."""
+    fine = {c.name: units.FINE[c.unit] for c in machine.components}
+    return {f"{n}_{fine[n]}": units.number(v, fine[n]) for n, v in values.items()}
