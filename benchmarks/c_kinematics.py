@@ -19,7 +19,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
-from pkm_studies.catalogue.controller_format import Compensation, Identified
+from pkm_studies.catalogue import Compensation, Identified
 from pkm_studies.compensation.formats import c_code
 
 COMMANDS, CALLS = 200, 20_000

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from pkm_campaign import Campaign, load_campaign, run_cases
-from pkm_studies.base.user_code import Consent
+from pkm_studies.user_code import Consent
 
 WORKERS = 2
 #: of a long campaign

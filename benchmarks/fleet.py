@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from oed import build_study
 from oed.accuracy import error_maps
 from oed.base.arrays import Array
 from oed.estimation import identify
@@ -35,9 +36,8 @@ from oed.estimation.fleet import (
 )
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
-from pkm_studies.commands import cli
-from pkm_studies.importers import session
-from pkm_studies.notebook.notebook import build_study
+from pkm_studies import commands
+from pkm_studies.importers import import_files
 from pkm_studies.resolve import resolved
 from pkm_studies.resolve.tolerances import with_mean_and_covariance
 
@@ -253,9 +253,7 @@ def printers(data: Path) -> Iterator[str]:
 
 
 def _import(data: Path, folder: Path, file: str) -> None:
-    study, _ = session.import_files(
-        "klipper", [data / f"{file}.cfg"], folder / file, name=file
-    )
+    study, _ = import_files("klipper", [data / f"{file}.cfg"], folder / file, name=file)
     text = study.read_text()
     lines = [line for line in text.splitlines() if not line.startswith("fixed =")]
     study.write_text("\n".join(lines).replace('"]  # as Klipper', "") + PLAIN)
@@ -263,7 +261,7 @@ def _import(data: Path, folder: Path, file: str) -> None:
 
 
 def _run(study: Path, out: Path) -> None:
-    code = cli.main(["run", str(study), "--out", str(out), "--quiet"])
+    code = commands.main(["run", str(study), "--out", str(out), "--quiet"])
     if code != 0:
         raise SystemExit(f"{study}: exit code {code}")
 

@@ -32,8 +32,9 @@ from oed.base.arrays import Array
 from oed.design import candidates
 from oed.measurement import simulation
 from oed.measurement.measurement import Series
-from pkm_studies.sessions.next_reading import AS_PLANNED, Advice, Adviser
-from pkm_studies.study import load, shipped
+from pkm_studies import shipped
+from pkm_studies.sessions import Advice, Adviser
+from pkm_studies.study import load
 
 #: readings at which a machine counts as not reached
 MOST = 60
@@ -115,7 +116,7 @@ def session(setting: Mapping[str, Any], seed: int) -> dict[str, float]:
 
 @functools.cache
 def _adviser(study: str) -> Adviser:
-    return Adviser(load(shipped.study_path(Path(study))), AS_PLANNED)
+    return Adviser(load(shipped.study_path(Path(study))), "plan")
 
 
 def markdown(sessions: pd.DataFrame) -> str:

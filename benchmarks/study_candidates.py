@@ -18,7 +18,7 @@ import oed
 from oed.design import candidates
 from oed.design.blocks import project_on_estimable
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.study.loader import Study
+from pkm_studies.study import Study
 
 DELTA = {
     "schema": 1,

@@ -14,7 +14,7 @@ import tempfile
 from types import FrameType
 from typing import Any
 
-import pkm_studies.commands.cli as cli
+from pkm_studies import commands
 
 ROOM = re.compile(r"/(oed|pkm_[a-z]+)/([^/]+?)(?:\.py|/)")
 
@@ -37,7 +37,7 @@ def rooms_of(arguments: list[str]) -> list[str]:
 
     sys.setprofile(note)
     try:
-        cli.main(arguments)
+        commands.main(arguments)
     finally:
         sys.setprofile(None)
     return list(rooms)

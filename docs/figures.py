@@ -12,9 +12,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from oed.result import StudyResult
-from pkm_reports.figures import accuracy, kappa, machine
-from pkm_reports.figures.gap import polar
-from pkm_reports.page import style
+from pkm_reports import style
+from pkm_reports.sections.figures import accuracy, kappa, machine
+from pkm_reports.sections.figures.gap import polar
 from pkm_studies.results.stored_result import load_result
 
 DPI = 110

@@ -11,9 +11,9 @@ from kernel.cases import CASES
 from oed.gap.data.state import states
 from oed.measurement.measurement import Measurement
 from oed.model.effect import Column, Effect, State
-from pkm_studies.base.errors import Place
-from pkm_studies.base.user_code import Origin
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue
+from pkm_studies.base import Place
+from pkm_studies.user_code import Origin
 
 NAMES = (
     "leg_thermal",

@@ -24,8 +24,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from sketches import Sketches
 
 from oed.result import StudyResult
-from pkm_reports.page import document
-from pkm_reports.page import html as html_writer
+from pkm_reports.page import document, render_html
 
 TEXT = """schema = 1
 title = "A3 head with a double ball bar"  # <tags> & $pecial \\ characters
@@ -74,7 +73,7 @@ def shown_text(result: StudyResult) -> str:
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(document, "drawn_image", sketched)
-        page = html_writer.render(document.build(result)).decode()
+        page = render_html(document.build_document(result)).decode()
     return text_of(page).replace("\N{NO-BREAK SPACE}", " ")
 
 

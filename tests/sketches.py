@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pkm_reports.page.blocks import Picture
-from pkm_reports.page.style import Image
+from pkm_reports.blocks import Picture
+from pkm_reports.style import Image
 
 
 class Sketches:

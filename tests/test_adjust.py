@@ -16,7 +16,7 @@ import sample
 import xarray as xr
 
 from oed.compensate.adjustment import StepProblem, choose_steps, sizes_without
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.study import parse
 
@@ -83,7 +83,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     study = folder / "prs.study.toml"
     text = (STUDIES / "prs_adjust.study.toml").read_text(encoding="utf-8")
     study.write_text(text.replace("[expect]", QUICK), encoding="utf-8")
-    assert cli.main(["run", str(study), "--out", str(folder / "out"), "--quiet"]) == 0
+    assert main(["run", str(study), "--out", str(folder / "out"), "--quiet"]) == 0
     return folder / "out"
 
 
@@ -97,7 +97,7 @@ def adjusted_session(session: Path, tmp_path_factory: pytest.TempPathFactory) ->
     """The same after `oed adjust`."""
     folder = tmp_path_factory.mktemp("adjusted") / "out"
     shutil.copytree(session, folder)
-    assert cli.main(["adjust", str(folder)]) == 0
+    assert main(["adjust", str(folder)]) == 0
     return folder
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import sample
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 STUDY = """\
 schema = 1
@@ -78,7 +78,7 @@ def write(
 def identify(folder: Path, readings: bar_readings.Readings, text: str = STUDY) -> int:
     study, table = write(folder, readings, text)
     out = str(folder / "fit")
-    return cli.main(["identify", str(study), "--readings", str(table), "--out", out])
+    return main(["identify", str(study), "--readings", str(table), "--out", out])
 
 
 def test_a_mistake_is_the_first_line_and_predicts_nothing(

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -156,10 +156,10 @@ def test_the_campaign_runs_without_labels_and_takes_up_where_it_stopped(
     text = text.replace('"out/blind"', json.dumps(str(sets)))
     file.write_text(text.replace("blind/case.py:", "case.py:"), "utf-8")
     arguments = ["campaign", str(file), "--out", str(out), "--workers", "1"]
-    assert cli.main([*arguments, "--seeds", "1"]) == 0
+    assert main([*arguments, "--seeds", "1"]) == 0
     assert len(calls) == 1
-    assert cli.main([*arguments, "--seeds", "3"]) == 0
-    assert cli.main([*arguments, "--seeds", "3"]) == 0
+    assert main([*arguments, "--seeds", "3"]) == 0
+    assert main([*arguments, "--seeds", "3"]) == 0
     assert len(calls) == 5  # three cases, one of them without an effect, one pair
     assert sorted(n for n, _ in calls) == [calls[0][0] - 1, *[calls[0][0]] * 4]
     names = (sets / "set" / "order.txt").read_text("utf-8").split()

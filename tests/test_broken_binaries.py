@@ -11,11 +11,11 @@ import xarray
 
 from oed.design import open_candidates
 from oed.posterior import checkpoint
-from pkm_studies.base import csv_table
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
-from pkm_studies.resolve.earlier_result import read_draws
-from pkm_studies.study.data_sources import tables
+from pkm_studies import csv_table
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
+from pkm_studies.earlier_result import read_draws
+from pkm_studies.study import read_csv
 
 NAMES = ("parameter", ["a", "b"])
 DIMENSIONS = ("chain", "draw", "parameter")
@@ -112,7 +112,7 @@ def test_nested_tables_are_named(
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).write_text(DEEP, encoding="utf-8")
     (tmp_path / "r.csv").write_text("x,y\n1,2\n", encoding="utf-8")
-    assert cli.main(command) == 2
+    assert main(command) == 2
     assert f"{name}: tables or lists are nested too deeply" in capsys.readouterr().err
 
 
@@ -120,6 +120,6 @@ def test_a_cell_that_no_reader_takes_is_named(tmp_path: Path) -> None:
     """Python's reader of CSV takes 131072 characters."""
     path = tmp_path / "long.csv"
     path.write_text(f"x,y\n1,2\n3,{'9' * 200_000}\n", encoding="utf-8")
-    for read in (csv_table.read, lambda p: tables.read_csv(p, ["x"])):
+    for read in (csv_table.read, lambda p: read_csv(p, ["x"])):
         with pytest.raises(InputError, match=r"long.csv: this is no CSV: field larger"):
             read(path)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 TEN_MB = 10_000_000
 LONGEST = 600
@@ -28,7 +28,7 @@ def noise(kind: str) -> bytes:
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """The paragraph on stderr of a call that must exit 2 before any work."""
-    code = cli.main([str(a) for a in arguments])
+    code = main([str(a) for a in arguments])
     out, err = capsys.readouterr()
     assert code == 2
     assert out in ("", "set-up\n")
@@ -307,5 +307,5 @@ def test_a_check_refuses_what_a_run_refuses(
     path.write_text(text + addition, encoding="utf-8")
     checked = refusal(capsys, "check", path)
     assert words in checked
-    code = cli.main(["run", str(path), "--out", str(tmp_path / "out"), "--quiet"])
+    code = main(["run", str(path), "--out", str(tmp_path / "out"), "--quiet"])
     assert (code, capsys.readouterr().err) == (2, checked)

@@ -13,7 +13,7 @@ from oracles import planar_cables
 from sample import refused, resolved
 
 from oed.result import StudyResult
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 #: E A of the cables, N; tensions, N
 STIFFNESS, LOW, HIGH = 2.0e4, 20.0, 200.0
@@ -128,7 +128,7 @@ def _identified(
     data.write_text(readings, encoding="utf-8")
     out = folder / "out"
     arguments = ["identify", path, "--readings", data, "--out", out, "--quiet"]
-    code = cli.main([*map(str, arguments), *options])
+    code = main([*map(str, arguments), *options])
     return code, msgspec.json.decode(
         (out / "result.json").read_bytes(), type=StudyResult
     )
@@ -182,7 +182,7 @@ def test_the_diagnosis_names_the_stretch(
     data.write_text(text, encoding="utf-8")
     out = tmp_path / "out"
     arguments = ["diagnose", path, "--readings", data, "--out", out, "--quiet"]
-    assert cli.main([str(a) for a in arguments]) == 0
+    assert main([str(a) for a in arguments]) == 0
     result = msgspec.json.decode((out / "result.json").read_bytes(), type=StudyResult)
     assert result.gap is not None
     assert result.gap.answers[0].effects == ("cable_stretch",)

@@ -8,7 +8,7 @@ import pytest
 import sample
 
 from pkm_studies import study
-from pkm_studies.results import claims
+from pkm_studies.results import check_claims, claim_failure, value_at
 
 RESULT = {
     "identifiability": {
@@ -43,7 +43,7 @@ RESULT = {
     ],
 )
 def test_paths_lead_to_results(path: str, value: object) -> None:
-    assert claims.lookup(RESULT, path) == value
+    assert value_at(RESULT, path) == value
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_claims_are_measured(claim: str, met: bool) -> None:
     parsed = study.parse(
         sample.STUDY.split("[expect]")[0] + f"[expect]\nit = {{ {claim} }}\n", Path("x")
     )
-    (checked,) = claims.check_claims(parsed, RESULT)
+    (checked,) = check_claims(parsed, RESULT)
     assert checked.met is met
     assert checked.claim == "it"
 
@@ -75,7 +75,7 @@ def test_an_unknown_path_says_what_there_is() -> None:
     with pytest.raises(
         LookupError, match=r"no such result: design.plan.0: .* did you mean plans"
     ):
-        claims.lookup(RESULT, "design.plan.0")
+        value_at(RESULT, "design.plan.0")
 
 
 def test_a_claim_has_the_unit_of_its_figure_alone() -> None:
@@ -86,9 +86,9 @@ def test_a_claim_has_the_unit_of_its_figure_alone() -> None:
         'share = { of = "held_out.S1.coverage", min = 0.95 }\n'
     )
     text = sample.STUDY[: sample.STUDY.index("[expect]")] + expect
-    rms, share = claims.check_claims(study.parse(text, Path("a.study.toml")), result)
+    rms, share = check_claims(study.parse(text, Path("a.study.toml")), result)
     where = "a.study.toml:3 [expect]"
     expected = f"rms: measured 58.2 um, claimed held_out.S1.rms <= 50 um ({where})"
-    assert claims.failure(rms, where) == expected
+    assert claim_failure(rms, where) == expected
     expected = f"share: measured 0.93, claimed held_out.S1.coverage >= 0.95 ({where})"
-    assert claims.failure(share, where) == expected
+    assert claim_failure(share, where) == expected

@@ -14,9 +14,8 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue, files
+from pkm_studies.base import InputError
 
 Run = Callable[..., tuple[int, str, str]]
 pytestmark = pytest.mark.usefixtures("own_folder")

@@ -14,12 +14,12 @@ import pytest
 from oed.mechanism.closest_closure import closest_closure
 from oed.model.machine import Machine
 from pkm_models.machines import cable_robot, hexapod, tripod_passive_leg
-from pkm_reports.figures import closure as figures
-from pkm_reports.page import style
-from pkm_studies.base.errors import Place
-from pkm_studies.base.user_code import Origin
-from pkm_studies.catalogue import catalogue
-from pkm_studies.commands import cli
+from pkm_reports import style
+from pkm_reports.sections import draw_closure
+from pkm_studies import catalogue
+from pkm_studies.base import Place
+from pkm_studies.commands import main
+from pkm_studies.user_code import Origin
 
 MY_MACHINE = Path(__file__).parents[1] / "docs" / "tutorial" / "my_machine.py"
 DRAWING = "BASE, PLATE, CRANK, ROD = 0.350, 0.100, 0.200, "
@@ -68,12 +68,12 @@ def test_the_command_draws_what_does_not_close(
 ) -> None:
     path, picture = _file(tmp_path, "0.020"), tmp_path / "home.svg"
     arguments = ["check", str(path), "--picture", str(picture)]
-    assert cli.main(arguments) == 2
+    assert main(arguments) == 2
     printed = capsys.readouterr()
     assert "does not close at its home pose: equation 1 (q1) by 0.03," in printed.out
     assert "the home pose does not assemble" in printed.err
     assert style.RED in picture.read_text(encoding="utf-8")
-    assert cli.main(arguments) == 2  # nothing is overwritten
+    assert main(arguments) == 2  # nothing is overwritten
     assert "it is not overwritten" in capsys.readouterr().err
 
 
@@ -81,7 +81,7 @@ def test_the_command_draws_a_sound_machine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, picture = _file(tmp_path, "0.220"), tmp_path / "home.svg"
-    assert cli.main(["check", str(path), "--picture", str(picture)]) == 0
+    assert main(["check", str(path), "--picture", str(picture)]) == 0
     printed = capsys.readouterr().out
     assert "home.svg: closes at its home pose" in printed
     assert "my_machine has 3 joints and 21 parameters" in printed
@@ -100,7 +100,7 @@ def test_a_study_whose_numbers_do_not_assemble_is_drawn(
         encoding="utf-8",
     )
     picture = tmp_path / "home.png"
-    assert cli.main(["check", str(study), "--picture", str(picture)]) == 2
+    assert main(["check", str(study), "--picture", str(picture)]) == 2
     assert "equation 1 (q1) by 0.01" in capsys.readouterr().out
     assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -109,7 +109,7 @@ def test_another_kind_of_picture_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = ["check", "a3_ball_bar", "--picture", str(tmp_path / "home.bmp")]
-    assert cli.main(arguments) == 2
+    assert main(arguments) == 2
     assert ".png, .svg, .pdf" in capsys.readouterr().err
 
 
@@ -117,7 +117,7 @@ def test_amounts_stand_beside_their_bars(tmp_path: Path) -> None:
     machine = _machine(_file(tmp_path, "0.020"))
     closest = closest_closure(machine, machine.home_command)
     with style.applied():
-        figure = figures.draw(closest, "title", ["q1", "q2", "q3"])
+        figure = draw_closure(closest, "title", ["q1", "q2", "q3"])
     (bars,) = [axes for axes in figure.axes if axes.get_title(loc="left")]
     words = [text.get_text().strip() for text in bars.texts]
     assert words == ["0.2", "0.03"] * 3

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from oed.model.instrument import Instrument
 from pkm_models.machines import prs_spindle
-from pkm_studies.base.errors import Place
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue
+from pkm_studies.base import Place
 from pkm_studies.resolve import conventions
 
 

@@ -10,8 +10,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from oed import dataset
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
+from pkm_studies.base import InputError
+from pkm_studies.importers import import_files
 
 MAP = """\
 machine = "linear_delta"
@@ -45,7 +45,7 @@ def imported(
     """Rows of the readings file, the sentences, and the study's path."""
     (folder / "a.csv").write_text(text)
     (folder / "a.map").write_text(column_map)
-    path, result = session.import_files(
+    path, result = import_files(
         kind, [folder / "a.csv"], folder / "out", column_map=folder / "a.map"
     )
     with (folder / "out" / "a.readings.csv").open() as file:

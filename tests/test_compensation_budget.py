@@ -20,8 +20,8 @@ from oed.mechanism.kinematics import Kinematics
 from oed.result import BudgetLine, BudgetSection, PredictionSection
 from oed.result.prediction import ComponentAccuracy, SpreadRecord
 from pkm_models.machines import a3_head
-from pkm_studies.commands import cli
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.commands import main
+from pkm_studies.results import load_result
 
 GRID = """
 [prediction]
@@ -116,7 +116,7 @@ def exported(
     content = sample.result(a3_head.machine, TABLE3, prediction=section)
     text = content.study_text + grid.replace("absolute", reference)
     sample.save(folder, msgspec.structs.replace(content, study_text=text))
-    assert cli.main(["compensate", str(folder), "--to", to, *options]) == 0
+    assert main(["compensate", str(folder), "--to", to, *options]) == 0
     written = (folder / "compensation_budget.json").read_bytes()
     return msgspec.json.decode(written, type=BudgetSection)
 
@@ -159,7 +159,7 @@ def test_a_budget_without_effects_is_not_that_over_all_answers(
     gap = msgspec.structs.replace(gap, verdict="none")
     sample.save(folder, msgspec.structs.replace(load_result(folder), gap=gap))
     capsys.readouterr()
-    assert cli.main(["compensate", str(folder), "--to", "json", *few]) == 0
+    assert main(["compensate", str(folder), "--to", "json", *few]) == 0
     printed = capsys.readouterr().out
     assert "Predicted rms over all answers: " in printed
     assert "With this file the predicted rms of a machine without effects is" in printed
@@ -272,7 +272,7 @@ def test_a_limit_below_the_coarsest_table_is_refused(
 ) -> None:
     folder = sample.save(tmp_path, sample.result(a3_head.machine, TABLE3))
     arguments = ["compensate", str(folder), "--to", "csv", "--commands", "19"]
-    assert cli.main(arguments) == 2
+    assert main(arguments) == 2
     assert "--commands 19" in capsys.readouterr().err
     assert not (folder / "compensation.csv").exists()
 
@@ -280,7 +280,7 @@ def test_a_limit_below_the_coarsest_table_is_refused(
 def test_without_a_prediction_or_a_formula_there_is_no_budget(tmp_path: Path) -> None:
     folder = sample.save(tmp_path, sample.result(a3_head.machine, TABLE3))
     few = ("--commands", "120")
-    assert cli.main(["compensate", str(folder), "--to", "csv", *few]) == 0
+    assert main(["compensate", str(folder), "--to", "csv", *few]) == 0
     assert not (folder / "compensation_budget.json").exists()
     exported(tmp_path / "with", np.full(3, 1.0), "json", options=few)
     document = json.loads((tmp_path / "with/compensation_budget.json").read_text())

@@ -32,7 +32,7 @@ from oed.model.instrument import Setup, mount
 from pkm_models.instruments import passive_joint, seat, touch_plane
 from pkm_models.machines import hexapod
 from pkm_reports.page.sheet import _table
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 from pkm_studies.stages.design.section import planned_readings
 
 NORMAL95 = 1.959964

@@ -20,8 +20,8 @@ from oed.measurement.measurement import Measurement
 from oed.model.machine import Machine
 from oed.result import StudyResult
 from pkm_models.machines import a3_head, hexapod, linear_delta
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
 from pkm_studies.study import parse
 
@@ -83,7 +83,7 @@ def first_round(tmp_path_factory: pytest.TempPathFactory) -> Path:
     first = sample.save(base / "first", sample.result(a3_head.machine, si(KNOWN)))
     for form in ("json", "csv"):  # its errors are larger than the tolerances
         options = ["--to", form, "--force", "--commands", "200"]
-        assert cli.main(["compensate", str(first), *options]) == 0
+        assert main(["compensate", str(first), *options]) == 0
     return base
 
 

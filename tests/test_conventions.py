@@ -29,9 +29,9 @@ from pkm_models.machines import (
     planar_2dof,
     prs_spindle,
 )
-from pkm_studies.base.errors import Place
-from pkm_studies.catalogue import catalogue
-from pkm_studies.commands import cli
+from pkm_studies import catalogue
+from pkm_studies.base import Place
+from pkm_studies.commands import main
 
 PLACE = Place("catalogue")
 MACHINES = [e.name for e in catalogue.listing("machines")]
@@ -85,9 +85,9 @@ def test_every_channel_of_an_instrument_is_stated(name: str) -> None:
 
 def test_the_command_lists_the_statements(capsys: pytest.CaptureFixture[str]) -> None:
     for kind, names in (("machines", MACHINES), ("instruments", INSTRUMENTS)):
-        assert cli.main(["list", kind]) == 0
+        assert main(["list", kind]) == 0
         printed = capsys.readouterr().out
-        assert cli.main(["list", kind, "--json"]) == 0
+        assert main(["list", kind, "--json"]) == 0
         entries = {e["name"]: e for e in json.loads(capsys.readouterr().out)}
         assert list(entries) == names
         for entry in entries.values():

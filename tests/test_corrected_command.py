@@ -12,16 +12,15 @@ import pytest
 import sample
 
 from oed.result import CoefficientRecord, StudyResult
-from pkm_studies.commands import cli
-from pkm_studies.results import stored_result
-from pkm_studies.results.budget_advice import improvements
+from pkm_studies.commands import main
+from pkm_studies.results import improvements, load_result
 from pkm_studies.stages import outcome
 from pkm_studies.stages.accuracy_table import shown_components
 from pkm_studies.stages.gap import implausible
 
 
 def run(*arguments: str | Path) -> int:
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -55,14 +54,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _shipped(name: str) -> str:
-    from pkm_studies.study import shipped
+    from pkm_studies import shipped
 
     return shipped.study_path(Path(name)).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
 def result(folder: Path) -> StudyResult:
-    return stored_result.load_result(folder / "out")
+    return load_result(folder / "out")
 
 
 def test_corrected_parameters_are_within_their_deviations(
@@ -291,7 +290,7 @@ def planned(folder: Path, result: StudyResult) -> Path:
 
 def fill_in(planned: Path, to: Path, factor: float) -> Path:
     """Errors of a factor on the promise, with alternating signs, at every pose."""
-    acceptance = stored_result.load_result(planned.parent).acceptance
+    acceptance = load_result(planned.parent).acceptance
     assert acceptance is not None
     header, *rows = sample.table_lines(planned.read_text())
     names = header.split(",")
@@ -309,7 +308,7 @@ def fill_in(planned: Path, to: Path, factor: float) -> Path:
 def test_acceptance_poses_are_not_those_of_the_calibration(
     planned: Path, folder: Path
 ) -> None:
-    result = stored_result.load_result(folder / "out")
+    result = load_result(folder / "out")
     acceptance, estimate = result.acceptance, result.estimate
     assert acceptance is not None
     assert estimate is not None
@@ -345,7 +344,7 @@ def test_a_good_machine_passes_and_a_bad_one_fails(
     bad = fill_in(planned, tmp_path / "bad.csv", 1.5)
     assert run("verify", out, "--readings", bad) == 1
     assert "does not meet" in capsys.readouterr().out
-    stored = stored_result.load_result(out).verification
+    stored = load_result(out).verification
     assert stored is not None
     assert not stored.passed
 
@@ -377,7 +376,7 @@ def test_the_sampled_posterior_is_that_of_the_estimate(folder: Path) -> None:
     readings, out = folder / "loads.readings.csv", folder / "sampled"
     options = ["--with", "gravity,frame_bending", "--out", out]
     assert run("identify", study, "--readings", readings, *options) == 0
-    corrected = stored_result.load_result(out).corrected
+    corrected = load_result(out).corrected
     assert corrected is not None
     for name, p in corrected.parameters.items():
         draws = corrected.posterior[name]

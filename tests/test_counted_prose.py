@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pkm_studies.catalogue.catalogue import listing
+from pkm_studies.catalogue import listing
 from pkm_studies.study import schemas
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -16,7 +16,7 @@ from oed.estimation.identification import identify
 from oed.measurement.reading_structure import reading_structure
 from oed.noise.prior import noise_prior
 from oed.posterior import laplace
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = ("a3_30", "a3_60", "a3_circles", "planar", "delta", "hexapod")
@@ -139,7 +139,7 @@ def run_campaign(name: str, tmp_path: Path, changes: dict[str, str]) -> Path:
     (tmp_path / "case.py").write_text(functions, encoding="utf-8")
     path.write_text(text.replace("coverage/case.py:", "case.py:"), encoding="utf-8")
     options = ["--out", str(tmp_path / name), "--workers", "1", "--quiet"]
-    assert cli.main(["campaign", str(path), *options]) == 0
+    assert main(["campaign", str(path), *options]) == 0
     return tmp_path / name
 
 

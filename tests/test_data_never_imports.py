@@ -29,9 +29,9 @@ from hypothesis import strategies as st
 
 from oed.posterior import checkpoint
 from pkm_models.machines import linear_delta
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
-from pkm_studies.results import result_folder
+from pkm_studies import result_folder
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 
 NAME = "pkm_canary"
 #: modules and files that lie where data might lead to: all exist
@@ -177,7 +177,7 @@ def changed_toml(text: str, draw: st.DataObject, folder: Path) -> str:
 
 def call(*arguments: object) -> int:
     """The command; whatever it raises beyond exit codes fails the test."""
-    code = cli.main([str(a) for a in arguments])
+    code = main([str(a) for a in arguments])
     assert code in (0, 1, 2)
     return code
 

@@ -15,7 +15,7 @@ from oed.design import candidates
 from oed.design.exchange import choose
 from oed.design.nuisances import Nuisances
 from oed.result import AllowedEffects
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.stages.design.phrases import design_sentences
 
 EFFECTS = 'effects = ["encoder_scale", "pitch_accumulation"]\n'

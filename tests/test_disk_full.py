@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.base import files
-from pkm_studies.commands import cli
+from pkm_studies import files
+from pkm_studies.commands import main
 
 STUDY = (
     sample.DELTA
@@ -69,12 +69,12 @@ def test_a_result_is_kept_where_its_draws_find_no_room(
 ) -> None:
     """First a disk for the result without its draws, then one for neither."""
     study, out = folder / "s.study.toml", folder / "out"
-    assert cli.main(["run", str(study), "--out", str(folder / "whole"), "--quiet"]) == 1
+    assert main(["run", str(study), "--out", str(folder / "whole"), "--quiet"]) == 1
     whole = folder / "whole"
     capsys.readouterr()
     with monkeypatch.context() as patched:
         Disk(folder, 1000, name="posterior.nc").install(patched)
-        assert cli.main(["run", str(study), "--out", str(out), "--quiet"]) == 2
+        assert main(["run", str(study), "--out", str(out), "--quiet"]) == 2
     said = capsys.readouterr().err
     assert "posterior.nc: no space left on device; make room" in said
     assert "result.json is written, without this file" in said
@@ -91,7 +91,7 @@ def test_a_result_is_kept_where_its_draws_find_no_room(
     elsewhere.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(elsewhere))
     Disk(folder, 0).install(monkeypatch)
-    assert cli.main(["run", str(study), "--out", str(folder / "b"), "--quiet"]) == 2
+    assert main(["run", str(study), "--out", str(folder / "b"), "--quiet"]) == 2
     said = capsys.readouterr().err
     (kept,) = elsewhere.rglob("result.json")
     assert f"the result is kept in {kept}" in said
@@ -119,7 +119,7 @@ def test_a_command_leaves_nothing_half(
     monkeypatch.chdir(folder)
     before = content(folder)
     Disk(folder, room).install(monkeypatch)
-    code = cli.main(COMMANDS[command])
+    code = main(COMMANDS[command])
     said = capsys.readouterr().err
     assert code == 2, said
     assert "no space left on device; make room on this disk" in said

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import pytest
 
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TUTORIAL = DOCS / "tutorial_own_machine.md"

@@ -12,8 +12,8 @@ from oracles import a3_geometry
 
 from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import a3_head, delta, hexapod
-from pkm_reports.figures import machine
-from pkm_studies.base.progress import Silent
+from pkm_reports.sections.figures import machine
+from pkm_studies.base import Silent
 from pkm_studies.stages import describe, drawing_labels
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.run_state import start

@@ -22,11 +22,11 @@ from effects_sample import (
 from kernel.cases import CASES
 
 from oed.gap.data.signature import exact_readings, signature, untestable
+from pkm_studies import catalogue
 from pkm_studies import study as studies
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Origin
-from pkm_studies.catalogue import catalogue
+from pkm_studies.base import InputError
 from pkm_studies.resolve import machine as resolve_machine
+from pkm_studies.user_code import Origin
 
 #: effects that only cables have, and those that they cannot have
 OF_CABLES = {

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.base import plugins
-from pkm_studies.catalogue import catalogue
-from pkm_studies.commands.cli import main
+from pkm_studies import catalogue, plugins
+from pkm_studies.commands import main
 
 MODULE = '''
 import dataclasses

@@ -5,7 +5,7 @@ import pytest
 import sample
 
 from oed.model.effect import Effect
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 
 def scales(effect: Effect) -> dict[str, float]:

@@ -20,7 +20,7 @@ from oed.estimation.fleet import (
     readings_information,
     rescaled,
 )
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.study import parse
 
 Run = Callable[..., tuple[int, str, str]]
@@ -141,7 +141,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path = folder / f"m{seed}.study.toml"
         path.write_text(STUDY.format(seed=seed))
         out = str(folder / f"m{seed}")
-        assert cli.main(["run", str(path), "--out", out, "--quiet"]) == 0
+        assert main(["run", str(path), "--out", out, "--quiet"]) == 0
     return folder
 
 

@@ -12,12 +12,12 @@ import pytest
 from oracles import forecast_data, planar_geometry
 from scipy.interpolate import RegularGridInterpolator
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.results import load_result
 from pkm_studies.stages.forecast.task import forecast_task
 from pkm_studies.stages.plan.earlier import stored_knowledge
-from pkm_studies.study.loader import load
+from pkm_studies.study import load
 
 STUDIES = Path(__file__).parents[1] / "studies"
 PLAN = """
@@ -50,7 +50,7 @@ def study(folder: Path, text: str = PLAN) -> Path:
 
 
 def run(*arguments: object) -> int:
-    return cli.main([str(a) for a in arguments])
+    return main([str(a) for a in arguments])
 
 
 def section(folder: Path) -> dict[str, Any]:

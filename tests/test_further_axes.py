@@ -27,8 +27,8 @@ from pkm_models.machines import (
     tripod_prs,
     tripod_rps,
 )
-from pkm_studies.commands import cli
-from pkm_studies.results import stored_result
+from pkm_studies.commands import main
+from pkm_studies.results import load_result
 
 ARCSEC = np.pi / 648000.0
 CUP = np.array([0.0, 0.0, a3.Z_TEACH])
@@ -90,8 +90,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         str(folder / f"own.{kind}") for kind in ("study.toml", "readings.csv")
     )
     out = str(folder / "out")
-    assert cli.main(["identify", study, "--readings", csv_file, "--out", out]) == 0
-    assert cli.main(["compensate", out, "--to", "csv"]) == 0
+    assert main(["identify", study, "--readings", csv_file, "--out", out]) == 0
+    assert main(["compensate", out, "--to", "csv"]) == 0
     return folder / "out"
 
 
@@ -150,7 +150,7 @@ def rms(folder: Path, axes: bool) -> np.ndarray:
 
 
 def section(folder: Path) -> StudyResult:
-    return stored_result.load_result(folder)
+    return load_result(folder)
 
 
 def test_table_and_axes_leave_what_the_report_says(folder: Path) -> None:
@@ -193,7 +193,7 @@ def test_the_terminal_and_the_report_state_both_lines(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     few = ["--to", "json", "--commands", "60"]
-    assert cli.main(["compensate", str(folder), *few]) == 0
+    assert main(["compensate", str(folder), *few]) == 0
     printed = capsys.readouterr().out
     assert "No drive of this machine corrects x, y, phi" in printed
     assert "with further axes that take back x_offset, y_offset, turn_offset" in printed
@@ -227,7 +227,7 @@ def fill_in(folder: Path, to: Path, axes: bool | None, scale: float = 1.0) -> Pa
 
 
 def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -> None:
-    assert cli.main(["verify", str(folder)]) == 0
+    assert main(["verify", str(folder)]) == 0
     plan = section(folder).acceptance
     assert plan is not None
     assert list(plan.components) == ["z", "psi", "theta"]
@@ -236,7 +236,7 @@ def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -
     on = fill_in(folder, tmp_path / "on.csv", axes=True)
     verdicts = []
     for file in (off, on):
-        cli.main(["verify", str(folder), "--readings", str(file)])
+        main(["verify", str(folder), "--readings", str(file)])
         judged = section(folder).verification
         assert judged is not None
         assert judged.judgement != "fail"
@@ -248,9 +248,9 @@ def test_verify_judges_without_and_with_the_axes(folder: Path, tmp_path: Path) -
         assert first.without == pytest.approx(second.without, rel=0.02)
         assert first.without > first.rms
     bad = fill_in(folder, tmp_path / "bad.csv", axes=False, scale=1.5)
-    assert cli.main(["verify", str(folder), "--readings", str(bad)]) == 1
+    assert main(["verify", str(folder), "--readings", str(bad)]) == 1
     none = fill_in(folder, tmp_path / "none.csv", axes=None)
-    cli.main(["verify", str(folder), "--readings", str(none)])
+    main(["verify", str(folder), "--readings", str(none)])
     judged = section(folder).verification
     assert judged is not None
     assert judged.further == {}
@@ -335,7 +335,7 @@ def test_a_format_without_offsets_says_where_they_are(
     )
     reference = f"{tmp_path}/bare.py:controller"
     out = str(tmp_path / "bare.json")
-    assert cli.main(["compensate", str(folder), "--to", reference, "--out", out]) == 0
+    assert main(["compensate", str(folder), "--to", reference, "--out", out]) == 0
     printed = capsys.readouterr().out
     assert "csv and json have columns for further axes" in printed
 
@@ -343,7 +343,7 @@ def test_a_format_without_offsets_says_where_they_are(
 def test_a_machine_without_such_motions_has_no_such_columns(tmp_path: Path) -> None:
     machine = linear_delta.machine
     folder = sample.save(tmp_path, sample.result(machine, machine.nominal))
-    assert cli.main(["compensate", str(folder), "--to", "csv"]) == 0
+    assert main(["compensate", str(folder), "--to", "csv"]) == 0
     header = (folder / "compensation.csv").read_text().splitlines()[0]
     assert "offset" not in header
     described = (folder / "compensation_columns.csv").read_text()

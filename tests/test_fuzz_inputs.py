@@ -17,9 +17,10 @@ from hypothesis import strategies as st
 
 from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError
-from pkm_studies.base.errors import InputError
+from pkm_studies import sources
+from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.study import parse, sources
+from pkm_studies.study import parse
 
 #: mutations of studies, and of each of two readings files
 DEFAULT, NIGHTLY = (50, 75), (600, 700)

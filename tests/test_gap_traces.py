@@ -11,7 +11,7 @@ import pytest
 
 from oed.gap.data import problem
 from oed.gap.data.diagnosis import Diagnosis
-from pkm_studies.base.progress import Silent
+from pkm_studies.base import Silent
 from pkm_studies.stages.gap import traces as gap_traces
 from pkm_studies.stages.run_state import start
 from pkm_studies.stages.steps.readings import planned_series, simulate_readings

@@ -10,8 +10,8 @@ import pytest
 import report_fixture
 
 from oed.result import StudyResult
-from pkm_reports.page.blocks import Table
-from pkm_reports.sections import answer
+from pkm_reports import sections as answer
+from pkm_reports.blocks import Table
 from pkm_studies.stages import accuracy_table, headline, outcome
 
 
@@ -156,7 +156,9 @@ def test_the_headline_is_not_printed_twice(
 
 
 def test_the_first_page_says_what_the_model_lacks() -> None:
-    (part,) = [p for p in answer.parts(result(CHANGES)) if p.anchor == "how-accurate"]
+    (part,) = [
+        p for p in answer.answer_parts(result(CHANGES)) if p.anchor == "how-accurate"
+    ]
     words = " ".join(getattr(block, "text", "") for block in part.blocks)
     plain = words.replace("\N{NO-BREAK SPACE}", " ")
     assert "pitch accumulation of its expected size (10 µm)" in plain

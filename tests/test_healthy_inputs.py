@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 pytestmark = pytest.mark.slow
 GAP = re.compile(r"\[gap\]\neffects = \[.*\]\n")
@@ -28,7 +28,7 @@ def result(
     study.write_text(f"{text}\n{identify}", encoding="utf-8")
     readings, folder = out / "case.readings.csv", out / "d"
     arguments = [command, study, "--readings", readings, "--out", folder, "--quiet"]
-    assert cli.main([*map(str, arguments), "--allow-code"]) in (0, 1)
+    assert main([*map(str, arguments), "--allow-code"]) in (0, 1)
     loaded: dict[str, Any] = json.loads((folder / "result.json").read_text())
     return loaded
 

@@ -16,8 +16,8 @@ from oed.result import (
     VerdictRecord,
     VerificationSection,
 )
-from pkm_studies.base.errors import InputError
-from pkm_studies.sessions.acceptance import healthy
+from pkm_studies.acceptance import healthy
+from pkm_studies.base import InputError
 
 DEMANDS = {
     "z": PromiseRecord(promised=30.0, limit=36.0, power=0.9, uncertainty=6.0, unit="um")
@@ -51,9 +51,7 @@ def test_the_plan_says_what_a_healthy_machine_reaches() -> None:
 def test_a_plan_without_effects_says_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        healthy.stored_result, "load_result", lambda folder: planned(effects=False)
-    )
+    monkeypatch.setattr(healthy, "load_result", lambda folder: planned(effects=False))
     with pytest.raises(InputError, match="nothing of a healthy machine"):
         healthy.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
 
@@ -62,7 +60,7 @@ def test_a_plan_for_another_machine_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        healthy.stored_result,
+        healthy,
         "load_result",
         lambda folder: planned(effects=True, machine="delta"),
     )

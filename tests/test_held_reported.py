@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from kernel.estimation.test_held_parameters import SIGMA, bed, heights
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 STUDY = """
 schema = 1
@@ -64,9 +64,7 @@ def test_a_lean_of_the_bed_is_reported(
         )
     table.write_text("\n".join(rows) + "\n", encoding="utf-8")
     out = tmp_path / "out"
-    code = cli.main(
-        ["identify", str(study), "--readings", str(table), "--out", str(out)]
-    )
+    code = main(["identify", str(study), "--readings", str(table), "--out", str(out)])
     assert code == 0
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
     held = result["estimate"]["held"]
@@ -75,7 +73,7 @@ def test_a_lean_of_the_bed_is_reported(
     said = "tilt_x is held at 0 mrad, which the readings contradict"
     assert (said in printed, said in page) == (lean != 0.0, lean != 0.0)
     assert [one["parameters"] for one in held] == [["probe.tilt_x"]] * (lean != 0.0)
-    assert cli.main(["compensate", str(out), "--to", "csv"]) == 0
+    assert main(["compensate", str(out), "--to", "csv"]) == 0
     written = capsys.readouterr().out
     assert (said in written) == (lean != 0.0)
     assert ("do not hold this" in written) == (lean != 0.0)
@@ -90,7 +88,7 @@ def test_belts_that_shrink_to_nothing_are_no_finding(tmp_path: Path) -> None:
         pytest.skip("the folder shared/inputs/four_belts is not beside the project")
     readings = str(folder / "run2.readings.csv")
     study = str(folder / "belts.study.toml")
-    cli.main(["identify", study, "--readings", readings, "--out", str(tmp_path / "o")])
+    main(["identify", study, "--readings", readings, "--out", str(tmp_path / "o")])
     result = json.loads((tmp_path / "o/result.json").read_text(encoding="utf-8"))
     named = [one["parameters"] for one in result["estimate"]["held"]]
     assert [f"scale{k}" for k in (1, 2, 3, 4)] not in named

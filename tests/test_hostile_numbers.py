@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 TOLERANCE = "[[prior.tolerance]]\nparameters = ['dq*']\nsigma_mm = 1e30\n[report]"
 
@@ -34,7 +34,7 @@ def test_a_huge_reading_is_named(
     study.write_text(sample.STUDY, encoding="utf-8")
     text = sample.changed(sample.READINGS, ("300.002", "1e300"))
     readings.write_text(text, encoding="utf-8")
-    assert cli.main(["check", str(study), str(readings)]) == 2
+    assert main(["check", str(study), str(readings)]) == 2
     error = capsys.readouterr().err
     assert (
         "row 3, column length_mm = 1e300: no number of a session is so large" in error
@@ -49,6 +49,6 @@ def test_a_posterior_of_few_steps_says_so(
     study = tmp_path / "s.study.toml"
     text = f"{sample.STUDY}[readings]\nsimulate = true\n[posterior]\n{table}\n"
     study.write_text(text, encoding="utf-8")
-    assert cli.main(["run", str(study), "--out", str(tmp_path / "out")]) == 0
+    assert main(["run", str(study), "--out", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert ("raise [posterior] steps" in out) == ("steps" in table)

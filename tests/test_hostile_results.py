@@ -13,10 +13,10 @@ import pytest
 from oed.model.machine import Machine
 from pkm_models.machines import linear_delta
 from pkm_page import PageOptions, open_page
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 from pkm_studies.compensation.formats import body_names
-from pkm_studies.resolve.quantities import column
+from pkm_studies.quantities import column
 from pkm_studies.study import parse
 
 PATHS = (
@@ -64,7 +64,7 @@ def test_no_command_writes_outside_the_folder(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str]
 ) -> None:
     folder = stored(tmp_path / "theirs", study="../evil")
-    assert cli.main([command[0], str(folder), *command[1:]]) == 2
+    assert main([command[0], str(folder), *command[1:]]) == 2
     assert "study" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["theirs"]
 
@@ -82,7 +82,7 @@ def test_no_text_of_a_result_is_a_command_of_a_controller(tmp_path: Path) -> Non
     formats = {"csv": few, "json": few, "c": [], "klipper": [], "rrf": [], "marlin": []}
     for word, options in (formats | {"linuxcnc": [], "gcode": []}).items():
         folder = hostile(tmp_path / word, linear_delta.machine)
-        assert cli.main(["compensate", str(folder), "--to", word, *options]) in (
+        assert main(["compensate", str(folder), "--to", word, *options]) in (
             0,
             1,
             2,

@@ -9,8 +9,8 @@ import pytest
 from oracles.delta_trilateration import nozzle, travel_to
 
 import oed
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import ballbar, base, session
+from pkm_studies.base import InputError
+from pkm_studies.importers import ImportedSession, ballbar, import_files
 
 #: the shipped delta, and a true one: mm and rad
 NOMINAL = (161.75, [345.0] * 3, np.radians([210.0, 330.0, 90.0]), [420.0] * 3)
@@ -60,7 +60,7 @@ def test_a_trace_of_4000_points_both_ways(
     backward[:, 0] += 360.0
     path = write_trace(tmp_path / "bar.csv", [forward, backward])
     (tmp_path / "my.toml").write_text(MAP)
-    study, imported = session.import_files(
+    study, imported = import_files(
         "ballbar", [path], tmp_path / "out", column_map=tmp_path / "my.toml"
     )
     runs = {row["run"] for row in imported.rows}
@@ -75,7 +75,7 @@ def test_a_trace_of_4000_points_both_ways(
     assert oed.identify(oed.read_readings(loaded)).section.readings == len(
         imported.rows
     )
-    again = session.import_files(
+    again = import_files(
         "ballbar", [path], tmp_path / "b", column_map=tmp_path / "out" / "bar.map.toml"
     )
     assert again[1].rows == imported.rows  # the map that was written is complete
@@ -143,9 +143,9 @@ def circles(tmp_path: Path, rng: np.random.Generator) -> list[Path]:
 
 def _import_circles(
     tmp_path: Path, paths: list[Path], text: str, out: str = "out"
-) -> tuple[Path, base.ImportedSession]:
+) -> tuple[Path, ImportedSession]:
     (tmp_path / "my.toml").write_text(text)
-    return session.import_files(
+    return import_files(
         "ballbar", paths, tmp_path / out, column_map=tmp_path / "my.toml"
     )
 
@@ -258,7 +258,7 @@ def test_bad_traces_name_line_and_remedy(text: str, words: str, tmp_path: Path) 
     (tmp_path / "a.csv").write_text(text)
     (tmp_path / "my.toml").write_text(MAP)
     with pytest.raises(InputError) as raised:
-        session.import_files(
+        import_files(
             "ballbar",
             [tmp_path / "a.csv"],
             tmp_path / "out",
@@ -276,7 +276,7 @@ def test_columns_that_are_not_used_are_named(
     wider = [*lines[:3], *[a + b for a, b in zip(lines[3:], ends, strict=True)]]
     path.write_text("\n".join(wider) + "\n", encoding="utf-8")
     (tmp_path / "m.toml").write_text(MAP)
-    _, imported = session.import_files(
+    _, imported = import_files(
         "ballbar", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
     )
     assert "Not used: Room (C)." in imported.statements

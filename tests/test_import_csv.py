@@ -9,9 +9,9 @@ import pytest
 from oracles import planar_cables
 
 import oed
-from pkm_studies.base import csv_table
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
+from pkm_studies import csv_table
+from pkm_studies.base import InputError
+from pkm_studies.importers import import_files
 
 
 def test_columns_by_a_map_that_is_kept(tmp_path: Path) -> None:
@@ -28,10 +28,10 @@ def test_columns_by_a_map_that_is_kept(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"columns\.xx_mm: no column of readings.*x_mm"
     ):
-        session.import_files(
+        import_files(
             "columns", [tmp_path / "a.csv"], tmp_path, column_map=tmp_path / "typo.toml"
         )
-    study, imported = session.import_files(
+    study, imported = import_files(
         "columns", [tmp_path / "a.csv"], tmp_path, column_map=tmp_path / "m.toml"
     )
     assert "Not used: name, remark." in imported.statements
@@ -68,7 +68,7 @@ def test_cable_lengths_alone_come_in(tmp_path: Path, rng: np.random.Generator) -
     lines = [",".join(f"{v:.6f}" for v in row) for row in drums]
     (tmp_path / "l.csv").write_text("\n".join(["A,B,C,D", *lines]))
     (tmp_path / "m.toml").write_text(CABLES_MAP)
-    study, imported = session.import_files(
+    study, imported = import_files(
         "columns", [tmp_path / "l.csv"], tmp_path, column_map=tmp_path / "m.toml"
     )
     assert "The readings are 0: the machine's closure." in imported.statements
@@ -80,7 +80,7 @@ def test_cable_lengths_alone_come_in(tmp_path: Path, rng: np.random.Generator) -
     wrong = CABLES_MAP.replace("gap1_um", "gap_um")
     (tmp_path / "m.toml").write_text(wrong)
     with pytest.raises(InputError, match=r"noise\.gap_um.*gap1_mm"):
-        session.import_files(
+        import_files(
             "columns",
             [tmp_path / "l.csv"],
             tmp_path / "b",
@@ -95,7 +95,7 @@ def test_tensions_come_in_for_cables_that_the_machine_has(tmp_path: Path) -> Non
     for k in (4, 5):
         path = tmp_path / f"map{k}.toml"
         path.write_text(f'{head}tension_{k}_N = "F"\n')
-    _, imported = session.import_files(
+    _, imported = import_files(
         "columns",
         [tmp_path / "a.csv"],
         tmp_path / "4",
@@ -103,7 +103,7 @@ def test_tensions_come_in_for_cables_that_the_machine_has(tmp_path: Path) -> Non
     )
     assert [row["tension_4_N"] for row in imported.rows] == ["40.0"] * 3
     with pytest.raises(InputError, match="no column of readings"):
-        session.import_files(
+        import_files(
             "columns",
             [tmp_path / "a.csv"],
             tmp_path / "5",
@@ -117,7 +117,7 @@ def test_channels_that_were_not_read_are_left_out(tmp_path: Path) -> None:
         "x_mm,y_mm,z_mm,read_x_mm,read_y_mm\n0,0,10,0.1,0.0\n50,0,10,50.1,0.1\n"
     )
     (tmp_path / "m.toml").write_text('machine = "linear_delta"\ninstrument = "camera"')
-    study, imported = session.import_files(
+    study, imported = import_files(
         "columns", [tmp_path / "c.csv"], tmp_path, column_map=tmp_path / "m.toml"
     )
     assert "Not read: read_z; these channels count nothing." in imported.statements
@@ -154,7 +154,7 @@ def test_contacts_alone_come_in(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("x_mm,y_mm,z_mm\n0,0,0.02\n50,0,0.01\n0,50,0.04\n")
     text = 'machine = "linear_delta"\ninstrument = "contact_probe"\n'
     (tmp_path / "m.toml").write_text(text)
-    study, imported = session.import_files(
+    study, imported = import_files(
         "columns", [tmp_path / "p.csv"], tmp_path, column_map=tmp_path / "m.toml"
     )
     assert "The readings are 0: the poses are the measurement." in imported.statements

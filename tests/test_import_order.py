@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import line_times
+from pkm_studies.base import InputError
+from pkm_studies.importers import read_tables
 
 
 @pytest.mark.parametrize("times", ["clock", "number"])
@@ -18,10 +18,10 @@ def test_a_table_with_the_newest_line_first_is_refused(
     lines = [f"{cell},{k}.5,{k * k}.5" for k, cell in enumerate(cells)]
     file = tmp_path / "t.csv"
     file.write_text("\n".join(["stamp,x,y", *lines]))
-    assert len(line_times.read_tables([file])[0]) == 6
+    assert len(read_tables([file])[0]) == 6
     file.write_text("\n".join(["stamp,x,y", *lines[::-1]]))
     with pytest.raises(InputError, match="the newest stands first"):
-        line_times.read_tables([file])
+        read_tables([file])
     # a time that begins anew with each run is in order
     file.write_text("\n".join(["time,x,y", *lines, *lines]))
-    assert len(line_times.read_tables([file])[0]) == 12
+    assert len(read_tables([file])[0]) == 12

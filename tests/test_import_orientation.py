@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 import oed
 from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines import hexapod, prs_spindle
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
+from pkm_studies.base import InputError
+from pkm_studies.importers import import_files
 
 MAP = """\
 machine = "hexapod"
@@ -83,7 +83,7 @@ def test_other_forms_of_an_orientation_come_in(
     rotation, point = stand(command)
     write(tmp_path / "p.csv", command, point, FORMS[form](rotation))
     (tmp_path / "m.toml").write_text(MAP + form)
-    study, imported = session.import_files(
+    study, imported = import_files(
         kind, [tmp_path / "p.csv"], tmp_path / "out", column_map=tmp_path / "m.toml"
     )
     angles = imported_angles(study)
@@ -109,7 +109,7 @@ def test_a_tracker_s_frame_turns_the_orientations_too(
     )
     text = MAP.replace('"known"', '"best_fit"') + 'quaternion = ["w", "i", "j", "k"]\n'
     (tmp_path / "m.toml").write_text(text)
-    study, _ = session.import_files(
+    study, _ = import_files(
         "tracker",
         [tmp_path / "p.csv"],
         tmp_path / "out",
@@ -176,7 +176,7 @@ def test_orientations_of_another_order_or_sense_are_named(
     write(tmp_path / "p.csv", command, turned.apply(point), written(turned * rotation))
     (tmp_path / "m.toml").write_text(text + form)
     with pytest.raises(InputError, match=words):
-        session.import_files(
+        import_files(
             kind, [tmp_path / "p.csv"], tmp_path / "out", column_map=tmp_path / "m.toml"
         )
     assert not (tmp_path / "out").exists()
@@ -200,10 +200,10 @@ def test_angles_of_the_inverse_rotation_are_refused(
     (tmp_path / "m.toml").write_text(text)
     files, given = [tmp_path / "p.csv"], tmp_path / "m.toml"
     if sense > 0:
-        session.import_files("tracker", files, tmp_path / "out", column_map=given)
+        import_files("tracker", files, tmp_path / "out", column_map=given)
         return
     with pytest.raises(InputError, match="angles of the inverse rotations"):
-        session.import_files("tracker", files, tmp_path / "out", column_map=given)
+        import_files("tracker", files, tmp_path / "out", column_map=given)
 
 
 def test_angles_of_a_tracker_turn_with_its_frame(
@@ -218,7 +218,7 @@ def test_angles_of_a_tracker_turn_with_its_frame(
     own = 'read_alpha_mrad = "w"\nread_beta_mrad = "i"\nread_gamma_mrad = "j"\n'
     text = MAP.replace('"known"', '"best_fit"').replace("\n[orientation]\n", own)
     (tmp_path / "m.toml").write_text(text)
-    study, _ = session.import_files(
+    study, _ = import_files(
         "tracker",
         [tmp_path / "p.csv"],
         tmp_path / "out",
@@ -267,7 +267,7 @@ def test_the_direction_of_a_laser_ball_bar(tmp_path: Path) -> None:
     lines[2] = ",".join([*lines[2].split(",")[:6], "", "", ""])
     (tmp_path / "p.csv").write_text("\n".join(["z,alpha,beta,X,Y,Z,u,v,w", *lines]))
     (tmp_path / "m.toml").write_text(LASER)
-    study, imported = session.import_files(
+    study, imported = import_files(
         "columns",
         [tmp_path / "p.csv"],
         tmp_path / "out",
@@ -314,7 +314,7 @@ def test_a_map_that_states_no_orientation_is_refused(
     assert change[0] in text
     (tmp_path / "m.toml").write_text(text.replace(*change))
     with pytest.raises(InputError, match=words):
-        session.import_files(
+        import_files(
             "columns",
             [tmp_path / "p.csv"],
             tmp_path / "out",

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers.base import ImportRequest
-from pkm_studies.importers.bodies import mjcf_file, urdf_file
+from pkm_studies.base import InputError
+from pkm_studies.drafts.bodies import mjcf_file, urdf_file
+from pkm_studies.importers import ImportRequest
 from pkm_studies.importers.column_map import load
 
 Run = Callable[..., tuple[int, str, str]]

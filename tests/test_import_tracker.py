@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 
 import oed
 from oed.base import units
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands.cli import main
-from pkm_studies.importers import session
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
+from pkm_studies.importers import import_files
 
 #: the shipped delta, and a true one: mm and rad
 NOMINAL = (161.75, [345.0] * 3, np.radians([210.0, 330.0, 90.0]), [420.0] * 3)
@@ -39,7 +39,7 @@ def test_tracker_points_in_a_frame_of_their_own(tmp_path: Path) -> None:
     lines += [",".join(f"{value:.6f}" for value in row) for row in pairs]
     path = tmp_path / "points.csv"
     path.write_text("\n".join(lines))
-    study, imported = session.import_files(
+    study, imported = import_files(
         "tracker", [path], tmp_path / "out", machine="linear_delta"
     )
     assert any("best fit to the nominal poses" in s for s in imported.statements)
@@ -51,13 +51,13 @@ def test_tracker_points_in_a_frame_of_their_own(tmp_path: Path) -> None:
     assert arm == pytest.approx(TRUE[1][0], abs=0.02)
     path.write_text("\n".join(lines).replace("X,Y,Z", "X,Z,Y"))
     with pytest.raises(InputError, match="left-handed"):
-        session.import_files("tracker", [path], tmp_path / "b", machine="linear_delta")
+        import_files("tracker", [path], tmp_path / "b", machine="linear_delta")
     shuffled = [lines[0], *lines[20:], *lines[1:20]]
     poses = [",".join(line.split(",")[:3]) for line in lines]
     (tmp_path / "poses.csv").write_text("\n".join(poses))
     path.write_text("\n".join(",".join(line.split(",")[3:]) for line in shuffled))
     with pytest.raises(InputError, match="in one order"):
-        session.import_files(
+        import_files(
             "tracker",
             [path, tmp_path / "poses.csv"],
             tmp_path / "c",
@@ -108,7 +108,7 @@ def test_points_of_a_machine_of_any_size(
     write_large_points(path, 0.01 * rng.standard_normal((18, 3)))
     (tmp_path / "m.toml").write_text(LARGE_MAP)
     (tmp_path / "large.study.toml").write_text(LARGE_STUDY)
-    study, imported = session.import_files(
+    study, imported = import_files(
         "tracker",
         [path],
         tmp_path / "out",
@@ -122,7 +122,7 @@ def test_points_of_a_machine_of_any_size(
     assert max(estimate.rms_after.values()) < 20.0  # um
     # the map that was written is complete
     kept = tmp_path / "out" / "points.map.toml"
-    again = session.import_files("tracker", [path], tmp_path / "b", column_map=kept)[1]
+    again = import_files("tracker", [path], tmp_path / "b", column_map=kept)[1]
     assert again.rows == imported.rows
 
 
@@ -141,7 +141,7 @@ def test_a_frame_is_free_held_or_known(
     write_large_points(path, np.zeros((18, 3)))
     text = f'registration = "{registration}"\n' + LARGE_MAP
     (tmp_path / "m.toml").write_text(text)
-    study, imported = session.import_files(
+    study, imported = import_files(
         "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
     )
     assert any(words in sentence for sentence in imported.statements)
@@ -173,7 +173,7 @@ def test_a_tracker_noisier_than_its_data_sheet(
     path = tmp_path / "points.csv"
     write_large_points(path, noise * rng.standard_normal((18, 3)))
     (tmp_path / "m.toml").write_text(LARGE_MAP)
-    study, _ = session.import_files(
+    study, _ = import_files(
         "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
     )
     assert main(["check", str(study)]) == code  # with the readings that it names
@@ -187,7 +187,7 @@ def test_a_machine_table_that_does_not_fit_names_its_field(tmp_path: Path) -> No
     with pytest.raises(
         InputError, match=r"m\.toml: machine\.geometry\.arms_mm.*arm_mm"
     ):
-        session.import_files(
+        import_files(
             "tracker", [path], tmp_path / "out", column_map=tmp_path / "m.toml"
         )
 
@@ -234,7 +234,7 @@ def test_points_and_uncertainties_of_a_leica_need_no_map(
 ) -> None:
     header, line, factor = form
     files = exported(tmp_path, header, line, np.array(factor))
-    study, imported = session.import_files(
+    study, imported = import_files(
         "tracker", files, tmp_path / "out", machine="linear_delta"
     )
     said = " ".join(imported.statements)
@@ -277,7 +277,7 @@ def test_points_of_motion_capture_need_no_map(
     header: str, line: str, factor: float, name: str, tmp_path: Path
 ) -> None:
     files = exported(tmp_path, header, line, np.array(factor))
-    study, imported = session.import_files(
+    study, imported = import_files(
         "tracker", files, tmp_path / "out", machine="linear_delta"
     )
     unit = "m" if factor < 1.0 else "mm"
@@ -292,7 +292,7 @@ def test_two_files_without_names_of_columns_say_so(tmp_path: Path) -> None:
         (tmp_path / name).write_text("1.0 2.0 3.0\n4.0 5.0 6.0\n")
     files = [tmp_path / "points.txt", tmp_path / "poses.txt"]
     with pytest.raises(InputError, match="names of its columns"):
-        session.import_files("tracker", files, tmp_path / "o", machine="linear_delta")
+        import_files("tracker", files, tmp_path / "o", machine="linear_delta")
 
 
 def test_points_of_spatial_analyzer_have_their_names_in_a_comment(
@@ -300,14 +300,14 @@ def test_points_of_spatial_analyzer_have_their_names_in_a_comment(
 ) -> None:
     line = "A,  Main,  p{k},  {x},  {y},  {z}"
     files = exported(tmp_path, SPATIAL_ANALYZER, line, np.array(1.0))
-    _, imported = session.import_files(
+    _, imported = import_files(
         "tracker", files, tmp_path / "out", machine="linear_delta"
     )
     assert "X as read_x_mm" in " ".join(imported.statements)
     # the file states no unit: another one is refused
     files = exported(tmp_path, SPATIAL_ANALYZER, line, np.array(1 / 25.4))
     with pytest.raises(InputError, match="their units"):
-        session.import_files("tracker", files, tmp_path / "b", machine="linear_delta")
+        import_files("tracker", files, tmp_path / "b", machine="linear_delta")
 
 
 @pytest.mark.parametrize(
@@ -333,7 +333,7 @@ def test_what_a_header_does_not_say_needs_a_map(
     header = header.replace("x_meas  [deg]", "x_meas")
     files = exported(tmp_path, header, line, np.array(1.0))
     with pytest.raises(InputError, match=words):
-        session.import_files("tracker", files, tmp_path / "out", machine="linear_delta")
+        import_files("tracker", files, tmp_path / "out", machine="linear_delta")
 
 
 @pytest.mark.parametrize(
@@ -350,12 +350,12 @@ def test_numbers_that_no_readings_file_could_have_are_refused_by_their_line(
     header = "X,Y,Z,U(95) X [um],U(95) Y [um],U(95) Z [um]"
     files = exported(tmp_path, header, line, np.array(1.0))
     with pytest.raises(InputError, match=words):
-        session.import_files("tracker", files, tmp_path / "out", machine="linear_delta")
+        import_files("tracker", files, tmp_path / "out", machine="linear_delta")
 
 
 def test_an_uncertainty_of_unknown_coverage_is_stated(tmp_path: Path) -> None:
     files = exported(tmp_path, "X,Y,Z,Ux,Uy,Uz", "{x},{y},{z},1,1,1", np.array(1.0))
-    _, imported = session.import_files(
+    _, imported = import_files(
         "tracker", files, tmp_path / "out", machine="linear_delta"
     )
     assert "want of a coverage factor: Ux, Uy, Uz" in " ".join(imported.statements)

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from pkm_studies import study
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue, study
 from pkm_studies.resolve.machine import (
     ZERO,
     study_machine,

@@ -20,8 +20,8 @@ from oed import checks
 from oed.checks import sentences
 from oed.checks.goodness import Goodness
 from oed.checks.outliers import find_outliers
-from pkm_studies.commands import cli
-from pkm_studies.importers import session
+from pkm_studies.commands import main
+from pkm_studies.importers import import_files
 
 PLAIN = "\n[posterior]\nenabled = false\n[identify]\neffects = 'none'\n"
 #: Klipper's delta: radius and arm, endstops by tower, towers, probed circle (mm), step
@@ -33,7 +33,7 @@ EFFECT, HARMONIC = 3.0, 5
 
 
 def call(*arguments: object) -> int:
-    return cli.main([str(one) for one in arguments])
+    return main([str(one) for one in arguments])
 
 
 def klipper(dent: float) -> str:
@@ -69,7 +69,7 @@ def test_seven_heights_detect_an_error_and_locate_none(
 ) -> None:
     path = tmp_path / "printer.cfg"
     path.write_text(klipper(dent), encoding="utf-8")
-    study, _ = session.import_files("klipper", [path], tmp_path / "in", name="q")
+    study, _ = import_files("klipper", [path], tmp_path / "in", name="q")
     lines = (tmp_path / "in" / "q.readings.csv").read_text("utf-8").splitlines()
     centre = 2 + next(k for k, line in enumerate(lines) if line.startswith("setup,"))
     circle = list(range(centre + 1, centre + 7))

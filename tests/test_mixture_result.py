@@ -11,9 +11,9 @@ from result_sample import drop, whole
 from oed.result import MixtureSection, StudyResult, trust
 from pkm_models.machines.a3_head import machine
 from pkm_reports.sections.gap import mixture as chapter
-from pkm_studies.compensation.identified import identified_parameters
-from pkm_studies.resolve.earlier_result import known_parameters
-from pkm_studies.sessions.acceptance import promise
+from pkm_studies.acceptance import promise
+from pkm_studies.compensation import identified_parameters
+from pkm_studies.earlier_result import known_parameters
 from pkm_studies.stages.gap import mixture as sections
 
 NAMES = ("da1y", "da1z")

@@ -11,14 +11,13 @@ from typing import Any
 import pytest
 import sample
 
-from pkm_studies import study
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Origin
-from pkm_studies.catalogue import catalogue
-from pkm_studies.commands.cli import main
-from pkm_studies.importers import drafts
+from pkm_studies import catalogue, study
+from pkm_studies.base import InputError, Place
+from pkm_studies.commands import main
+from pkm_studies.drafts import write_draft
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import schemas
+from pkm_studies.user_code import Origin
 
 
 def test_a_machine_from_a_file(tmp_path: Path) -> None:
@@ -143,10 +142,10 @@ def _pairs() -> list[Any]:
 def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> None:
     if not can_read(machine, instrument):
         with pytest.raises(InputError, match=f"it cannot read {machine}"):
-            drafts.write("fresh", machine, instrument, Origin(tmp_path))
+            write_draft("fresh", machine, instrument, Origin(tmp_path))
         assert not list(tmp_path.iterdir())
         return
-    path = drafts.write("fresh", machine, instrument, Origin(tmp_path))
+    path = write_draft("fresh", machine, instrument, Origin(tmp_path))
     drafted = path.read_text(encoding="utf-8")
     filled = drafted.replace('"to be measured"', "0.0")
     if filled != drafted:
@@ -160,7 +159,7 @@ def test_a_new_study_is_sound(machine: str, instrument: str, tmp_path: Path) -> 
     text = path.read_text(encoding="utf-8")
     sample.resolved(uncommented(text), tmp_path)
     with pytest.raises(InputError, match="of this name"):
-        drafts.write("fresh", machine, instrument, Origin(tmp_path))
+        write_draft("fresh", machine, instrument, Origin(tmp_path))
 
 
 def test_what_a_draft_leaves_open_is_refused_by_name(
@@ -191,7 +190,7 @@ def test_a_draft_states_the_noise_once(tmp_path: Path) -> None:
     """Of a laser ball bar by its range and angles; of others by channel."""
     noise = {}
     for tool in ("laser_ball_bar", "ball_bar"):
-        path = drafts.write(tool, "a3_head", tool, Origin(tmp_path))
+        path = write_draft(tool, "a3_head", tool, Origin(tmp_path))
         noise[tool] = tomllib.loads(path.read_text(encoding="utf-8"))
     assert "noise" not in noise["laser_ball_bar"]
     assert noise["laser_ball_bar"]["setup"][0]["range_noise_mm"] == 0.0003
@@ -217,7 +216,7 @@ def test_a_drafted_geometry_describes_the_machine_of_the_model(
     family: str, tmp_path: Path
 ) -> None:
     """With the comment signs removed, the table is complete and changes nothing."""
-    path = drafts.write("fresh", family, "pose_tracker_position", Origin(tmp_path))
+    path = write_draft("fresh", family, "pose_tracker_position", Origin(tmp_path))
     entry = re.compile(r"^# (\[machine\.geometry\]|\w+ = .*  # .*)", re.M)
     text = path.read_text()
     start, end = text.index("# [machine.geometry]"), text.index("# [machine.nominal]")

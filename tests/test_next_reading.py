@@ -14,11 +14,12 @@ import sample
 
 from oed.design import candidates, next_reading
 from oed.design.next_reading import Belief
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
+from pkm_studies import shipped
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 from pkm_studies.sessions import next_reading as advice
 from pkm_studies.stages.design.select import select_design
-from pkm_studies.study import load, shipped
+from pkm_studies.study import load
 
 STUDY = sample.changed(
     sample.STUDY, ("[design]", "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n\n[design]")
@@ -142,7 +143,7 @@ def study(tmp_path: Path) -> Path:
 def readings(study: Path, tmp_path: Path) -> Callable[[int], Path]:
     """A file with the first readings of a virtual machine."""
     whole = tmp_path / "whole.readings.csv"
-    assert cli.main(["simulate", str(study), "--out", str(whole)]) == 0
+    assert main(["simulate", str(study), "--out", str(whole)]) == 0
     lines = whole.read_text(encoding="utf-8").splitlines()
 
     def first(count: int) -> Path:
@@ -170,7 +171,7 @@ def test_the_command_says_what_is_next_and_when_to_stop(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     arguments = ["next", str(study), "--readings", str(readings(6))]
-    assert cli.main([*arguments, "--wanted", "z_um=1e7"]) == 0
+    assert main([*arguments, "--wanted", "z_um=1e7"]) == 0
     out = capsys.readouterr().out
     assert "Geometry alone so far: every wanted accuracy would be reached" in out
     assert "Stop" not in out
@@ -178,9 +179,9 @@ def test_the_command_says_what_is_next_and_when_to_stop(
     table = '\n[identify]\neffects = ["encoder_scale"]\n'
     allowed.write_text(study.read_text("utf-8") + table, encoding="utf-8")
     arguments[1] = str(allowed)
-    assert cli.main([*arguments, "--wanted", "z_um=1e7"]) == 0
+    assert main([*arguments, "--wanted", "z_um=1e7"]) == 0
     assert "Stop: every wanted accuracy is reached." in capsys.readouterr().out
-    assert cli.main([*arguments, "--wanted", "z_um=1e-6"]) == 0
+    assert main([*arguments, "--wanted", "z_um=1e-6"]) == 0
     out = capsys.readouterr().out
     assert "more readings would not reach what is wanted" in out
     assert "6 readings taken" in out
@@ -204,7 +205,7 @@ def test_readings_that_do_not_fit_end_no_session(
         rows[k] = ",".join(cells)
     path.write_text("\n".join([header, *rows, ""]), encoding="utf-8")
     arguments = ["next", str(study), "--readings", str(path), "--wanted", "z_um=1e7"]
-    assert cli.main(arguments) == 1
+    assert main(arguments) == 1
     out = capsys.readouterr().out
     assert "the fit is bad" in out
     assert "Look for the cause before you go on" in out
@@ -213,7 +214,7 @@ def test_readings_that_do_not_fit_end_no_session(
 
 def test_the_file_is_followed(study: Path, readings: Callable[[int], Path]) -> None:
     path = readings(5)
-    following = advice.watch(advice.Adviser(load(study)), path)
+    following = advice.Adviser(load(study)).watch(path)
     assert next(following)[0].startswith("5 readings taken")
     path.write_text(readings(7).read_text(encoding="utf-8"), encoding="utf-8")
     assert next(following)[0].startswith("7 readings taken")
@@ -228,7 +229,7 @@ def test_before_the_first_reading_the_plan_begins(study: Path, tmp_path: Path) -
         "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
         encoding="utf-8",
     )
-    lines = advice.sentences(*_advised(study, sheet))
+    lines = advice.advice_sentences(*_advised(study, sheet))
     assert lines[0].startswith("0 readings taken")
     assert any(line.startswith("Next: ") for line in lines)
 

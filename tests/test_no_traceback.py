@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 LINES = """\
 schema = 1
@@ -65,7 +65,7 @@ def test_readings_of_a_set_up_that_the_design_does_not_use(
     readings, out = tmp_path / "r.csv", tmp_path / "out"
     readings.write_text(OTHER, encoding="utf-8")
     call = ["identify", study, "--readings", readings, "--out", out, "--quiet"]
-    assert cli.main([str(a) for a in call]) == 0
+    assert main([str(a) for a in call]) == 0
     result = json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert result["estimate"]["readings"] == 2
     assert any("no readings of rm5" in warning for warning in result["warnings"])
@@ -92,7 +92,7 @@ def test_studies(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     study.write_text(sample.changed(LINES, change), encoding="utf-8")
-    assert cli.main(["check", str(study)]) == 2
+    assert main(["check", str(study)]) == 2
     assert words in capsys.readouterr().err
 
 
@@ -112,5 +112,5 @@ def test_readings(
 ) -> None:
     path = tmp_path / "r.csv"
     path.write_text(sample.changed(sample.READINGS, change), encoding="utf-8")
-    assert cli.main(["check", str(path)]) == 2
+    assert main(["check", str(path)]) == 2
     assert words in capsys.readouterr().err

@@ -13,7 +13,7 @@ import test_bad_fit
 from scipy import stats
 
 from oed.noise.law import reach_words
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 ESTIMATE = ("length_um = 0.5", "length_um = 0.5\nestimate = true")
 ESTIMATED = sample.changed(test_bad_fit.STUDY, ESTIMATE)
@@ -25,7 +25,7 @@ def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
     path, table = test_bad_fit.write(folder, readings)
     path.write_text(study, encoding="utf-8")
     out = str(folder / "fit")
-    cli.main(["identify", str(path), "--readings", str(table), "--out", out])
+    main(["identify", str(path), "--readings", str(table), "--out", out])
     text = (folder / "fit/result.json").read_text(encoding="utf-8")
     return json.loads(text)["goodness"]
 
@@ -102,7 +102,7 @@ def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path: Path) -> None:
     )
     path = tmp_path / "s.study.toml"
     path.write_text(study, encoding="utf-8")
-    assert cli.main(["run", str(path), "--quiet", "--out", str(tmp_path / "out")]) == 0
+    assert main(["run", str(path), "--quiet", "--out", str(tmp_path / "out")]) == 0
     result = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
     goodness = result["goodness"]
     assert goodness["chi2"] == pytest.approx(result["estimate"]["chi2"])

@@ -11,7 +11,7 @@ from oed.measurement.measurement import Measurement, mode_jumps
 from oed.model.instrument import mount
 from pkm_models.instruments import camera
 from pkm_models.machines import delta
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 STUDY = """\
 schema = 1
@@ -49,7 +49,7 @@ def test_readings_of_another_machine_are_exit_1(
     readings.write_text("\n".join(rows) + "\n", encoding="utf-8")
     study = tmp_path / "other.study.toml"
     study.write_text(STUDY, encoding="utf-8")
-    code = cli.main(["run", str(study), "--out", str(tmp_path / "out")])
+    code = main(["run", str(study), "--out", str(tmp_path / "out")])
     said = capsys.readouterr()
     assert code == 1
     assert "the fit is bad" in said.err

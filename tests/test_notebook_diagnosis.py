@@ -13,7 +13,7 @@ import oed
 from oed.result import StudyResult
 from pkm_studies import pipeline
 from pkm_studies.notebook.views import EstimateView
-from pkm_studies.results import stored_result
+from pkm_studies.results import load_result
 from pkm_studies.stages.run_state import WithheldError
 
 TABLES = {
@@ -63,7 +63,7 @@ def commanded(scaled, tmp_path_factory) -> StudyResult:
     study, path = scaled
     folder = tmp_path_factory.mktemp("out")
     pipeline.diagnose(study, [path], folder)
-    return stored_result.load_result(folder)
+    return load_result(folder)
 
 
 def of_file(section):

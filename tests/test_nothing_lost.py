@@ -11,7 +11,7 @@ import pytest
 import sample
 
 from oed.base import own_files
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 #: readings of a few poses, nothing to choose
 PLAN = (
@@ -27,7 +27,7 @@ PLAN = (
 
 
 def run(*arguments: object) -> int:
-    return cli.main([str(a) for a in (*arguments, "--quiet")])
+    return main([str(a) for a in (*arguments, "--quiet")])
 
 
 def filled(text: str) -> str:
@@ -105,7 +105,7 @@ def test_a_file_that_the_user_edited_stays(
     edited = path.read_bytes() + b"<!-- my remark -->"
     path.write_bytes(edited)
     capsys.readouterr()
-    assert cli.main(["run", str(study), "--out", str(out)]) == 1
+    assert main(["run", str(study), "--out", str(out)]) == 1
     printed = capsys.readouterr().out
     assert f"Warning: The file {name} is not as this version wrote it" in printed
     assert f"the new one is {path.stem}-2{path.suffix}" in printed
@@ -116,7 +116,7 @@ def test_a_file_that_the_user_edited_stays(
     }
     if name == "report.html":
         assert f"Report: {out / 'report-2.html'}" in printed
-        assert cli.main(["report", str(out)]) == 0
+        assert main(["report", str(out)]) == 0
         assert path.read_bytes() == edited
 
 
@@ -176,7 +176,7 @@ def test_simulate_overwrites_nothing(
         path.write_text("kept", encoding="utf-8")
     content = path.read_bytes()
     out = path.with_name("x.csv") if name == "x.truth.json" else path
-    assert cli.main(["simulate", str(study), "--out", str(out)]) == 2
+    assert main(["simulate", str(study), "--out", str(out)]) == 2
     assert f"{path}: there is a file" in capsys.readouterr().err
     assert path.read_bytes() == content
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ def test_a_second_file_of_an_option_that_takes_one_is_refused(
     call: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Else the first would be left out without a word."""
-    assert cli.main(call.split()) == 2
+    assert main(call.split()) == 2
     option = "--readings" if "--readings" in call else "--after"
     wanted = f"oed: {option}: it is given 2 times, and takes one file; give it once.\n"
     assert capsys.readouterr().err == wanted
@@ -40,7 +40,7 @@ def test_of_other_values_the_last_counts(capsys: pytest.CaptureFixture[str]) -> 
         "--force",
         "--force",
     ]
-    assert cli.main(call) == 2
+    assert main(call) == 2
     assert "no_format" in capsys.readouterr().err
 
 
@@ -59,7 +59,7 @@ def test_readings_of_all_files_count(tmp_path: Path) -> None:
     for given in (files[:1], files):
         out = tmp_path / f"out{len(given)}"
         readings = [part for path in given for part in ("--readings", str(path))]
-        assert cli.main(["identify", str(study), *readings, "--out", str(out)]) in (
+        assert main(["identify", str(study), *readings, "--out", str(out)]) in (
             0,
             1,
         )

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.study import load
 

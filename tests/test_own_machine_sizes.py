@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 
 MACHINE = """
 import casadi as ca

@@ -11,7 +11,7 @@ import test_nothing_lost
 
 from oed.mechanism.kinematics import AssemblyError
 from pkm_studies import pipeline
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 FAILURE = AssemblyError("12 of 65 poses cannot be assembled", [3])
 
@@ -43,7 +43,7 @@ def test_what_came_before_a_failure_is_written(
 ) -> None:
     monkeypatch.setattr(pipeline, step, mock.Mock(side_effect=FAILURE))
     out = tmp_path / "out"
-    assert cli.main([command, str(study), "--out", str(out), "--quiet"]) == 2
+    assert main([command, str(study), "--out", str(out), "--quiet"]) == 2
     message = capsys.readouterr().err
     assert "12 of 65 poses" in message
     assert f"What was computed before is in {out / 'result.json'}" in message
@@ -58,10 +58,10 @@ def test_a_failure_takes_no_earlier_result(
 ) -> None:
     out = tmp_path / "out"
     arguments = ["run", str(study), "--out", str(out), "--quiet"]
-    assert cli.main(arguments) == 0
+    assert main(arguments) == 0
     whole = (out / "result.json").read_bytes()
     monkeypatch.setattr(pipeline, "draw_machine", mock.Mock(side_effect=FAILURE))
-    assert cli.main(arguments) == 2
+    assert main(arguments) == 2
     assert (out / "result-earlier.json").read_bytes() == whole
 
 
@@ -70,5 +70,5 @@ def test_nothing_is_written_where_nothing_was_computed(
 ) -> None:
     out = tmp_path / "out"
     monkeypatch.setattr(pipeline, "take_readings", mock.Mock(side_effect=FAILURE))
-    assert cli.main(["run", str(study), "--out", str(out), "--quiet"]) == 2
+    assert main(["run", str(study), "--out", str(out), "--quiet"]) == 2
     assert not (out / "result.json").exists()

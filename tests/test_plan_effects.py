@@ -17,12 +17,11 @@ from oed.design.stages.stage.prediction import predict_stage
 from oed.measurement import Series
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines.planar_2dof import machine
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.progress import Silent
+from pkm_studies.base import InputError, Silent
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.streams import plan_streams
-from pkm_studies.study.loader import load
+from pkm_studies.study import load
 
 SIGMA, EFFECTS = 5e-6, 4
 PLANAR = Path(__file__).parents[1] / "studies" / "planar_plan.study.toml"

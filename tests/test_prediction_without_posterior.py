@@ -14,7 +14,7 @@ from oracles import a3_geometry as a3
 
 import oed
 from oed.base.linear_algebra import covariance_root
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.stages.steps import prediction
 
 
@@ -91,7 +91,7 @@ def test_held_out_readings_are_predicted_as_by_the_posterior(tmp_path: Path) -> 
         options = f'[readings]\nfiles = ["{table.name}"]\npredict = ["long_tool"]\n'
         path.write_text(f"{text}\n{options}", encoding="utf-8")
         out = folder / "out"
-        cli.main(["run", str(path), "--quiet", "--out", str(out)])
+        main(["run", str(path), "--quiet", "--out", str(out)])
         result = json.loads((out / "result.json").read_text(encoding="utf-8"))
         assert not [w for w in result.get("warnings", []) if "not predicted" in w]
         (sections[name],) = result["held_out"]

@@ -9,7 +9,7 @@ import pytest
 
 from oed.identifiability.assessment import assess
 from pkm_studies import study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
 from pkm_studies.stages.design.cost import single_stage_plan
 

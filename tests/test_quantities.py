@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oed.base import units
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.resolve import quantities
+from pkm_studies import quantities
+from pkm_studies.base import InputError, Place
 
 HERE = Place("x.study.toml")
 #: no longer than a field's, as messages are shortened

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import pkm_studies
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 
 
 def test_no_two_streams_have_the_same_numbers() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -44,7 +44,7 @@ def run_example(study: Path) -> None:
     shipped = str(ROOT / "studies" / "a3_ball_bar.study.toml")
     for command in example():
         given = [a.replace(shipped, str(study)) for a in as_oed(command)]
-        assert cli.main([a.replace("a3_ball_bar", name) for a in given]) == 0
+        assert main([a.replace("a3_ball_bar", name) for a in given]) == 0
 
 
 def rows(folder: Path) -> list[dict[str, str]]:

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.real_data import page
 from benchmarks.real_data.entries import ENTRIES, STUDIES
 from benchmarks.real_data.run import run
-from pkm_studies.base.plugins import project_plugins
+from pkm_studies.plugins import project_plugins
 from pkm_studies.study.data_sources import jugglebot
 
 

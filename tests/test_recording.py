@@ -22,13 +22,13 @@ from oed.compensate.effects.remaining_error import (
 from oed.model.effect import Column, Effect
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines.planar_2dof import machine
-from pkm_reports.page.blocks import Table
+from pkm_reports.blocks import Table
 from pkm_reports.sections.recording import blocks
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.planned_effects import planned_courses
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.headline import recording_sentences
-from pkm_studies.study.tables import ConditionsTable
+from pkm_studies.tables import ConditionsTable
 
 PLAY = 8e-6
 STUDY = """

@@ -28,8 +28,8 @@ from pkm_models.instruments import (
     relative,
 )
 from pkm_models.machines import a3_head, hexapod, linear_delta, planar_2dof
+from pkm_studies import catalogue
 from pkm_studies import study as studies
-from pkm_studies.catalogue import catalogue
 from pkm_studies.resolve import machine as machines
 from pkm_studies.resolve.gap import gap_request
 

@@ -22,10 +22,9 @@ from report_fixture import result_of, shown_text, text_of
 from oed.base import own_files
 from oed.result import StudyResult
 from pkm_reports import sections, write_report
-from pkm_reports.page import document
-from pkm_reports.page import html as html_writer
-from pkm_reports.page import pdf as pdf_writer
-from pkm_studies.results import result_folder, stored_result
+from pkm_reports.page import build_document, render_html, render_pdf
+from pkm_studies import result_folder
+from pkm_studies.results import load_result
 
 pytestmark = pytest.mark.pictures
 
@@ -147,7 +146,7 @@ def test_the_question_and_the_answers_come_first(
 ) -> None:
     first, _, rest = full[0].read_text(encoding="utf-8").partition('class="chapter"')
     shown, appendix = text_of(first), text_of(rest)
-    parts = [part.title for part in sections.answer.parts(result)]
+    parts = [part.title for part in sections.answer_parts(result)]
     for words in (result.title, result.question, *parts):
         assert words in shown
     claims = [claim.claim for claim in result.claims]
@@ -185,10 +184,10 @@ def test_the_same_result_gives_the_same_page(
 def test_users_settings_change_nothing(tmp_path: Path) -> None:
     drawing = report_fixture.sample()["drawing"]
     drawn = result_of(report_fixture.bare() | {"drawing": drawing})
-    expected = html_writer.render(document.build(drawn))
+    expected = render_html(build_document(drawn))
     settings = {"font.size": 30.0, "axes.grid": False, "text.usetex": False}
     with matplotlib.style.context(settings):
-        assert html_writer.render(document.build(drawn)) == expected
+        assert render_html(build_document(drawn)) == expected
 
 
 def test_a_failed_write_leaves_the_old_report(
@@ -222,8 +221,8 @@ def test_a_report_needs_no_optional_section(tmp_path: Path) -> None:
 def test_a_result_of_an_older_version_lacks_a_key(missing: str) -> None:
     raw = report_fixture.bare()
     raw.pop(missing, None)
-    report = document.build(result_of(raw))
-    assert pdf_writer.render(report).startswith(b"%PDF")
+    report = build_document(result_of(raw))
+    assert render_pdf(report).startswith(b"%PDF")
 
 
 def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
@@ -233,7 +232,7 @@ def test_a_result_file_of_an_older_version_still_loads(tmp_path: Path) -> None:
     old = {key: full[key] for key in keys}
     file = tmp_path / "result.json"
     file.write_text(json.dumps(old), encoding="utf-8")
-    loaded = stored_result.load_result(tmp_path)
+    loaded = load_result(tmp_path)
     assert loaded.design is not None
     assert loaded.design.value == full["design"]["value"]
     assert (loaded.headline, loaded.claims, loaded.gap) == ([], [], None)
@@ -316,10 +315,10 @@ def test_the_book_is_short_without_its_appendix() -> None:
     raw["design"] |= dict.fromkeys(("robust", "how_many", "polished")) | {
         "compared": []
     }
-    report = document.build(result_of(raw | {"held_out": []}))
+    report = build_document(result_of(raw | {"held_out": []}))
     chapters = report.page.sections[: report.page.appendix]
     page = dataclasses.replace(report.page, sections=chapters)
-    book = pdf_writer.render(dataclasses.replace(report, page=page))
+    book = render_pdf(dataclasses.replace(report, page=page))
     pages = max(int(n) for n in re.findall(rb"/Count (\d+)", book))
     assert 6 <= pages <= 12
     assert len(book) < 3_000_000

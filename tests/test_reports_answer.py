@@ -9,15 +9,16 @@ from report_fixture import result_of
 
 from oed.result import StudyResult
 from oed.result.prediction import LEVELS
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Facts, Items, Notice, Paragraph, Table
-from pkm_reports.sections.answer import accuracy, causes, parts, unknown, warnings
+from pkm_reports import text
+from pkm_reports.blocks import Facts, Items, Notice, Paragraph, Table
+from pkm_reports.sections import answer_parts
+from pkm_reports.sections.answer import accuracy, causes, unknown, warnings
 
 
 def _words(result: StudyResult) -> dict[str, str]:
     """All words of each part by its anchor."""
     words = {}
-    for part in parts(result):
+    for part in answer_parts(result):
         lines: list[str] = []
         for block in part.blocks:
             match block:

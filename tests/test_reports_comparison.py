@@ -13,11 +13,10 @@ from report_fixture import result_of, text_of
 from report_fixture_fit import spread
 
 from oed.result import StudyResult
-from pkm_reports import write_comparison
+from pkm_reports import text, write_comparison
 from pkm_reports.comparison import accuracy, content, glance, parameters
-from pkm_reports.page import text
-from pkm_studies.commands import cli
-from pkm_studies.results import result_folder
+from pkm_studies.commands import main
+from pkm_studies.sessions import comparison
 
 
 @pytest.fixture
@@ -119,7 +118,7 @@ def test_the_command_puts_folders_side_by_side(
 ) -> None:
     folders = [_stored(tmp_path / name / "out", r) for name, r in results.items()]
     out = tmp_path / "side"
-    assert cli.main(["report", *map(str, folders), "--out", str(out)]) == 0
+    assert main(["report", *map(str, folders), "--out", str(out)]) == 0
     assert str(out / "comparison.html") in capsys.readouterr().out
     shown = text_of((out / "comparison.html").read_text(encoding="utf-8"))
     assert "one/out and two/out side by side" in shown
@@ -128,6 +127,6 @@ def test_the_command_puts_folders_side_by_side(
 
 def test_folders_get_names_that_tell_them_apart() -> None:
     folders = [Path("a/x/out"), Path("b/x/out"), Path("c")]
-    assert result_folder.short_names(folders[:2]) == ["a/x/out", "b/x/out"]
-    assert result_folder.short_names([folders[0], folders[2]]) == ["out", "c"]
-    assert len(set(result_folder.short_names([folders[0]] * 2))) == 2
+    assert comparison.short_names(folders[:2]) == ["a/x/out", "b/x/out"]
+    assert comparison.short_names([folders[0], folders[2]]) == ["out", "c"]
+    assert len(set(comparison.short_names([folders[0]] * 2))) == 2

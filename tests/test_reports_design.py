@@ -20,11 +20,11 @@ from oed.result import (
     RobustSummary,
     StudyResult,
 )
-from pkm_reports.figures import criteria, path, robust
-from pkm_reports.page import document, style
-from pkm_reports.page import pdf as pdf_writer
+from pkm_reports import style
+from pkm_reports.page import build_document, render_pdf
 from pkm_reports.sections import plan
 from pkm_reports.sections.design import chapter
+from pkm_reports.sections.figures import criteria, path, robust
 
 pytestmark = pytest.mark.pictures
 
@@ -142,8 +142,8 @@ def test_numbers_that_were_not_finite_leave_gaps() -> None:
     design["robust"]["values"][0] = None
     design["how_many"]["accuracy"]["z_um"][0] = None
     design["how_many"] |= {"fewest": None, "wanted": {}, "words": ""}
-    report = document.build(_with_design(design))
-    assert pdf_writer.render(report).startswith(b"%PDF")
+    report = build_document(_with_design(design))
+    assert render_pdf(report).startswith(b"%PDF")
 
 
 def test_an_old_result_still_has_its_certificate() -> None:

@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 from report_fixture import check_inside, result_of
 
 from oed.result import Drawing
-from pkm_reports.figures import (
+from pkm_reports import style
+from pkm_reports.page import build_document, render_html, render_pdf
+from pkm_reports.sections.figures import (
     accuracy,
     budget,
     corner,
@@ -30,9 +32,6 @@ from pkm_reports.figures import (
     singular_values,
     workspace,
 )
-from pkm_reports.page import document, style
-from pkm_reports.page import html as html_writer
-from pkm_reports.page import pdf as pdf_writer
 
 pytestmark = pytest.mark.pictures
 
@@ -143,10 +142,10 @@ def test_a_figure_of_many_marks_becomes_pixels() -> None:
         "residuals_before": values,
         "channels": ["length"] * 6000,
     }
-    report = document.build(result_of(raw))
+    report = build_document(result_of(raw))
     assert report.images["residuals"].kind == "png"
-    assert b"data:image/png" in html_writer.render(report)
-    assert pdf_writer.render(report).startswith(b"%PDF")
+    assert b"data:image/png" in render_html(report)
+    assert render_pdf(report).startswith(b"%PDF")
 
 
 def test_a_figure_placed_by_hand_becomes_pixels_without_a_warning(

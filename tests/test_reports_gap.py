@@ -16,16 +16,14 @@ from report_fixture import check_inside, result_of, text_of
 
 from oed.gap.data import problem
 from oed.result import AnswerRecord, GapSection, StudyResult, Trace
-from pkm_reports import sections, write_report
-from pkm_reports.figures.gap import effects as gap_effects
-from pkm_reports.figures.gap import map as gap_map
-from pkm_reports.figures.gap import polar as gap_polar
-from pkm_reports.figures.gap import trace as gap_trace
-from pkm_reports.page import document, missing, style, text
-from pkm_reports.page import html as html_writer
-from pkm_reports.page import pdf as pdf_writer
+from pkm_reports import missing, sections, style, text, write_report
+from pkm_reports.page import build_document, render_html, render_pdf
+from pkm_reports.sections.figures.gap import effects as gap_effects
+from pkm_reports.sections.figures.gap import map as gap_map
+from pkm_reports.sections.figures.gap import polar as gap_polar
+from pkm_reports.sections.figures.gap import trace as gap_trace
 from pkm_reports.sections.gap import chapter, explanations
-from pkm_studies.base.progress import Silent
+from pkm_studies.base import Silent
 from pkm_studies.stages.gap.section import gap_section
 from pkm_studies.stages.run_state import start
 from pkm_studies.stages.steps.readings import planned_series, simulate_readings
@@ -96,10 +94,10 @@ def test_every_verdict_has_a_page(gap: GapSection, verdict: str) -> None:
     section = replace(gap, verdict=verdict)
     if verdict in ("none", "unknown"):
         section = _without_effects(section)
-    report = document.build(_result(section))
-    page = html_writer.render(report)
+    report = build_document(_result(section))
+    page = render_html(report)
     assert page.rstrip().endswith(b"</html>")
-    assert pdf_writer.render(report).startswith(b"%PDF")
+    assert render_pdf(report).startswith(b"%PDF")
     explained_by_noise = "no gap: noise alone" in text_of(page.decode())
     assert explained_by_noise == (verdict in ("none", "class", "mixture"))
 
@@ -141,7 +139,7 @@ def test_nothing_but_the_contract_s_own_keys_is_needed(gap: GapSection) -> None:
         "confusable",
     )
     old = {key: stored[key] for key in contract}
-    assert pdf_writer.render(document.build(_result(old))).startswith(b"%PDF")
+    assert render_pdf(build_document(_result(old))).startswith(b"%PDF")
 
 
 def test_text_of_the_readings_is_never_markup(gap: GapSection, tmp_path: Path) -> None:
@@ -170,8 +168,8 @@ def test_text_of_the_readings_is_never_markup(gap: GapSection, tmp_path: Path) -
 
 
 def test_the_same_result_gives_the_same_bytes(gap: GapSection) -> None:
-    first = html_writer.render(document.build(_result(gap)))
-    assert html_writer.render(document.build(_result(gap))) == first
+    first = render_html(build_document(_result(gap)))
+    assert render_html(build_document(_result(gap))) == first
 
 
 # -- tables ----------------------------------------------------------------------------
@@ -193,7 +191,7 @@ def test_a_coefficient_without_an_expected_size_has_none(gap: GapSection) -> Non
 def test_one_of_many_is_not_named_before_the_others() -> None:
     few, many = ["friction", "backlash"], ["step", *(f"effect_{k}" for k in range(6))]
     answer = AnswerRecord(["friction", "step", "unknown"], 0.4, [few, many])
-    explanation, percent, others = explanations.row(answer)
+    explanation, percent, others = explanations.explanation_row(answer)
     assert explanation == "friction, one of 7 and an effect of unknown form"
     assert percent == text.percent(0.4)
     assert others.startswith("backlash, step, effect 0")
@@ -304,7 +302,7 @@ def test_what_is_too_small_to_be_seen_is_said_to_be() -> None:
         (0.13, "an effect of unknown form, too small for these readings to show"),
     ):
         answer = AnswerRecord(("unknown",), 0.13, (), unseen)
-        assert explanations.row(answer)[0] == words
+        assert explanations.explanation_row(answer)[0] == words
 
 
 def test_no_gap_closes_by_more_than_all_of_it(gap: GapSection) -> None:

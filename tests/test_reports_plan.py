@@ -18,12 +18,10 @@ from msgspec.structs import replace
 from report_fixture import check_box, result_of, shown_text
 
 from oed.result import PlannedReading, PlanSection, StudyResult
-from pkm_reports import sections, write_sheet
-from pkm_reports.figures import pareto, stage_accuracy, timeline
-from pkm_reports.page import document, sheet, style
-from pkm_reports.page import html as html_writer
-from pkm_reports.page import pdf as pdf_writer
-from pkm_reports.page.blocks import Paragraph, Picture
+from pkm_reports import sections, style, write_sheet
+from pkm_reports.blocks import Paragraph, Picture
+from pkm_reports.page import build_document, render_html, render_pdf, sheet
+from pkm_reports.sections.figures import pareto, stage_accuracy, timeline
 from pkm_reports.sections.stages import chapter
 
 pytestmark = pytest.mark.pictures
@@ -200,7 +198,7 @@ def _check(result: StudyResult, *, draw: bool) -> None:
     ]
     assert not {"nan", "None"} & set(re.findall(r"\w+", " ".join(texts)))
     if draw:
-        assert pdf_writer.render(document.build(result)).startswith(b"%PDF")
+        assert render_pdf(build_document(result)).startswith(b"%PDF")
 
 
 def test_names_are_never_markup(tmp_path: Path) -> None:
@@ -215,11 +213,11 @@ def test_names_are_never_markup(tmp_path: Path) -> None:
     plan["alternatives"][0] |= {"names": [NASTY], "why": NASTY}
     plan["compared"][0] |= {"name": NASTY, "words": NASTY}
     result = replace(_small(plan), title=NASTY)
-    report = document.build(result)
-    page = html_writer.render(report).decode()
+    report = build_document(result)
+    page = render_html(report).decode()
     assert "<b>&" not in page
     assert page.count("</script>") == 1
-    assert pdf_writer.render(report).startswith(b"%PDF")
+    assert render_pdf(report).startswith(b"%PDF")
     poses = [PlannedReading(NASTY, NASTY, 0, {NASTY: 1.0}, {NASTY: 1.0})]
     printed = write_sheet(result, poses, tmp_path)
     assert printed.read_bytes().startswith(b"%PDF")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pkm_reports.page import text
+from pkm_reports import text
 
 
 @pytest.mark.parametrize(

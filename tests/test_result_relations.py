@@ -16,10 +16,10 @@ from result_sample import Change, drop, put, rename, twice, whole, whole_once
 from oed.result import StudyResult, relations
 from oed.result.relations import base as breaches
 from pkm_reports import sections
-from pkm_reports.sections import answer
-from pkm_reports.view import scene
-from pkm_studies.catalogue import catalogue
-from pkm_studies.commands import cli
+from pkm_reports.sections import answer_parts
+from pkm_reports.view import build_view
+from pkm_studies import catalogue
+from pkm_studies.commands import main
 
 #: one of each kind; tests/kernel/result has all
 MUTATIONS: list[tuple[Change, str]] = [
@@ -45,7 +45,7 @@ def test_a_contradiction_is_refused_with_its_field(
     plain = whole()
     change(plain)
     (tmp_path / "result.json").write_bytes(msgspec.json.encode(plain))
-    assert cli.main(["report", str(tmp_path)]) == 2
+    assert main(["report", str(tmp_path)]) == 2
     error = capsys.readouterr().err
     assert field in error
     assert str(tmp_path / "result.json") in error
@@ -69,7 +69,7 @@ def test_a_file_that_is_no_result(
     text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "result.json").write_text(text, encoding="utf-8")
-    assert cli.main(["report", str(tmp_path)]) == 2
+    assert main(["report", str(tmp_path)]) == 2
     assert "this is no result" in capsys.readouterr().err
 
 
@@ -137,7 +137,7 @@ def test_what_is_not_refused_can_be_shown(draw: st.DataObject) -> None:
         return
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        answer.parts(result)
+        answer_parts(result)
         sections.chapters(result)
         sections.appendix(result)
-        scene.build(result)
+        build_view(result)

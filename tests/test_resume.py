@@ -15,7 +15,7 @@ import sample
 import xarray as xr
 
 from oed.posterior import checkpoint
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 STUDY = (
     sample.DELTA
@@ -60,13 +60,13 @@ def test_run_resumes_by_itself(
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint.Chain, "save", kill_after_saving)
         with pytest.raises(KilledError):
-            cli.main(command(study, tmp_path / "killed"))
+            main(command(study, tmp_path / "killed"))
     assert names(tmp_path / "killed") == {"posterior.unfinished"}
     # the sample's readings are made up, so that their fit is bad
-    assert cli.main(command(study, tmp_path / "unbroken")) == 1
+    assert main(command(study, tmp_path / "unbroken")) == 1
     capsys.readouterr()
     resumed = [a for a in command(study, tmp_path / "killed") if a != "--quiet"]
-    assert cli.main(resumed) == 1
+    assert main(resumed) == 1
     assert "posterior, resumed after 50 steps" in capsys.readouterr().out
     assert written(tmp_path / "killed") == written(tmp_path / "unbroken")
     assert names(tmp_path / "killed") == names(tmp_path / "unbroken")

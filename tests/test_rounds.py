@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oracles import a3_geometry as a3
 
 from pkm_studies import pipeline
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 from pkm_studies.study import load
 
 Array = NDArray[np.float64]
@@ -126,9 +126,7 @@ class Machine:
         session().write(readings, self.truth, joints, 100 * self.seed + k)
         out = self.folder / f"round{k}"
         pipeline.run(load(self.study(k, **sessions)), out, readings=[readings])
-        assert (
-            cli.main(["compensate", str(out), "--to", "json", "--commands", "64"]) == 0
-        )
+        assert main(["compensate", str(out), "--to", "json", "--commands", "64"]) == 0
         return dict(json.loads((out / "result.json").read_text()))
 
     def controller(self, k: int) -> rounds.Joints:
@@ -171,7 +169,7 @@ def two_rounds(seed: int, folder: Path) -> Outcome:
         2, machine.controller(1), controller="round1", earlier="round1"
     )
     out = machine.folder / "round2"
-    assert cli.main(["compensate", str(out), "--to", "csv"]) == 0
+    assert main(["compensate", str(out), "--to", "csv"]) == 0
     rows = second["estimate"]["parameters"]
     believed = [rows[n]["value"] * rounds.UNIT[rows[n]["unit"]] for n in rounds.NAMES]
     return Outcome(
@@ -296,7 +294,7 @@ class PaperHead:
         out = self.folder / f"out{self.rounds}"
         pipeline.run(load(study), out, readings=[readings])
         options = ["--to", "json", "--commands", "64", "--force"]
-        assert cli.main(["compensate", str(out), *options]) == 0
+        assert main(["compensate", str(out), *options]) == 0
         self.joints = rounds.of_json(out / "compensation.json")
         return dict(json.loads((out / "result.json").read_text())), length
 

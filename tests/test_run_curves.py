@@ -16,10 +16,11 @@ from oed.estimation.estimate import Estimate
 from oed.estimation.identification import identify
 from oed.measurement.measurement import Measurement, Series
 from oed.result import RunCurve, relations
-from pkm_reports.figures import run_curves as figure
-from pkm_reports.page import document, style
-from pkm_studies.commands.cli import main
-from pkm_studies.results.stored_result import load_result
+from pkm_reports import style
+from pkm_reports.page import build_document
+from pkm_reports.sections.figures import run_curves as figure
+from pkm_studies.commands import main
+from pkm_studies.results import load_result
 from pkm_studies.stages.fit import run_curves
 
 pytestmark = pytest.mark.pictures
@@ -114,7 +115,7 @@ def test_the_report_draws_the_runs(curves: list[RunCurve]) -> None:
     for curve in contradicting:
         raw["estimate"]["runs"] = msgspec.to_builtins([curve])
         assert list(relations.breaches(result_of(raw)))
-    report = document.build(result)
+    report = build_document(result)
     assert "run_curves" in report.images
     with style.applied():
         drawn = figure.draw(curves)

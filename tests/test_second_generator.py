@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.second import __main__ as command
 from benchmarks.second import adapter, cases, run, score
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -100,7 +100,7 @@ def test_the_campaign_diagnoses_each_case_under_both_laws(
     assert command.main(["table", "--campaign", str(out)]) == 2
     assert "second.campaign.toml` first" in capsys.readouterr().err
     arguments = ["campaign", str(file), "--out", str(out), "--workers", "1"]
-    assert cli.main([*arguments, "--seeds", "2"]) == 0
+    assert main([*arguments, "--seeds", "2"]) == 0
     capsys.readouterr()
     assert command.main(["table", "--campaign", str(out)]) == 0
     table = capsys.readouterr().out
@@ -108,7 +108,7 @@ def test_the_campaign_diagnoses_each_case_under_both_laws(
     assert "| right class | 1.00" in table
     failed = table.split("| no gap at 0.9 and more is right |")[1]
     assert failed.count("-") == 1  # the failed one gives no answer
-    assert cli.main([*arguments, "--seeds", "3"]) == 2
+    assert main([*arguments, "--seeds", "3"]) == 2
     assert "the set has 2 cases of a3: give" in capsys.readouterr().err
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from benchmarks.second import adapter, cases, texts
-from pkm_reports.page.blocks import Items, Paragraph, Picture, Table, TableColumn
+from pkm_reports.blocks import Items, Paragraph, Picture, Table, TableColumn
 
 
 def test_the_words_of_blocks_in_lines() -> None:

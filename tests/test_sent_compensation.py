@@ -16,7 +16,7 @@ from oed.compensate.effects.effect_maps import SessionStates
 from oed.result import MixtureSection, trust
 from oed.result.mixture import BEST, MIXTURE, NOTHING, PLAIN
 from pkm_models.machines.a3_head import machine
-from pkm_studies.resolve.earlier_result import controller_values, corrects_effects
+from pkm_studies.earlier_result import controller_values, corrects_effects
 from pkm_studies.stages.corrected.section import without_tables
 from pkm_studies.stages.gap import mixture as sections
 from pkm_studies.stages.predict import knowledge

@@ -12,8 +12,8 @@ import pytest
 import sample
 
 from oed.estimation import session_change
-from pkm_studies.commands import cli
-from pkm_studies.results import comparison
+from pkm_studies.commands import main
+from pkm_studies.sessions import comparison
 
 Run = Callable[..., tuple[int, str, str]]
 #: offset dq1 (mm) of the machine by date
@@ -36,7 +36,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Path:
         study.write_text(f"{plan}{simulated}", encoding="utf-8")
         out = folder / "machine" / date
         call = ["run", study, "--out", out, "--seed", seed, "--quiet"]
-        assert cli.main([str(a) for a in call]) == 0
+        assert main([str(a) for a in call]) == 0
     return folder / "machine"
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies import pipeline
-from pkm_studies.base.errors import InputError
-from pkm_studies.study import SUFFIX, Study, load, shipped
+from pkm_studies import pipeline, shipped
+from pkm_studies.base import InputError
+from pkm_studies.study import SUFFIX, Study, load
 
 Run = Callable[..., tuple[int, str, str]]
 pytestmark = pytest.mark.usefixtures("own_folder")

@@ -11,8 +11,8 @@ import pytest
 import sample
 import test_bad_fit
 
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.stages.fit.states import (
     beyond_recorded,
@@ -95,7 +95,7 @@ def test_a_state_that_no_reading_recorded_is_refused(
     study.write_text(text.replace('effects = "none"', 'effects = ["gravity"]'))
     out = tmp_path / "out"
     arguments = ["identify", str(study), "--readings", str(readings)]
-    assert cli.main([*arguments, "--out", str(out)]) == 2
+    assert main([*arguments, "--out", str(out)]) == 2
     message = capsys.readouterr().err
     assert "temp_frame_C" in message
     assert "record it in the readings" in message

@@ -13,7 +13,7 @@ import sample
 from oed import Measurement, mount
 from pkm_models.instruments.pose_tracker import position
 from pkm_models.machines.hexapod import machine
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 
 NESTS = {"one": (0.05, 0.0, 0.0), "two": (-0.03, 0.04, 0.0), "three": (0.0, -0.05, 0.0)}
 COMMAND = np.array(

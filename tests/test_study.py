@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import sample
 
-from pkm_studies import study
-from pkm_studies.base.errors import SourceAbsentError
+from pkm_studies import shipped, study
+from pkm_studies.base import SourceAbsentError
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.study import shipped
 
 
 def test_the_grid_varies_its_first_coordinate_slowest() -> None:

@@ -13,7 +13,7 @@ from design_sample import CUP, EXTRA, GRID, KNOWN, chosen, rows, section, text, 
 from oed.identifiability import information
 from oed.measurement.measurement import Series
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 # -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------
 

@@ -14,7 +14,7 @@ import pytest
 import sample
 import test_bad_fit
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 
 def run(folder: Path, lines: str) -> dict[str, Any]:
@@ -30,7 +30,7 @@ def identified(study: Path, readings: Path) -> tuple[dict[str, Any], int]:
     """Result and exit code."""
     folder = study.parent
     out = folder / "out"
-    code = cli.main(
+    code = main(
         ["identify", str(study), "--readings", str(readings), "--out", str(out)]
     )
     return json.loads((out / "result.json").read_text()), code
@@ -91,7 +91,7 @@ def test_an_unknown_effect_is_refused_by_its_name(
     study, readings = test_bad_fit.write(tmp_path, bar_readings.a3_readings(0))
     text = study.read_text().replace('effects = "none"', 'effects = ["backlsh"]')
     study.write_text(text)
-    code = cli.main(
+    code = main(
         [
             "identify",
             str(study),
@@ -225,7 +225,7 @@ def test_a_check_names_a_misspelt_effect(
     path = tmp_path / "slip.study.toml"
     effects = f'[{table}]\neffects = ["{{}}"]\n'
     path.write_text(text + effects.format("backlash"))
-    assert cli.main(["check", str(path)]) == 0
+    assert main(["check", str(path)]) == 0
     path.write_text(text + effects.format("backlsh"))
-    assert cli.main(["check", str(path)]) == 2
+    assert main(["check", str(path)]) == 2
     assert f'{table}.effects[1] = "backlsh"' in capsys.readouterr().err

@@ -18,8 +18,8 @@ import sample
 
 from oed import result
 from oed.compensate.effects import answer_fits
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.study import load, parse, schemas
 
@@ -83,7 +83,7 @@ def virtual(tmp_path_factory: pytest.TempPathFactory) -> Diagnosed:
     err, out = io.StringIO(), folder / "out"
     command = ["diagnose", str(study), "--out", str(out), "--quiet", "--seed", "8"]
     with contextlib.redirect_stderr(err):
-        code = cli.main(command)
+        code = main(command)
     return Diagnosed(study, out, code, err.getvalue())
 
 

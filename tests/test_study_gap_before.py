@@ -21,11 +21,10 @@ from oed import dataset
 from oed.gap.before import detect, runs
 from oed.result import DetectabilityTable
 from pkm_models.effects import encoder_scale, gravity
-from pkm_reports import sections
-from pkm_reports.figures.gap import confusable
-from pkm_reports.page import style
+from pkm_reports import sections, style
+from pkm_reports.sections.figures.gap import confusable
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve
 
 HERE = Path("before.study.toml")

@@ -10,7 +10,7 @@ import pytest
 import sample
 import test_bad_fit
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 NOISE = "length_um = 0.5"
 
@@ -90,7 +90,7 @@ def test_a_stated_law_is_narrower_and_reported(tmp_path: Path) -> None:
         path, table = test_bad_fit.write(folder, readings)
         path.write_text(study, encoding="utf-8")
         out = folder / "fit"
-        cli.main(["identify", str(path), "--readings", str(table), "--out", str(out)])
+        main(["identify", str(path), "--readings", str(table), "--out", str(out)])
         results[name] = json.loads((out / "result.json").read_text(encoding="utf-8"))
     kinds = {
         k: {r["kind"] for r in v["goodness"]["noise"].values()}

@@ -22,8 +22,8 @@ from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from oed.result import AlternativePlan, PlanSection, StudyResult
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.stages.plan.phrases import at_most_better, more_accurate
 
@@ -193,7 +193,7 @@ def test_a_target_out_of_reach_is_reported_and_no_error(
     text = changed(STUDY, ("stages = 2\n", "stages = 2\nwanted = { y_um = 0.001 }\n"))
     path.write_text(text, encoding="utf-8")
     out = tmp_path / "out"
-    assert cli.main(["plan", str(path), "--out", str(out)]) == cli.DONE
+    assert main(["plan", str(path), "--out", str(out)]) == 0
     plan = json.loads((out / "result.json").read_text(encoding="utf-8"))["plan"]
     assert not plan["reached"]
     assert plan["bound"] > 1.0

@@ -9,7 +9,7 @@ from sample import changed
 
 from oed.result import ChosenRun, ChosenRuns, StudyResult
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve
 
 STUDY = """\

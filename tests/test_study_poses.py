@@ -9,7 +9,7 @@ import pytest
 import sample
 
 from oed.base import units
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 TABLE = """
 [design]

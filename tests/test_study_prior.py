@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import sample
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 LEGS = '[[prior.correlated]]\nparameters = ["dq*"]\ncorrelation = 0.9\n\n'
 
@@ -68,7 +68,7 @@ def test_a_design_for_correlated_legs_counts_them_once(tmp_path: Path) -> None:
         path = tmp_path / f"{name}.study.toml"
         path.write_text(text, encoding="utf-8")
         out = tmp_path / name
-        assert cli.main(["run", str(path), "--quiet", "--out", str(out)]) == 0
+        assert main(["run", str(path), "--quiet", "--out", str(out)]) == 0
         result = json.loads((out / "result.json").read_text(encoding="utf-8"))
         (chosen,) = [p for p in result["design"]["plans"] if p["name"] == "chosen"]
         gains[name] = chosen["logdet"], chosen["value"]

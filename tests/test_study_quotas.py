@@ -24,7 +24,7 @@ from design_sample import (
 )
 
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import ResolvedStudy
 
 HIGH = """

@@ -10,7 +10,7 @@ import pytest
 from design_sample import KNOWN, chosen, rows, section, text
 
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 SOLVERS = ("built_in", "clarabel")
 

@@ -24,7 +24,7 @@ from design_sample import (
 
 from oed import dataset
 from pkm_studies import pipeline, study
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 # -- rules -----------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import design_sample as small
 import numpy as np
 import pytest
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 ROBUST = (
     'criterion = "I"\n' + small.KNOWN + 'robust = { risk = "worst", scenarios = 6 }\n'

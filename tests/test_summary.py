@@ -10,10 +10,10 @@ import report_fixture
 import report_fixture_plan
 
 from oed.result import StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Notice, Table
+from pkm_reports import text
+from pkm_reports.blocks import Block, Notice, Table
 from pkm_reports.sections.answer import accuracy, measure
-from pkm_studies.notebook import display
+from pkm_studies.commands import display
 from pkm_studies.stages import headline, summary
 
 MET = {"claim": "rank", "wanted": "rank = 18", "measured": 18, "met": True}

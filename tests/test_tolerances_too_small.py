@@ -19,7 +19,7 @@ from oed.measurement import draw_parameters, draw_readings
 from pkm_models.instruments.pose_tracker import position
 from pkm_models.machines.a3_head import machine as head
 from pkm_models.machines.planar_2dof import machine
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 
 def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:
@@ -41,7 +41,7 @@ def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:
     )
     study, readings = test_bad_fit.write(folder, bar_readings.a3_readings(3), text)
     out = folder / "out"
-    cli.main(["identify", str(study), "--readings", str(readings), "--out", str(out)])
+    main(["identify", str(study), "--readings", str(readings), "--out", str(out)])
     return json.loads((out / "result.json").read_text()), text
 
 

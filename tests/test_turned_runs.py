@@ -11,7 +11,7 @@ from kernel import a3_plans
 from kernel.compensate import test_corrected, test_senses
 from test_bad_fit import STUDY
 
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 ONE_SETUP = STUDY.partition('[[setup]]\nname = "long_tool"')
 TEXT = ONE_SETUP[0] + "[noise]" + ONE_SETUP[2].partition("[noise]")[2]
@@ -42,7 +42,7 @@ def test_a_turned_run_is_the_first_line(
     study, readings = write(tmp_path, ["80-1"])
     options = ["--with", "backlash,leg_thermal", "--out", str(tmp_path / "out")]
     command = ["identify", str(study), "--readings", str(readings), *options]
-    assert cli.main(command) == 1
+    assert main(command) == 1
     printed = capsys.readouterr()
     lines = printed.out.splitlines()
     first = lines[lines.index("report") + 1]
@@ -58,7 +58,7 @@ def test_check_names_runs_whose_order_and_direction_contradict(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study, readings = write(tmp_path, ["80-1"])
-    assert cli.main(["check", str(study), str(readings)]) == 1
+    assert main(["check", str(study), str(readings)]) == 1
     out = capsys.readouterr().out
     wanted = "The runs 80-0 and 80-1 pass the same poses in the same order, but have"
     assert wanted in out

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import pytest
 
 from oed.base import units
-from pkm_studies.commands.cli import main
+from pkm_studies.commands import main
 
 STUDY = """\
 schema = 1

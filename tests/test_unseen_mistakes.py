@@ -14,7 +14,7 @@ from oracles import delta_trilateration as trilateration
 
 from oed.checks import judgement
 from oed.estimation.identification import identify
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 #: limbs and towers that a reflection of x exchanges
@@ -110,7 +110,7 @@ def test_clean_files_with_run_offsets_pass(tmp_path: Path, seed: int) -> None:
     study.write_text(STUDY, encoding="utf-8")
     path = tmp_path / "clean.readings.csv"
     machines.readings("delta", seed, "run offsets").to_csv(path, index=False)
-    assert cli.main(["check", str(study), str(path)]) == 0
+    assert main(["check", str(study), str(path)]) == 0
 
 
 @pytest.mark.slow

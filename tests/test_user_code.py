@@ -20,10 +20,10 @@ import sample
 import oed
 from pkm_models.machines import linear_delta
 from pkm_studies import study
-from pkm_studies.base import permissions
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import resolve
+from pkm_studies.user_code import Consent, permissions
 
 Run = Callable[..., tuple[int, str, str]]
 #: a machine whose file leaves a trace where it runs
@@ -59,7 +59,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.fixture
 def call(capsys: pytest.CaptureFixture[str]) -> Run:
     def call(*arguments: object) -> tuple[int, str, str]:
-        code = cli.main([str(a) for a in arguments])
+        code = main([str(a) for a in arguments])
         out, err = capsys.readouterr()
         return code, out, err
 
@@ -326,7 +326,7 @@ def test_without_a_list_consent_ends_with_the_process(
     (tmp_path / "file").write_text("", "utf-8")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
     path = folder / "s.study.toml"
-    resolve(study.load(path, study.Consent.GIVEN))
+    resolve(study.load(path, Consent.GIVEN))
     with pytest.raises(InputError, match="SHA-256"):
         resolve(study.load(path))
 

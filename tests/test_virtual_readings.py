@@ -14,7 +14,7 @@ import pytest
 import sample
 
 from oed.measurement.measurement import Series
-from pkm_studies.base.progress import Silent
+from pkm_studies.base import Silent
 from pkm_studies.resolve.conditions import planned_covariates
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.stages.gap.virtual_readings import empty_readings

@@ -12,11 +12,11 @@ import sample
 from report_fixture import result_of
 
 from oed.result import StudyResult, VerdictRecord, VerificationSection, verdict
-from pkm_reports.page.blocks import Table
+from pkm_reports.blocks import Table
 from pkm_reports.sections.answer import accuracy
-from pkm_studies.commands import cli
-from pkm_studies.results import result_folder
-from pkm_studies.sessions import next_reading as advice
+from pkm_studies import result_folder
+from pkm_studies import sessions as advice
+from pkm_studies.commands import main
 from pkm_studies.study import load
 
 WANTED = "[prediction]\nz_mm = 1146.0\npsi_deg = [0.0, 120.0]\ntheta_deg = 20.0\n"
@@ -44,7 +44,7 @@ def test_verdicts_stand_beside_the_predicted(
     """
     study = _study(tmp_path, "z_mm = 100, theta_arcsec = 1e-6, x_um = 1e6")
     out = tmp_path / "out"
-    assert cli.main(["run", str(study), "--out", str(out), "--quiet"]) == 1
+    assert main(["run", str(study), "--out", str(out), "--quiet"]) == 1
     capsys.readouterr()
     result = _result(out)
     section = result.prediction
@@ -70,7 +70,7 @@ def test_verdicts_stand_beside_the_predicted(
 
 def test_what_passes_exits_with_zero(tmp_path: Path) -> None:
     study = _study(tmp_path, "z_mm = 100")
-    assert cli.main(["run", str(study), "--out", str(tmp_path / "o"), "--quiet"]) == 0
+    assert main(["run", str(study), "--out", str(tmp_path / "o"), "--quiet"]) == 0
 
 
 @pytest.mark.parametrize(("rms", "stated"), [(2.0, "pass"), (9.0, "cannot tell")])
@@ -79,7 +79,7 @@ def test_stored_verdicts_follow_an_acceptance_test(
 ) -> None:
     """A test that meets 5 um confirms what is wanted; one that fails takes the pass."""
     study, out = _study(tmp_path, "z_mm = 100"), tmp_path / "out"
-    assert cli.main(["run", str(study), "--out", str(out), "--quiet"]) == 0
+    assert main(["run", str(study), "--out", str(out), "--quiet"]) == 0
     result = _result(out)
     assert not result.verdicts["z"].confirmed
     meets = rms <= 5.0
@@ -101,7 +101,7 @@ def test_the_study_s_limits_guide_the_next_reading(tmp_path: Path) -> None:
         "setup,run,order,z_mm,psi_deg,theta_deg,length_mm\ncup,1,1,1146,15,20,\n",
         encoding="utf-8",
     )
-    lines = advice.sentences(adviser, adviser.advise(sheet))
+    lines = advice.advice_sentences(adviser, adviser.advise(sheet))
     (line,) = [line for line in lines if "wanted 20: " in line]
     assert line.endswith("fail (within it with under 1 %)")
     option = advice.Adviser(load(study), "z_um=5")
@@ -112,7 +112,7 @@ def test_the_prediction_s_limit_wins_over_that_of_a_design() -> None:
     raw = report_fixture.sample()
     raw["prediction"]["wanted"] = {"z": 3.0}
     raw["design"]["how_many"]["wanted"] = {"z_um": 9.0, "x_um": 8.0}
-    assert accuracy.wanted(result_of(raw)) == {"z_um": 3.0, "x_um": 8.0}
+    assert accuracy.wanted_accuracy(result_of(raw)) == {"z_um": 3.0, "x_um": 8.0}
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_the_prediction_s_limit_wins_over_that_of_a_design() -> None:
 def test_a_limit_that_makes_no_sense_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], wanted: str, words: str
 ) -> None:
-    assert cli.main(["check", str(_study(tmp_path, wanted))]) == 2
+    assert main(["check", str(_study(tmp_path, wanted))]) == 2
     error = capsys.readouterr().err
     assert "prediction.wanted" in error
     assert words in error

@@ -16,11 +16,10 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies.base import console, files
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Origin
-from pkm_studies.catalogue import catalogue
-from pkm_studies.commands import cli
+from pkm_studies import catalogue, console, files
+from pkm_studies.base import InputError, Place
+from pkm_studies.commands import main
+from pkm_studies.user_code import Origin
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("oed", "models", "studies", "reports", "benchmarks")
@@ -105,7 +104,7 @@ def test_a_study_runs_without_posix_names(
         monkeypatch.setitem(sys.modules, module, None)
     study = tmp_path / "p.study.toml"
     study.write_text(PLAN, encoding="utf-8")
-    assert cli.main(["run", str(study), "--quiet", "--out", str(tmp_path / "out")]) == 0
+    assert main(["run", str(study), "--quiet", "--out", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out/result.json").is_file()
 
 
@@ -143,9 +142,7 @@ def test_a_file_that_another_program_has_open_is_named(
     """Windows refuses to replace an open file: one line, and the old result stays."""
     study, out = tmp_path / "p.study.toml", tmp_path / "out"
     study.write_text(PLAN, encoding="utf-8")
-    assert (
-        cli.main(["run", str(study), "--quiet", "--out", str(tmp_path / "first")]) == 0
-    )
+    assert main(["run", str(study), "--quiet", "--out", str(tmp_path / "first")]) == 0
     old = (tmp_path / "first" / "result.json").read_text(encoding="utf-8")
     files.write_whole(out / "result.json", old)
 
@@ -153,7 +150,7 @@ def test_a_file_that_another_program_has_open_is_named(
         raise PermissionError(errno.EACCES, "Access is denied", str(target))
 
     monkeypatch.setattr(Path, "replace", refuse)
-    assert cli.main(["run", str(study), "--quiet", "--out", str(out)]) == 2
+    assert main(["run", str(study), "--quiet", "--out", str(out)]) == 2
     err = capsys.readouterr().err
     assert str(out) in err
     assert "access is denied" in err
@@ -178,7 +175,7 @@ def test_studies_and_readings_may_have_carriage_returns(
     study, readings = tmp_path / "a.study.toml", tmp_path / "a.readings.csv"
     study.write_text(sample.STUDY, encoding="utf-8", newline="\r\n")
     readings.write_text(sample.READINGS, encoding="utf-8-sig", newline="\r\n")
-    assert cli.main(["check", str(study), str(readings)]) == 1
+    assert main(["check", str(study), str(readings)]) == 1
     assert "3 readings fit the columns of small" in capsys.readouterr().out
 
 

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from benchmarks.blind import commands as other
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -20,10 +20,9 @@ from benchmarks.frozen.numbers import numbers
 from benchmarks.second import adapter
 from benchmarks.second import cases as second_cases
 from benchmarks.second import run as second_run
-from pkm_studies import pipeline
+from pkm_studies import pipeline, shipped
 from pkm_studies import study as studies
-from pkm_studies.base import errors
-from pkm_studies.study import shipped
+from pkm_studies.base import InputError
 
 #: sets of blind cases, and the seeds that they are drawn with
 FOLDER = Path("out/frozen")
@@ -87,7 +86,7 @@ def _study(name: str) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         try:
             result = pipeline.run(study, Path(folder), report=False)
-        except errors.InputError as error:
+        except InputError as error:
             return {"refused": 1.0, "verdict": str(error)[:80]}
     return json.loads(msgspec.json.encode(result))
 

@@ -13,10 +13,10 @@ import pandas as pd
 
 from benchmarks.random_machines import instruments, machines, noise, plans
 from benchmarks.random_machines.instruments import Bench, Mounted
+from oed import build_study
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
-from pkm_studies.base.progress import Silent
-from pkm_studies.notebook.notebook import build_study
+from pkm_studies.base import Silent
 from pkm_studies.stages.run_state import start
 
 Array = np.ndarray

@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmarks.random_machines import case as cases
 from benchmarks.random_machines.case import Case
-from pkm_studies.notebook.notebook import build_study, diagnose, identify, read_readings
+from oed import build_study, diagnose, identify, read_readings
 
 #: verdict where the check of the readings takes a clean machine's for mistaken
 MISTAKEN, FAILED = "mistaken", "failed"

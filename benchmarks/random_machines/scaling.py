@@ -15,12 +15,12 @@ from typing import Any
 
 from benchmarks.random_machines import case as cases
 from benchmarks.random_machines.case import Case
+from oed import build_study, identify, read_readings
 from oed.gap.cause import searches
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.model.effect import Effect
-from pkm_studies.notebook.notebook import build_study, identify, read_readings
 from pkm_studies.resolve.gap import gap_request
 
 FACTOR = 1000.0

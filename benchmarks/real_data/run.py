@@ -23,7 +23,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.result import HeldOutSection, StudyResult
 from pkm_studies import pipeline
 from pkm_studies import study as studies
-from pkm_studies.importers import session
+from pkm_studies.importers import import_files
 from pkm_studies.resolve import resolved
 
 #: shares of the fitted readings that are tried, and the loss that counts as none
@@ -62,7 +62,7 @@ def _study(entry: Entry, data: Path, work: Path) -> studies.Study:
     """The study of an entry without sampling and report."""
     if entry.file:
         files = [data / entry.folder / entry.file]
-        path, _ = session.import_files("klipper", files, work, name="printer")
+        path, _ = import_files("klipper", files, work, name="printer")
         study = studies.load(path)
     else:
         study = studies.load(STUDIES / f"{entry.study}.study.toml")

@@ -18,6 +18,7 @@ from oed.model.effect import Effect
 from pkm_studies import study as studies
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.resolve import resolved as resolve
+from pkm_studies.user_code import Consent
 
 MM = 1e-3
 HEALTHY = (0.6, 1.4)
@@ -92,7 +93,7 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     stem = out / "case"
     make.write(c, y, label, stem)
     path, readings = adapter.write_case(stem, out / "study")
-    study = studies.load(path, studies.Consent.GIVEN)
+    study = studies.load(path, Consent.GIVEN)
     resolved = resolve.resolve(study, readings=[])
     request = resolve_gap.gap_request(study, resolved.machine)
     measurement = resolved.measurement_with(resolved.setups)

@@ -18,6 +18,7 @@ from oed.model.effect import Effect
 from pkm_studies import study as studies
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.resolve import resolved as resolve
+from pkm_studies.user_code import Consent
 
 #: where the generator lies, beside the project's folder
 GENERATOR = Path(__file__).resolve().parents[2].parent / "shared/generators/second"
@@ -85,7 +86,7 @@ def prepare(case: Case) -> tuple[GapProblem, tuple[Effect, ...]]:
     """
     out = case.folder / "studies" / case.machine / case.name
     path, readings = adapter.write_case(case.stem, out)
-    study = studies.load(path, studies.Consent.GIVEN)
+    study = studies.load(path, Consent.GIVEN)
     resolved = resolve.resolve(study, readings=[])
     request = resolve_gap.gap_request(study, resolved.machine)
     assert request is not None  # `always` makes one

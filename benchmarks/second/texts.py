@@ -24,21 +24,23 @@ from benchmarks.second import adapter, cases
 from benchmarks.second.cases import Case
 from oed.base.whole_file import whole_file
 from oed.result import StudyResult, trust
-from pkm_reports.page.blocks import Block, Items, Notice, Paragraph, Picture, Table
-from pkm_reports.sections.gap import chapter as gap
-from pkm_reports.sections.gap import second_visit
+from pkm_reports import sections
+from pkm_reports.blocks import Block, Items, Notice, Paragraph, Picture, Table
 from pkm_studies import pipeline
 from pkm_studies import study as studies
-from pkm_studies.base.progress import Silent
+from pkm_studies.base import Silent
 from pkm_studies.stages import run_state, session_files
 from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.stages.steps.checks import check_readings
 from pkm_studies.stages.steps.design import analyse_identifiability
 from pkm_studies.stages.steps.fit import fit_parameters
 from pkm_studies.stages.steps.gap import diagnose_always
+from pkm_studies.user_code import Consent
 
 #: cases of each machine in the set, and those of them that are read
 DRAWN, READ = 25, 5
+#: chapters of a report on the gap
+GAP_CHAPTERS = ("gap", "second_visit")
 #: file of the set that says which case has which number
 CHOSEN = "chosen.json"
 #: kinds of noise laws by the label's name of their size, in units of the stated noise
@@ -105,7 +107,7 @@ def chosen(folder: Path, seed: int) -> list[Case]:
 def diagnosis(case: Case, folder: Path) -> StudyResult:
     """The result of `oed diagnose` of a case, without the accuracy of a correction."""
     path, readings = adapter.write_case(case.stem, folder)
-    study = studies.load(path, studies.Consent.GIVEN)
+    study = studies.load(path, Consent.GIVEN)
     state = run_state.start(study, None, Silent(), [readings])
     state = session_files.with_sessions(state, [readings], None)
     data = state.resolved.dataset
@@ -120,8 +122,8 @@ def answer(result: StudyResult) -> str:
 
     Of a figure it is the caption.
     """
-    chapters = [gap.CHAPTER, second_visit.CHAPTER]
-    blocks = [block for chapter in chapters for block in chapter.blocks(result)]
+    chapters = [c for c in sections.chapters(result) if c.anchor in GAP_CHAPTERS]
+    blocks = [block for chapter in chapters for block in chapter.blocks]
     printed = [*result.headline, *result.warnings, *trust.objections(result)]
     return "\n".join([*dict.fromkeys(printed), "", *block_lines(blocks)]) + "\n"
 

@@ -21,8 +21,8 @@ from matplotlib.figure import Figure
 from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
-from pkm_reports.figures import scene
-from pkm_reports.page import style
+from pkm_reports import style
+from pkm_reports.sections.figures import scene
 
 HEIGHT, DPI = 3.3, 100  # inches, pixels an inch
 LARGEST = 60_000  # bytes of a picture

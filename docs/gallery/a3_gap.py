@@ -21,7 +21,7 @@ from oed import dataset
 from oed.gap.data import problem as problem_of
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.procedure import diagnose
-from pkm_reports.page import style
+from pkm_reports import style
 from pkm_studies import pipeline, study
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.resolve import resolved as resolve

@@ -19,7 +19,7 @@ from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import C, D, machine
-from pkm_reports.page import style
+from pkm_reports import style
 
 HOME, FULL_TURN = C + D, 2.0 * np.pi
 cup = mount(ball_bar.instrument, "cup", teach=(HOME + 0.220, 0.0, 0.0))

@@ -19,7 +19,7 @@ from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import camera, redundancy
 from pkm_models.machines.cable_robot import FOLD, GEAR, LINES, SPOOL, machine
-from pkm_reports.page import style
+from pkm_reports import style
 
 OBSERVED, UNOBSERVED, LINE_NOISE = 9, 35, 0.3e-3  # poses, poses, m
 rng = np.random.default_rng(11)

@@ -21,7 +21,7 @@ from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, pose_tracker
 from pkm_models.machines.hexapod import HEIGHT, machine
-from pkm_reports.page import style
+from pkm_reports import style
 
 CUP, TILT, EXTENSION = 0.200, np.deg2rad(15.0), 0.100
 KNOWN_FRAME = {f"{kind}_{n}": 0.0 for kind in ("shift", "turn") for n in "xyz"}

@@ -17,7 +17,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import mount
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines.linear_delta import machine
-from pkm_reports.page import style
+from pkm_reports import style
 
 HEIGHT = 0.020
 KINDS = ("arm", "angle", "endstop")

@@ -17,7 +17,7 @@ from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_plate, camera
 from pkm_models.machines.micro_cmm import direct, machine
-from pkm_reports.page import style
+from pkm_reports import style
 
 cmm = Measurement(
     machine,

@@ -16,7 +16,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import mount
 from pkm_models.instruments import relative
 from pkm_models.machines.planar_2dof import machine
-from pkm_reports.page import style
+from pkm_reports import style
 
 STEPS = (0, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5)
 PLACES = [0.3 * step for step in STEPS]  # m; the reference first

@@ -17,7 +17,7 @@ from oed.measurement.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import laser_ball_bar
 from pkm_models.machines import prs_spindle, prs_spindle_struts
-from pkm_reports.page import style
+from pkm_reports import style
 
 #: Table 2: alpha, beta, deg
 TABLE_2 = [

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 
-def attributes(
-    package: str, modules: Mapping[str, Sequence[str]]
-) -> Callable[[str], Any]:
-    """A package's `__getattr__` for {module: names that it defines}."""
-    where = {name: module for module, names in modules.items() for name in names}
+def door(package: str) -> Callable[[str], Any]:
+    """A package's `__getattr__` for the names that it imports under TYPE_CHECKING.
+
+    So each name stands once in the package's file, where type checkers and the linter
+    of imports read it as well.
+    """
+    where: dict[str, str] = {}
 
     def get(name: str) -> Any:
+        if name.startswith("__"):  # asked for by Python itself
+            raise AttributeError(name)
+        if not where:
+            where.update(_names(package))
         if name not in where:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = importlib.import_module(f"{package}.{where[name]}")
-        return getattr(module, name)
+        return getattr(importlib.import_module(where[name]), name)
 
     return get
+
+
+def _names(package: str) -> Iterator[tuple[str, str]]:
+    """The names of a package's door, each with the module that defines it."""
+    source = Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8")
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            yield from ((alias.name, node.module) for alias in node.names)

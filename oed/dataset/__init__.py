@@ -15,36 +15,15 @@ sessions    tables of several sessions as those of one
 csv_output  readings to files
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import attributes
+from oed.base.lazy import door
 
 if TYPE_CHECKING:
     from oed.dataset.csv_input import from_tables, load, load_sessions
     from oed.dataset.csv_output import to_csv
     from oed.dataset.data import ColumnLayout, Dataset, from_series
     from oed.dataset.readings_file import ReadingsError
-
-__all__ = [
-    "ColumnLayout",
-    "Dataset",
-    "ReadingsError",
-    "from_series",
-    "from_tables",
-    "load",
-    "load_sessions",
-    "to_csv",
-]
-
-# imported when first used: names of columns need no table of readings
-__getattr__ = attributes(
-    __name__,
-    {
-        "csv_input": ("from_tables", "load", "load_sessions"),
-        "csv_output": ("to_csv",),
-        "data": ("ColumnLayout", "Dataset", "from_series"),
-        "readings_file": ("ReadingsError",),
-    },
-)
+else:
+    # imported when first used: names of columns need no table of readings
+    __getattr__ = door(__name__)

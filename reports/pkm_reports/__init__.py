@@ -9,9 +9,7 @@ bytes of HTML.
 """
 
 from pkm_reports.comparison import write_comparison
-from pkm_reports.page.adjustment import write_adjustment_page
-from pkm_reports.page.certificate import write_certificate_page
-from pkm_reports.page.sheet import write_sheet
+from pkm_reports.page import write_adjustment_page, write_certificate_page, write_sheet
 from pkm_reports.report import write_report
 
 __all__ = [

@@ -22,7 +22,7 @@ from oed.result import (
     PosteriorSection,
     PredictionSection,
 )
-from pkm_reports.page import missing, style, text
+from pkm_reports import missing, style, text
 
 #: effects that the diagnosis' figure shows
 MOST_EFFECTS = 10

@@ -6,10 +6,7 @@ from pathlib import Path
 
 from oed.base.own_files import write_own
 from oed.result import StudyResult
-from pkm_reports.page import document
-from pkm_reports.page import html as html_writer
-from pkm_reports.page import pdf as pdf_writer
-from pkm_reports.page.document import Document
+from pkm_reports.page import Document, build_document, render_html, render_pdf
 
 
 def write_report(
@@ -21,7 +18,7 @@ def write_report(
     that the user changed stays, and the new one gets a number. Returns the paths, HTML
     first. Raises OSError where the folder cannot be written.
     """
-    return write_document(document.build(result), out, "report", html=html, pdf=pdf)
+    return write_document(build_document(result), out, "report", html=html, pdf=pdf)
 
 
 def write_document(
@@ -30,8 +27,8 @@ def write_document(
     """Write a document as `NAME.html` and `NAME.pdf` into the folder `out`."""
     pages: dict[str, bytes] = {}
     if html:
-        pages[f"{name}.html"] = html_writer.render(report)
+        pages[f"{name}.html"] = render_html(report)
     if pdf:
-        pages[f"{name}.pdf"] = pdf_writer.render(report)
+        pages[f"{name}.pdf"] = render_pdf(report)
     out.mkdir(parents=True, exist_ok=True)
     return tuple(write_own(out / file, page) for file, page in pages.items())

@@ -9,33 +9,14 @@ run_jobs       computes and stores rows of any function, on processes or a clust
 read_row       a stored row
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
-from oed.base.lazy import attributes
+from oed.base.lazy import door
 
 if TYPE_CHECKING:
     from pkm_campaign.jobs import Job, Row, read_row, run_jobs
     from pkm_campaign.runner import run_cases
     from pkm_campaign.tables import Campaign, load_campaign
-
-__all__ = [
-    "Campaign",
-    "Job",
-    "Row",
-    "load_campaign",
-    "read_row",
-    "run_cases",
-    "run_jobs",
-]
-
-# imported when first used: `oed --help` imports the subcommand
-__getattr__ = attributes(
-    __name__,
-    {
-        "jobs": ("Job", "Row", "read_row", "run_jobs"),
-        "runner": ("run_cases",),
-        "tables": ("Campaign", "load_campaign"),
-    },
-)
+else:
+    # imported when first used: `oed --help` imports the subcommand
+    __getattr__ = door(__name__)

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from pkm_campaign.case import COLUMNS, EXPECTED
-from pkm_studies.base.errors import Place, shorten
-from pkm_studies.base.user_code import Origin
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue
+from pkm_studies.base import Place, shorten
+from pkm_studies.user_code import Origin
 
 #: characters of a failure that are shown
 LONGEST_REASON = 150

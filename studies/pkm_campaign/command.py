@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.user_code import consent
-from pkm_studies.commands.options import AllowCode
+from pkm_studies.commands import AllowCode
+from pkm_studies.user_code import consent
 
 
 def campaign(
@@ -41,12 +41,12 @@ def campaign(
     import os
 
     from pkm_campaign import load_campaign, report, results, run_cases
-    from pkm_studies.notebook import display
+    from pkm_studies import commands
 
     loaded = load_campaign(file, consent(allow_code=allow_code))
     loaded = loaded if seeds is None else loaded.first(seeds)
     folder = Path("out") / loaded.name if out is None else out
-    with display.progress(quiet=quiet) as progress:
+    with commands.progress(quiet=quiet) as progress:
         progress.stage("cases")
         broken = run_cases(
             loaded,

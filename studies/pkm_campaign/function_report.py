@@ -6,8 +6,8 @@ import math
 from typing import Any
 
 from pkm_campaign.tables import Campaign
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Section, Table, TableColumn, number_columns
+from pkm_reports import text
+from pkm_reports.blocks import Section, Table, TableColumn, number_columns
 
 Rows = list[dict[str, Any]]
 #: columns of figures that a table holds beside those of the cases

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from oed.mechanism.compiled.switch import begin_job
 from pkm_campaign import pool
-from pkm_studies.base import files
+from pkm_studies import files
 
 #: digits of case numbers in messages and files that a row may hold: plain JSON
 Row = dict[str, Any]

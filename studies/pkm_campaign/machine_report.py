@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from pkm_campaign import coverage_figure as figures
 from pkm_campaign.tables import Campaign
-from pkm_reports.figures import campaign as figures
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Picture,
     Section,

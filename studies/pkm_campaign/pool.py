@@ -20,7 +20,7 @@ from concurrent import futures
 from typing import Any, Generic, TypeVar
 
 from oed.base import child_process
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 #: parameters of mallopt, and bytes
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import oed
 from pkm_campaign import function_report, machine_report
 from pkm_campaign.tables import Campaign
-from pkm_reports.page import document
-from pkm_reports.page.blocks import Code, Items, Section
-from pkm_reports.page.document import Content
+from pkm_reports.blocks import Code, Items, Section
+from pkm_reports.page import Content, assembled
 from pkm_reports.report import write_document
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ def write_report(
         chapters=chapters,
         appendix=[Section("file", "Campaign file", [Code(campaign.text)])],
     )
-    return write_document(document.assembled(content), out, "report")
+    return write_document(assembled(content), out, "report")
 
 
 def sentences(campaign: Campaign, summary: pd.DataFrame) -> list[str]:

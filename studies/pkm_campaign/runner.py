@@ -12,8 +12,8 @@ from pkm_campaign.case import ERROR, SEED, Case, evaluate
 from pkm_campaign.case_function import CaseFunctionError
 from pkm_campaign.jobs import Job
 from pkm_campaign.tables import Campaign
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
+from pkm_studies import files
+from pkm_studies.base import InputError
 
 #: cases that a process takes at once: neighbours share a combination, and its plan
 BATCH = 10

@@ -12,12 +12,18 @@ from oed.mechanism.kinematics import AssemblyError
 from pkm_campaign.case import COLUMNS, Figures
 from pkm_campaign.case_function import CaseFunction, UserFunction
 from pkm_campaign.virtual_machine import VirtualMachine
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place, shorten
-from pkm_studies.base.names import Name
-from pkm_studies.base.user_code import Consent, Origin
+from pkm_studies import files, shipped
+from pkm_studies.base import InputError, Name, Place, shorten
 from pkm_studies.resolve.resolved import resolve
-from pkm_studies.study import Study, decode, load, shipped, vary
+from pkm_studies.study import (
+    Study,
+    combinations,
+    decode_table,
+    load,
+    tables_of,
+    with_setting,
+)
+from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
 SUFFIX = ".campaign.toml"
@@ -77,7 +83,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def settings(self) -> list[dict[str, Any]]:
         """Every combination of the varied values, in the order of the file."""
-        return vary.combinations(self.vary)
+        return combinations(self.vary)
 
     def all_seeds(self) -> range:
         """The seeds of each combination."""
@@ -127,7 +133,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """
         if self.varied is None:
             raise LookupError("a campaign of a function varies no study")
-        return vary.with_setting(self.varied, setting, self.place.key("vary"))
+        return with_setting(self.varied, setting, self.place.key("vary"))
 
 
 def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
@@ -142,8 +148,8 @@ def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
     path = _shipped_or(path)
     place = Place(str(path))
     text = files.read_text(path, limit=LIMIT, what="campaign file")
-    table = decode.tables_of(text, place)
-    tables = decode.decode(CampaignFile, table, place)
+    table = tables_of(text, place)
+    tables = decode_table(CampaignFile, table, place)
     if tables.schema != SCHEMA:
         remedy = "this program reads schema = 1"
         raise place.key("schema").error("unknown version", remedy, tables.schema)

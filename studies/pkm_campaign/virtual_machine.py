@@ -18,8 +18,7 @@ from oed.identifiability.assessment import assess
 from oed.mechanism.compiled.switch import begin_job
 from oed.result import trust
 from pkm_campaign.interval import HALF_WIDTH
-from pkm_studies.base.progress import Silent
-from pkm_studies.base.user_code import Consent
+from pkm_studies.base import Silent
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.stages.run_state import (
     Fitted,
@@ -34,7 +33,8 @@ from pkm_studies.stages.steps import design as design_steps
 from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import gap as gap_steps
 from pkm_studies.stages.steps import readings as readings_steps
-from pkm_studies.study import Study, loader
+from pkm_studies.study import Study, parse
+from pkm_studies.user_code import Consent
 
 #: prepared combinations that a process remembers
 REMEMBERED = 4
@@ -77,7 +77,7 @@ class VirtualMachine:
 @functools.lru_cache(maxsize=REMEMBERED)
 def _prepared(text: str, path: str, consent: Consent) -> Scheduled:
     """The state with its plan, made once for all machines of a combination."""
-    study: Study = loader.parse(text, Path(path), consent)
+    study: Study = parse(text, Path(path), consent)
     state = design_steps.select_design(start(study, None, Silent(), []))
     state = design_steps.plan_stages(state)
     series = readings_steps.planned_series(state)

@@ -24,14 +24,10 @@ from oed.result.certificate import (
     Conformity,
 )
 from oed.result.verdict import GEOMETRY_ALONE, accuracy_verdicts
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.resolve import quantities
-from pkm_studies.resolve.earlier_result import corrects_effects, mixture_of
-from pkm_studies.sessions.acceptance.promise import (
-    PromisedAccuracy,
-    covariances,
-    promised_accuracy,
-)
+from pkm_studies import quantities
+from pkm_studies.acceptance import PromisedAccuracy, covariances, promised_accuracy
+from pkm_studies.base import InputError, Place
+from pkm_studies.earlier_result import corrects_effects, mixture_of
 from pkm_studies.study import Study
 
 #: of a parameter's value, by how the readings see it

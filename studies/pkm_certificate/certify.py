@@ -8,9 +8,9 @@ from pathlib import Path
 from oed.base import own_files, units
 from oed.result.certificate import Certificate
 from pkm_certificate import build, dcc, head
-from pkm_studies.base.user_code import Consent
-from pkm_studies.compensation.stored_study import result_study
-from pkm_studies.results.stored_result import load_result, refuse_bad_fit
+from pkm_studies.compensation import result_study
+from pkm_studies.results import load_result, refuse_bad_fit
+from pkm_studies.user_code import Consent
 
 XML = "certificate.xml"
 

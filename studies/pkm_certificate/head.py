@@ -17,10 +17,10 @@ from oed.result.certificate import (
     Person,
     UsedInstrument,
 )
-from pkm_studies.base import files
-from pkm_studies.base.errors import Place
-from pkm_studies.study import decode
-from pkm_studies.study.tables.base import Positive, StudyTable
+from pkm_studies import files
+from pkm_studies.base import Place
+from pkm_studies.study import decode_table, tables_of
+from pkm_studies.tables import Positive, StudyTable
 
 FILE = "certificate.toml"
 LIMIT = 1_000_000
@@ -156,8 +156,8 @@ def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
             "fill them in, and call the command again",
         )
     text = files.read_text(path, limit=LIMIT, what="certificate file")
-    table = decode.tables_of(text, place)
-    file = decode.decode(HeadFile, table, place)
+    table = tables_of(text, place)
+    file = decode_table(HeadFile, table, place)
     _check(file, place)
     return _head(file), file.tolerance
 

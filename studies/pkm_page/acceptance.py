@@ -9,10 +9,14 @@ from typing import Final
 
 import msgspec
 
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.results.stored_result import BadFitError
-from pkm_studies.sessions import verification
+from pkm_studies import files
+from pkm_studies.acceptance import (
+    ACCEPTANCE_FILE,
+    judge_folder,
+    verdict_sentences,
+)
+from pkm_studies.base import InputError
+from pkm_studies.results import BadFitError
 
 #: bytes of a file to fill in
 MOST_BYTES: Final = 1_000_000
@@ -27,7 +31,7 @@ class FilledIn(msgspec.Struct, forbid_unknown_fields=True):
 
 def to_fill_in(folder: Path) -> str:
     """The file that the plan of the test wrote. Raises InputError where none is."""
-    path = folder / verification.FILE
+    path = folder / ACCEPTANCE_FILE
     if not path.is_file() or path.is_symlink():
         raise InputError("no acceptance test is planned", "plan it first")
     return files.read_text(path, limit=MOST_BYTES, what="acceptance file")
@@ -39,9 +43,9 @@ def judge(folder: Path, text: str) -> list[str]:
     Raises InputError for what cannot be judged; nothing is stored then.
     """
     with tempfile.TemporaryDirectory(prefix="oed-") as place:
-        path = files.write_whole(Path(place) / verification.FILE, text)
+        path = files.write_whole(Path(place) / ACCEPTANCE_FILE, text)
         try:
-            verdict = verification.judge_folder(folder, path)
+            verdict = judge_folder(folder, path)
         except BadFitError as error:
             raise InputError(str(error), "look for the cause first") from error
         except InputError as error:
@@ -50,4 +54,4 @@ def judge(folder: Path, text: str) -> list[str]:
             ) from error
     now = datetime.datetime.now().isoformat(timespec="microseconds").replace(":", "")
     stored = files.write_whole(folder / f"acceptance-measured-{now}.csv", text)
-    return [*verification.verdict_sentences(verdict), f"Stored as {stored.name}."]
+    return [*verdict_sentences(verdict), f"Stored as {stored.name}."]

@@ -14,7 +14,7 @@ from oed.model.instrument import Setup
 from oed.model.machine import Machine
 from pkm_page import rows
 from pkm_page.readings_log import FileContent
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.study import Study
 

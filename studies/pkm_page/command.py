@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.console import DONE
-from pkm_studies.base.user_code import consent
-from pkm_studies.commands.options import AllowCode, Wanted
+from pkm_studies.commands import AllowCode, Wanted
+from pkm_studies.console import DONE
+from pkm_studies.user_code import consent
 
 
 def serve(

@@ -16,8 +16,8 @@ from oed.dataset.columns import written
 from oed.measurement.measurement import Measurement, Series
 from oed.result.fit_limits import GUESS
 from pkm_page import typed
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.sessions.next_reading import Adviser, FittedReadings
+from pkm_studies.base import Stream
+from pkm_studies.sessions import Adviser, FittedReadings
 
 #: half width of an interval in standard deviations: one good reading in ten thousand
 #: lies outside, as `oed.checks.ranges.FALSE_ALARM` says

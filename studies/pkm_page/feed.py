@@ -22,7 +22,7 @@ from typing import Final
 from oed.base import units
 from oed.dataset.columns import parse_column
 from pkm_page import typed
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 #: time between two looks at a file, and before a lost line is opened again, s
 PAUSE, AGAIN = 0.3, 2.0

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Final
 
 from oed.base.child_process import start_python
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 if TYPE_CHECKING:
     from subprocess import Popen

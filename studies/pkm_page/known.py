@@ -13,9 +13,8 @@ from oed.base.arrays import Array
 from oed.design import candidates
 from oed.estimation.estimate import AT_PRIOR
 from pkm_page.session import MachineSession, SessionState
-from pkm_reports.page import text
-from pkm_studies.sessions.next_reading import Adviser, FittedReadings, reading_of
-from pkm_studies.sessions.next_sentences import Advice
+from pkm_reports import text
+from pkm_studies.sessions import Advice, Adviser, FittedReadings, reading_of
 from pkm_studies.stages import describe
 from pkm_studies.stages.fit.estimate import estimate_section
 

@@ -18,8 +18,8 @@ from pkm_page.job import BackgroundCommand
 from pkm_page.readings_log import StaleError
 from pkm_page.session import DoubtfulError, MachineSession
 from pkm_page.shelf import Shelf
-from pkm_studies.base.errors import InputError
-from pkm_studies.results.stored_result import BadFitError
+from pkm_studies.base import InputError
+from pkm_studies.results import BadFitError
 
 #: time between two looks at the readings file, s
 PAUSE: Final = 0.5
@@ -202,19 +202,19 @@ class MachinePage:
 
 def format_names() -> list[str]:
     """Formats of controllers that the catalogue has; no file of a user's."""
-    from pkm_studies.catalogue import catalogue
+    from pkm_studies import catalogue
 
     return [entry.name for entry in catalogue.listing("formats")]
 
 
 def compensation_files(folder: Path, word: str) -> dict[str, Any]:
     """Files of a format for the result in a folder, written there as by the command."""
-    from pkm_studies.compensation import export
+    from pkm_studies.compensation import export_folder
 
     if word not in format_names():
         raise InputError("no such format", "choose one of the list", value=word)
     try:
-        written = export.export_folder(folder, word)
+        written = export_folder(folder, word)
     except BadFitError as error:
         raise InputError(str(error), "look for the cause first") from error
     texts = {path.name: path.read_text(encoding="utf-8") for path in written.paths}
@@ -223,12 +223,12 @@ def compensation_files(folder: Path, word: str) -> dict[str, Any]:
 
 def comparison(folders: list[Path]) -> str:
     """The report of two results side by side, as HTML. Raises InputError."""
-    from pkm_studies.results import result_folder
+    from pkm_studies.sessions import write_comparison
 
     if len(folders) != 2:
         raise InputError("two results are compared", "choose two")
     with tempfile.TemporaryDirectory(prefix="oed-") as place:
-        paths = result_folder.write_comparison(folders, Path(place))
+        paths = write_comparison(folders, Path(place))
         page = next(path for path in paths if path.suffix == ".html")
         return page.read_text(encoding="utf-8")
 
@@ -236,7 +236,7 @@ def comparison(folders: list[Path]) -> str:
 def stored_report(folder: Path) -> str:
     """The report of a result, as HTML: the folder's, else one that is made now."""
     from pkm_reports import write_report
-    from pkm_studies.results.stored_result import load_result
+    from pkm_studies.results import load_result
 
     path = folder / "report.html"
     if path.is_file() and not path.is_symlink():

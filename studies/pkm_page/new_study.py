@@ -17,17 +17,21 @@ from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
 from oed.model.machine import Dimension, Machine
 from pkm_page import typed
-from pkm_reports.view.scene import PageView, ViewLine
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Consent, Origin
-from pkm_studies.catalogue import catalogue
-from pkm_studies.importers import drafts, template
-from pkm_studies.importers.axis_lines import SHARES, format_numbers
+from pkm_reports.view import PageView, ViewLine
+from pkm_studies import catalogue, files, shipped
+from pkm_studies.base import InputError, Place
+from pkm_studies.drafts import (
+    SHARES,
+    default_instrument,
+    draft_text,
+    first_sound,
+    format_numbers,
+)
+from pkm_studies.quantities import column
 from pkm_studies.resolve.machine import described_machine
-from pkm_studies.resolve.quantities import column
-from pkm_studies.study import SUFFIX, shipped
-from pkm_studies.study.tables import MachineTable
+from pkm_studies.study import SUFFIX
+from pkm_studies.tables import MachineTable
+from pkm_studies.user_code import Consent, Origin
 
 #: characters of a size, as a list of numbers
 LONGEST: Final = 2000
@@ -80,7 +84,7 @@ class StudyForm:
 
     def instruments(self, machine: str) -> list[str]:
         """Instruments that can read a machine as it stands, the usual one first."""
-        first, others = drafts.default_instrument(self._model(machine), self.origin)
+        first, others = default_instrument(self._model(machine), self.origin)
         return [first, *others]
 
     def sizes(self, machine: str) -> list[SizeField]:
@@ -131,7 +135,7 @@ class StudyForm:
             tool = tool.take_channels([tool.channels[0].name])
         study = path.name.removesuffix(SUFFIX)
         texts = (self._draft(form, study, machine, tool, share) for share in SHARES)
-        text = drafts.first_sound(texts, path, self.origin)
+        text = first_sound(texts, path, self.origin)
         return files.write_whole(path, text)
 
     def _draft(
@@ -142,7 +146,7 @@ class StudyForm:
         tool: Instrument,
         share: float,
     ) -> str:
-        text = template.text(name, form.machine, machine, form.instrument, tool, share)
+        text = draft_text(name, form.machine, machine, form.instrument, tool, share)
         text = _with_sizes(text, self._stated(form))
         text = _with_readings(text, form.minutes, tool)
         return _with_wanted(text, form.wanted, self.components(form.machine))

@@ -21,8 +21,8 @@ from oed.base import csv_text
 from oed.dataset import dialect
 from oed.dataset.columns import parse_column
 from oed.dataset.table import MAX_BYTES
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
+from pkm_studies import files
+from pkm_studies.base import InputError
 
 #: version of a file that is not there
 ABSENT: Final = "absent"

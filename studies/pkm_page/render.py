@@ -12,9 +12,8 @@ from typing import Any, Final
 import jinja2
 
 from pkm_page.guard import POLICY
-from pkm_reports.page import text
-from pkm_reports.view import scene
-from pkm_reports.view.scene import PageView
+from pkm_reports import text
+from pkm_reports.view import PageView, encoded_view
 
 #: scripts of the report that the page takes over, and its own
 SHARED: Final = ("page.js", "camera.js", "residuals.js", "view.js")
@@ -45,7 +44,7 @@ def parts(values: dict[str, Any]) -> dict[str, str]:
 
 def encoded(view: PageView | None) -> str:
     """The view as JSON for a script element."""
-    return "null" if view is None else scene.encoded(view)
+    return "null" if view is None else encoded_view(view)
 
 
 def encoded_state(state: dict[str, Any]) -> str:
@@ -61,11 +60,11 @@ def plain(view: PageView | None) -> Any:
 
 def report_policy() -> str:
     """The policy of a stored report: only its own script runs, apart from this page."""
-    from pkm_reports.page import html
+    from pkm_reports.page import script_digest
 
     return (
         "sandbox allow-scripts allow-downloads; default-src 'none'; img-src data:;"
-        f" style-src 'unsafe-inline'; script-src '{html.script_digest()}';"
+        f" style-src 'unsafe-inline'; script-src '{script_digest()}';"
         " frame-ancestors 'none'"
     )
 

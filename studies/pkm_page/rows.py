@@ -19,9 +19,9 @@ from oed.dataset.columns import column_name, parse_column
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Coordinate
 from pkm_page.readings_log import REMARK, UNDONE, FileContent
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.resolve.conditions import PASS_SUFFIX
-from pkm_studies.sessions.skipped_poses import SKIPPED, is_skipped
+from pkm_studies.sessions import SKIPPED, is_skipped
 
 #: decimals of a command, mm or deg: those that a controller takes
 DECIMALS: Final = 4

@@ -22,8 +22,8 @@ from pkm_page.new_study import FieldError, NewStudy, StudyForm
 from pkm_page.readings_log import StaleError
 from pkm_page.session import DoubtfulError
 from pkm_page.shelf import Shelf, study_files
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
+from pkm_studies import files
+from pkm_studies.base import InputError
 
 #: time between two looks for news, and from one sign of life to the next, s
 PAUSE, ALIVE = 0.1, 15.0

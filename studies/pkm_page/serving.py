@@ -19,10 +19,11 @@ from pkm_page.machine_page import MachinePage
 from pkm_page.server import Switch
 from pkm_page.session import MachineSession
 from pkm_page.shelf import RESULT, Shelf
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Consent
-from pkm_studies.sessions.next_reading import Adviser
-from pkm_studies.study import SUFFIX, Study, load, shipped
+from pkm_studies import shipped
+from pkm_studies.base import InputError
+from pkm_studies.sessions import Adviser
+from pkm_studies.study import SUFFIX, Study, load
+from pkm_studies.user_code import Consent
 
 LOCAL: Final = "127.0.0.1"
 #: bytes of a token
@@ -94,8 +95,8 @@ def _study(target: Path, consent: Consent) -> tuple[Study, Path, Path]:
         study = load(shipped.study_path(target), consent)
         return study, target, Path("out") / study.name
     from oed.base.own_files import write_own
-    from pkm_studies.compensation.stored_study import result_study
-    from pkm_studies.results.stored_result import load_result
+    from pkm_studies.compensation import result_study
+    from pkm_studies.results import load_result
 
     result = load_result(target)
     study = result_study(result, target, None)

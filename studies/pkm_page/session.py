@@ -24,10 +24,8 @@ from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from pkm_page import approach, doubts, rows, typed
 from pkm_page.readings_log import REMARK, FileContent, ReadingsLog, StaleError
-from pkm_studies.base.errors import InputError
-from pkm_studies.sessions.next_reading import Adviser, FittedReadings
-from pkm_studies.sessions.next_sentences import Advice
-from pkm_studies.sessions.skipped_poses import skipped_in_rows
+from pkm_studies.base import InputError
+from pkm_studies.sessions import Advice, Adviser, FittedReadings, skipped_in_rows
 
 #: what a fit of readings raises that make no sense
 FIT_ERRORS: Final = (

@@ -10,10 +10,10 @@ from typing import Final
 
 from oed.result import StudyResult, trust
 from oed.result.verdict import Judgement
-from pkm_reports.page import text
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.results.stored_result import load_result
+from pkm_reports import text
+from pkm_studies import files
+from pkm_studies.base import InputError
+from pkm_studies.results import load_result
 from pkm_studies.study import SUFFIX
 
 #: folders deep, and results, that are looked for

@@ -15,10 +15,8 @@ from oed.model.instrument import Setup
 from pkm_page import approach, doubts, known, rows
 from pkm_page.readings_log import REMARK, FileContent
 from pkm_page.session import MachineSession, Pose, SessionState
-from pkm_reports.page import text
-from pkm_reports.view import scene
-from pkm_reports.view.scene import PageView, ViewReading
-from pkm_studies.sessions.next_sentences import stop
+from pkm_reports import text
+from pkm_reports.view import PageView, ViewReading, build_view, residuals_of_readings
 from pkm_studies.stages import describe
 from pkm_studies.stages.fit.estimate import estimate_section
 
@@ -68,7 +66,7 @@ def page_values(session: MachineSession, state: SessionState) -> dict[str, Any]:
     is_wanted = bool(np.isfinite(advice.limits).any())
     return values | {
         "number": 1 + (values["last"][0].number if values["last"] else 0),
-        "stop": stop(advice),
+        "stop": advice.stop_sentences(),
         "finished": known.remaining(advice) == 0 and not advice.objections,
         "time_left": _time_left(state),
         "is_wanted": is_wanted,
@@ -242,7 +240,7 @@ def view(session: MachineSession, state: SessionState) -> PageView | None:
     result = msgspec.structs.replace(
         session.adviser.base.result, drawing=drawing, setups=setups
     )
-    shown = scene.build(result)
+    shown = build_view(result)
     if shown is None or state.fitted is None or state.pose is None:
         return shown
     return dataclasses.replace(shown, readings=_with_residuals(result, sections, shown))
@@ -258,9 +256,7 @@ def _with_residuals(
         tool_points=drawing.tool_points[:-1],
         reading_of=drawing.reading_of[:-1],
     )
-    fitted = scene.residuals_of_readings(
-        msgspec.structs.replace(result, **sections), taken
-    )
+    fitted = residuals_of_readings(msgspec.structs.replace(result, **sections), taken)
     readings = [
         dataclasses.replace(one, residuals=residuals)
         for one, residuals in zip(shown.readings, fitted, strict=False)

@@ -18,7 +18,7 @@ import numpy as np
 from oed.base.arrays import Array, Mask
 from pkm_printers.delta_study import slope_lines
 from pkm_printers.probed_point import ProbedPoint, contact_row
-from pkm_studies.importers.base import MeshUse, Row
+from pkm_studies.importers import MeshUse, Row
 
 #: mm; places of a mesh are rounded by as much
 ROUNDING = 0.1

@@ -10,9 +10,9 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.model.machine import Machine
-from pkm_studies.base.errors import InputError
-from pkm_studies.catalogue.controller_format import Compensation
-from pkm_studies.study.tables import NOT_KNOWN, ControllerTable
+from pkm_studies.base import InputError
+from pkm_studies.catalogue import Compensation
+from pkm_studies.tables import NOT_KNOWN, ControllerTable
 
 TOWERS = (1, 2, 3)
 #: angles of the towers from which firmwares count corrections, degrees

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from pkm_printers.bed_mesh import BedMesh, distinct, explanations
 from pkm_printers.delta_study import DeltaGeometry, DeltaStudy, Firmware, noise_table
 from pkm_printers.probed_point import ProbedPoint, contact_row
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers.base import ImportedSession, MeshUse
+from pkm_studies.base import InputError
+from pkm_studies.importers import ImportedSession, MeshUse
 
 #: standard deviation of a probed height, the bed's flatness included, um
 HEIGHT_UM = 100.0

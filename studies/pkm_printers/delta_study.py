@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 
 from pkm_printers import words
-from pkm_studies.importers.base import readings_name
+from pkm_studies.importers import readings_name
 
 #: model of a delta with one radius, and of one with a radius for each tower
 MODEL, FAMILY = "linear_delta", "delta"

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from pkm_studies.base.errors import Place, shorten
-from pkm_studies.study.data_sources.tables import AS_PUBLISHED, Row, read_csv, read_json
+from pkm_studies.base import Place, shorten
+from pkm_studies.study import AS_PUBLISHED, Row, read_csv, read_json
 
 TOWERS = "abc"
 HEIGHTS = ("session", "i", "height_mm", "steps_a", "steps_b", "steps_c")

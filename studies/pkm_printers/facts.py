@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from pkm_printers import gcode
 from pkm_printers.gcode import TextLine
-from pkm_studies.base.errors import suggest
+from pkm_studies.base import suggest
 
 #: how many numbers each has
 COUNTS = {

@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from pkm_printers.words import WordAccount, WordTable, WrittenWord, account
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.plain_number import plain_number
-from pkm_studies.importers.base import line_field
-from pkm_studies.importers.line_times import Stamp, stamp, steps
+from pkm_studies import files
+from pkm_studies.base import InputError
+from pkm_studies.csv_table import plain_number
+from pkm_studies.importers import Stamp, line_field, stamp, steps
 
 LIMIT = 16_000_000
 NO_TIME = Stamp(0.0, is_dated=False)

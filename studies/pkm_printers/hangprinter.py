@@ -21,14 +21,19 @@ from pkm_printers import gcode, words
 from pkm_printers.gcode import Command
 from pkm_printers.rrf_sequence import execution_order
 from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Origin
-from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
-from pkm_studies.importers.column_map import Model, imported_study
-from pkm_studies.importers.line_times import read_tables
+from pkm_studies.base import InputError, Place
+from pkm_studies.csv_table import CsvTable
+from pkm_studies.importers import (
+    ImportedSession,
+    ImportRequest,
+    Model,
+    Row,
+    imported_study,
+    read_tables,
+)
 from pkm_studies.resolve.machine import described_machine
-from pkm_studies.study.tables.machine import MachineTable
+from pkm_studies.tables import MachineTable
+from pkm_studies.user_code import Origin
 
 MOTORS: Final = "ABCD"
 MODEL: Final = "cable_robot"

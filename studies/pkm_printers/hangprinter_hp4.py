@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from pkm_studies.study.data_sources.tables import Row, read_csv
+from pkm_studies.study import Row, read_csv
 
 MOTORS = "ABCD"
 

@@ -21,8 +21,8 @@ from pkm_printers.delta_contact import tool_heights
 from pkm_printers.delta_study import DeltaGeometry, DeltaStudy, Firmware, noise_table
 from pkm_printers.klipper_account import config_account
 from pkm_printers.klipper_config import Entry, KlipperConfig
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
+from pkm_studies.base import InputError
+from pkm_studies.importers import ImportedSession, ImportRequest, Row
 
 #: distance from the bed, over the height of the lowest endstop, of a position that is wrong
 FAR = 0.2

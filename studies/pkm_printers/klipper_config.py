@@ -15,9 +15,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers.base import line_field
+from pkm_studies import files
+from pkm_studies.base import InputError
+from pkm_studies.importers import line_field
 
 #: bytes of the largest configuration
 LIMIT = 4_000_000

@@ -14,11 +14,7 @@ from pkm_printers.delta_numbers import (
     home_notes,
     not_a_delta,
 )
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 NAME, TOWERS = "klipper", "abc"
 WHERE = (

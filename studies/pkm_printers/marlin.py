@@ -42,7 +42,7 @@ from pkm_printers.marlin_version import (
 )
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
-from pkm_studies.importers.base import ImportedSession, ImportRequest
+from pkm_studies.importers import ImportedSession, ImportRequest
 
 RADII: Final = refused(
     "versions and forks mean trims of the towers' radii, or of their angles, by it",

@@ -29,13 +29,9 @@ from pkm_printers.marlin_version import (
     MeaningOfB,
     PossibleRules,
 )
-from pkm_studies.base.errors import InputError
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
-from pkm_studies.study.tables import NOT_KNOWN, ControllerTable
+from pkm_studies.base import InputError
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
+from pkm_studies.tables import NOT_KNOWN, ControllerTable
 
 NAME = "marlin"
 #: mm by which rods may differ and count as one length: what four decimals hold

@@ -13,7 +13,7 @@ from pkm_printers.marlin_version import (
     dead_band,
     home_offset,
 )
-from pkm_studies.study.tables import NOT_KNOWN
+from pkm_studies.tables import NOT_KNOWN
 
 TOWERS = "XYZ"
 #: fewest steps per mm that printers have, as of a motor with 8 microsteps

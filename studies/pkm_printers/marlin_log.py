@@ -16,7 +16,7 @@ from pkm_printers.gcode import ENDS, NUMBER, Command, TextLine
 from pkm_printers.marlin_g33 import ReportScan, report_contacts
 from pkm_printers.marlin_means import Contact
 from pkm_printers.marlin_version import NOT_READ, RADIUS, PossibleRules
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 #: a probed point: `Bed X: 0 Y: 0 Z: 0.1`, in old versions `Bed x:` or `Bed Position X:`
 BED = re.compile(

@@ -27,13 +27,18 @@ from pkm_printers.words import (
     costs,
     same,
 )
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.plain_number import plain_number
-from pkm_studies.base.user_code import Origin
-from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
-from pkm_studies.importers.column_map import Model, imported_study
+from pkm_studies.base import InputError, Place
+from pkm_studies.csv_table import plain_number
+from pkm_studies.importers import (
+    ImportedSession,
+    ImportRequest,
+    Model,
+    Row,
+    imported_study,
+)
 from pkm_studies.resolve.machine import described_machine
-from pkm_studies.study.tables.machine import MachineTable
+from pkm_studies.tables import MachineTable
+from pkm_studies.user_code import Origin
 
 #: corners in the order of the machine's cables
 CORNERS: Final = ("tl", "tr", "br", "bl")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pkm_studies.importers.base import Row
+from pkm_studies.importers import Row
 
 PPM = 1e-6
 

@@ -30,10 +30,10 @@ from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.rrf_points import has_heights, mesh_offset, probed_points
 from pkm_printers.rrf_sequence import ExecutionOrder, execution_order
 from pkm_printers.rrf_words import WORDS
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.plain_number import plain_number
-from pkm_studies.importers.base import ImportedSession, ImportRequest, line_field
+from pkm_studies import files
+from pkm_studies.base import InputError
+from pkm_studies.csv_table import plain_number
+from pkm_studies.importers import ImportedSession, ImportRequest, line_field
 
 DELTA = re.compile(
     rf"Diagonals?\s+(?P<L>{NUMBER}(?::{NUMBER})*),\s*delta radius\s+(?P<R>{NUMBER}),"

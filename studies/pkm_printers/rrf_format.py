@@ -17,11 +17,7 @@ from pkm_printers.delta_numbers import (
     trims,
 )
 from pkm_printers.marlin_format import words
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 NAME = "rrf"
 USUAL_FILE = "config.g"

@@ -10,7 +10,7 @@ from pkm_printers import gcode
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.probed_point import ProbedPoint
 from pkm_printers.rrf_sequence import ExecutionOrder
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 HEIGHTS = re.compile(r"bed probe heights:\s*([^,]*)", re.IGNORECASE)
 CALIBRATED = re.compile(r"Calibrated \d+ factors", re.IGNORECASE)

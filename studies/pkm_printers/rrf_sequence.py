@@ -15,7 +15,7 @@ from pkm_printers import gcode
 from pkm_printers.gcode import Command, TextLine
 from pkm_printers.rrf_words import WORDS
 from pkm_printers.words import Use, WordTable, cost_sentence
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 #: a line that begins with a command, and one that is nothing else, in any letters
 CODE = re.compile(r"\s*(?:[Nn]\d+\s+)?[GgMm]\d")

@@ -13,7 +13,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 #: stands for a number in a key of a table: `height<n>` is height0, height1, ...
 NUMBER = "<n>"

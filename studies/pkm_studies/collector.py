@@ -36,9 +36,9 @@ class ClaimNotMet(Exception):  # noqa: N818 - pytest shows the claim, not the cl
 
     def __init__(self, claim: Claim, where: str) -> None:
         """State what was measured and what is claimed."""
-        from pkm_studies.results import claims
+        from pkm_studies.results import claim_failure
 
-        super().__init__(claims.failure(claim, where))
+        super().__init__(claim_failure(claim, where))
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -86,7 +86,7 @@ class StudyCollector(pytest.File):
 
     def collect(self) -> Iterator[pytest.Item]:
         """One item a claim. A study that cannot be read is an error of collection."""
-        from pkm_studies.base.errors import InputError
+        from pkm_studies.base import InputError
         from pkm_studies.study import load
 
         try:
@@ -121,7 +121,7 @@ class ClaimItem(pytest.Item):
 
     def runtest(self) -> None:
         """Measure the claim."""
-        from pkm_studies.base.errors import SourceAbsentError
+        from pkm_studies.base import SourceAbsentError
 
         assert isinstance(self.parent, StudyCollector)
         try:
@@ -136,7 +136,7 @@ class ClaimItem(pytest.Item):
         self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None
     ) -> Any:
         """The claim, or the paragraph of a bad input; else a traceback."""
-        from pkm_studies.base.errors import InputError
+        from pkm_studies.base import InputError
 
         if isinstance(excinfo.value, ClaimNotMet | InputError):
             return str(excinfo.value)

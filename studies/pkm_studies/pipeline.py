@@ -15,10 +15,10 @@ from oed.base.arrays import Array
 from oed.dataset.digests import digests
 from oed.result import StudyResult
 from oed.result.verdict import accuracy_verdicts
-from pkm_studies.base import files
-from pkm_studies.base.progress import Progress, Silent
+from pkm_studies import files, result_folder
+from pkm_studies.base import Progress, Silent
 from pkm_studies.resolve.counted import counted
-from pkm_studies.results import claims, result_folder, stored_result
+from pkm_studies.results import check_claims, load_result
 from pkm_studies.stages import describe, headline, run_files
 from pkm_studies.stages.plan.earlier import read_earlier_session, stored_knowledge
 from pkm_studies.stages.run_state import (
@@ -179,11 +179,11 @@ def forecast(
     if not (out / result_folder.RESULT).is_file():
         state = forecast_errors(state, None, readings)
         return _finish(state, out, report=True, sections=FORECAST_SECTIONS)
-    stored = stored_result.load_result(out)
+    stored = load_result(out)
     knowledge = stored_knowledge(state.resolved, stored, out)
     state = forecast_errors(state, knowledge, readings)
     result = msgspec.structs.replace(stored, forecast=state.result.forecast)
-    checked = claims.check_claims(study, msgspec.to_builtins(result), FORECAST_SECTIONS)
+    checked = check_claims(study, msgspec.to_builtins(result), FORECAST_SECTIONS)
     names = {claim.claim for claim in checked}
     others = [claim for claim in stored.claims if claim.claim not in names]
     result = msgspec.structs.replace(result, claims=[*others, *checked])
@@ -212,7 +212,7 @@ def planned_state(
         )
     earlier = None
     if after is not None:
-        earlier_result = stored_result.load_result(after)
+        earlier_result = load_result(after)
         earlier = read_earlier_session(state.resolved, request, after, earlier_result)
         state = state.replace(resolved=earlier.resolved)
         request = earlier.plan
@@ -319,7 +319,7 @@ def _finish(
     """Check claims, and write result and report. `sections` limits the claims."""
     study_result = assemble_result(state)
     study = state.study
-    checked = claims.check_claims(study, msgspec.to_builtins(study_result), sections)
+    checked = check_claims(study, msgspec.to_builtins(study_result), sections)
     seconds = round(time.perf_counter() - state.started, 3)
     study_result = msgspec.structs.replace(
         study_result, claims=checked, seconds=seconds

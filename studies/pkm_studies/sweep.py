@@ -23,11 +23,11 @@ import msgspec
 import pytest
 
 from oed.result import StudyResult
-from pkm_studies import pipeline
-from pkm_studies.base.errors import InputError, Place, SourceAbsentError
-from pkm_studies.results import claims, stored_result
-from pkm_studies.study import Study, load, shipped, vary
-from pkm_studies.study.tables import ClaimTable
+from pkm_studies import pipeline, shipped
+from pkm_studies.base import InputError, Place, SourceAbsentError
+from pkm_studies.results import check_claim, claim_failure, load_result, value_at
+from pkm_studies.study import Study, combinations, load, with_setting
+from pkm_studies.tables import ClaimTable
 
 MARK = "study_sweep"
 #: environment variable that the processes of pytest-xdist have
@@ -68,12 +68,12 @@ class VariedStudy:
             pytest.skip(str(absent))
         except InputError as error:
             _fail(str(error))
-        return stored_result.load_result(folder)
+        return load_result(folder)
 
     def figure(self, path: str) -> Any:
         """What stands in result.json at a dotted path, as in [expect]."""
         try:
-            return claims.lookup(self._plain, path)
+            return value_at(self._plain, path)
         except LookupError as error:
             _fail(str(error))
 
@@ -88,9 +88,9 @@ class VariedStudy:
     ) -> None:
         """Fail the test unless the figure at a path is as claimed, as in [expect]."""
         table = ClaimTable(of=of, min=min, max=max, equals=equals, contains=contains)
-        claim = claims.check_claim(of.rpartition(".")[2], table, self._plain)
+        claim = check_claim(of.rpartition(".")[2], table, self._plain)
         if not claim.met:
-            _fail(claims.failure(claim, self._where))
+            _fail(claim_failure(claim, self._where))
 
     def check_claims(self, *names: str) -> None:
         """Fail the test unless the study's own claims hold: all, or those named."""
@@ -100,7 +100,7 @@ class VariedStudy:
             known = ", ".join(by_name) or "no claims"
             _fail(f"{self._where}: no claim {unknown[0]}; it has {known}")
         chosen = [by_name[name] for name in names or by_name]
-        failures = [claims.failure(c, self._where) for c in chosen if not c.met]
+        failures = [claim_failure(c, self._where) for c in chosen if not c.met]
         if failures:
             _fail("\n".join(failures))
 
@@ -159,8 +159,8 @@ def _parameters(
     """The combinations of one base. Raises UsageError."""
     try:
         study = _base(base, folder)
-        for setting in vary.combinations(values):
-            varied = vary.with_setting(study, setting, Place(f"@{MARK}", "vary"))
+        for setting in combinations(values):
+            varied = with_setting(study, setting, Place(f"@{MARK}", "vary"))
             names = [f"{k}={_short(v)}" for k, v in setting.items()]
             if several or not names:
                 names = [study.name, *names]

@@ -13,8 +13,8 @@ import sample
 
 from oed import compensate
 from pkm_campaign import results, runner, tables
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands import cli
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 
 STUDY = sample.changed(
     sample.STUDY,
@@ -44,7 +44,7 @@ def campaign(tmp_path: Path) -> Path:
 
 
 def run(path: Path, out: Path, *options: str) -> int:
-    return cli.main(
+    return main(
         [
             "campaign",
             str(path),
@@ -134,7 +134,7 @@ def test_processes_are_as_many_as_cores_by_default(
     monkeypatch.setattr("os.cpu_count", lambda: 1)
     out = tmp_path / "out"
     options = ["--out", str(out), "--seeds", "1"]
-    assert cli.main(["campaign", str(campaign), *options]) == 0
+    assert main(["campaign", str(campaign), *options]) == 0
     assert len(pd.read_csv(out / "cases.csv")) == 4
 
 

@@ -22,7 +22,7 @@ from oed.result import StudyResult, VerdictRecord, VerificationSection
 from oed.result.certificate import Certificate
 from pkm_certificate import certify
 from pkm_certificate.dcc import product
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 Run = Callable[..., tuple[int, str, str]]
 ROOT = Path(__file__).resolve().parents[2]
@@ -98,9 +98,9 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     study, readings = folder / "small.study.toml", folder / "r.readings.csv"
     study.write_text(STUDY, encoding="utf-8")
     out = folder / "out"
-    assert cli.main(["simulate", str(study), "--out", str(readings)]) == 0
+    assert main(["simulate", str(study), "--out", str(readings)]) == 0
     call = ["identify", str(study), "--readings", str(readings), "--out", str(out)]
-    assert cli.main([*call, "--quiet"]) == 0
+    assert main([*call, "--quiet"]) == 0
     return out
 
 

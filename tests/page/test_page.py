@@ -16,8 +16,8 @@ from page.page_server import rows, take
 from pkm_page import readings_log, typed
 from pkm_page.job import BackgroundCommand
 from pkm_page.readings_log import ReadingsLog, StaleError
-from pkm_studies.sessions.next_reading import Adviser
-from pkm_studies.sessions.next_sentences import sentences
+from pkm_studies.sessions import Adviser
+from pkm_studies.sessions import advice_sentences as sentences
 from pkm_studies.study import load
 
 # -- measuring -------------------------------------------------------------------------

@@ -26,8 +26,9 @@ import pytest
 
 from page.page_server import Client, Operator, rows, served
 from pkm_page import serving
-from pkm_studies.sessions.next_reading import Adviser
-from pkm_studies.study import load, shipped
+from pkm_studies import shipped
+from pkm_studies.sessions import Adviser
+from pkm_studies.study import load
 
 playwright = pytest.importorskip("playwright.sync_api")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")

@@ -19,7 +19,7 @@ from page.page_server import rows
 from pkm_page import feed
 from pkm_page.feed import Feed, LineBuffer, Offer
 from pkm_page.rows import clean_remark
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from oed.result import acceptance
 from page.page_server import Client, served
 from pkm_page import serving
 from pkm_page.new_study import FieldError, NewStudy, StudyForm
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.study import load
 
 

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import oed
 from oed.base import units
-from pkm_studies.commands.cli import main
-from pkm_studies.importers import session
-from pkm_studies.importers.base import ImportedSession
+from pkm_studies.commands import main
+from pkm_studies.importers import ImportedSession, import_files
 
 #: no samples and no report
 PLAIN = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
@@ -25,7 +24,7 @@ def take(
     for name, text in files.items():
         (folder / name).write_text(text)
     paths = [folder / name for name in files]
-    study, imported = session.import_files(kind, paths, folder / "study", name="p")
+    study, imported = import_files(kind, paths, folder / "study", name="p")
     study.write_text(study.read_text() + PLAIN)
     return study, imported
 

@@ -13,7 +13,7 @@ from oracles.delta_trilateration import nozzle, travel_to
 import oed
 from oed.result import StudyResult
 from pkm_studies import pipeline
-from pkm_studies.importers import session
+from pkm_studies.importers import import_files
 
 STEP = 40.0 / (200.0 * 16.0)
 TRIGGER = 12.5
@@ -108,7 +108,7 @@ def run(text: str, folder: Path, mesh: str = "hold-out") -> StudyResult:
     folder.mkdir()
     config = folder / "printer.cfg"
     config.write_text(text)
-    path, _ = session.import_files("klipper", [config], folder, mesh=mesh)
+    path, _ = import_files("klipper", [config], folder, mesh=mesh)
     study = path.read_text()
     middle = study.index("[prediction]"), study.index("[controller]")
     plain = '[posterior]\nenabled = false\n[identify]\neffects = "none"\n'

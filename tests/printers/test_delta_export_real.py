@@ -12,7 +12,7 @@ from test_delta_real import Session, fitted, heights_of, measurement, sessions
 
 from oed.measurement.measurement import Measurement
 from pkm_models.machines.linear_delta import machine
-from pkm_studies.commands import cli
+from pkm_studies.commands import main
 
 __all__ = ["measurement", "sessions"]  # fixtures
 
@@ -28,7 +28,7 @@ def test_klippers_residuals_agree_to_the_printed_digits(
     session = sessions[name]
     fit = fitted(measurement, session)
     folder = sample.save(tmp_path, sample.result(machine, fit.theta[:10]))
-    assert cli.main(["compensate", str(folder), "--to", "klipper"]) == 0
+    assert main(["compensate", str(folder), "--to", "klipper"]) == 0
     text = (folder / "compensation.cfg").read_text("utf-8")
     printer = Klipper(example()).apply(text).geometry
     point = printer.tool(1e3 * session.contacts)

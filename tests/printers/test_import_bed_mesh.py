@@ -8,12 +8,12 @@ import pytest
 from oracles.delta_trilateration import nozzle, travel_to
 
 from pkm_printers.bed_mesh import copied_margin
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Notice
+from pkm_reports import text
+from pkm_reports.blocks import Notice
 from pkm_reports.sections.answer import accuracy
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.base import InputError
+from pkm_studies.importers import import_files
+from pkm_studies.results import load_result
 from printers import mesh_printer as virtual
 
 
@@ -25,7 +25,7 @@ def rows_of_mesh(folder: Path) -> list[dict[str, str]]:
 
 def imported(config: str, folder: Path) -> list[str]:
     (folder / "printer.cfg").write_text(config)
-    _, result = session.import_files("klipper", [folder / "printer.cfg"], folder)
+    _, result = import_files("klipper", [folder / "printer.cfg"], folder)
     return list(result.statements)
 
 

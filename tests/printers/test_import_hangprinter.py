@@ -8,8 +8,8 @@ import pytest
 
 import oed
 from oed.mechanism.kinematics import Kinematics
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
+from pkm_studies.base import InputError
+from pkm_studies.importers import import_files
 from pkm_studies.resolve.machine import study_machine
 
 CONFIG = """\
@@ -25,9 +25,7 @@ def taken(config: str, shared_data: Path, folder: Path) -> tuple[Path, str, list
     for name in ("motor_deg.csv", "known_xyz_mm.csv"):
         shutil.copy(shared_data / "hangprinter_hp4" / name, folder / name)
         paths.append(folder / name)
-    path, imported = session.import_files(
-        "hangprinter", paths, folder / "out", name="h"
-    )
+    path, imported = import_files("hangprinter", paths, folder / "out", name="h")
     return path, " ".join(imported.statements), list(imported.rows)
 
 
@@ -83,7 +81,7 @@ def test_motors_in_radians_or_wound_the_other_way_are_refused(
     if places:
         files.append(source / "known_xyz_mm.csv")
     with pytest.raises(InputError, match="radians times 57"):
-        session.import_files("hangprinter", files, tmp_path / "out", name="h")
+        import_files("hangprinter", files, tmp_path / "out", name="h")
 
 
 @pytest.mark.parametrize(
@@ -101,8 +99,8 @@ def test_a_table_that_would_not_be_read_is_refused(
         (tmp_path / name).write_text(text)
     paths = [tmp_path / name for name in ("config.g", "motors.csv", "more.csv")]
     with pytest.raises(InputError, match=problem):
-        session.import_files("hangprinter", paths, tmp_path / "out", name="h")
-    _, imported = session.import_files("hangprinter", paths[:2], tmp_path / "out")
+        import_files("hangprinter", paths, tmp_path / "out", name="h")
+    _, imported = import_files("hangprinter", paths[:2], tmp_path / "out")
     assert not [s for s in imported.statements if "places" in s]
 
 
@@ -133,7 +131,7 @@ def test_the_build_up_is_that_of_the_machine(buildup: float, tmp_path: Path) -> 
     ):
         (tmp_path / name).write_text(text)
     files = [tmp_path / name for name in ("config.g", "m.csv", "p.csv")]
-    path, _ = session.import_files("hangprinter", files, tmp_path / "out", name="h")
+    path, _ = import_files("hangprinter", files, tmp_path / "out", name="h")
     machine = study_machine(oed.load_study(path))
     turned = np.degrees(Kinematics(machine).inverse(places / 1e3)[1])
     assert turned == pytest.approx(np.array(motors), rel=1e-7)
@@ -149,6 +147,6 @@ def test_an_error_names_the_line_of_its_word(tmp_path: Path) -> None:
     (tmp_path / "config.g").write_text(config)
     (tmp_path / "m.csv").write_text("A,B,C,D\n1,2,3,4\n5,6,7,8\n")
     with pytest.raises(InputError, match=r"line 3, M666 U.*M666 U2:2:2:2"):
-        session.import_files(
+        import_files(
             "hangprinter", [tmp_path / "config.g", tmp_path / "m.csv"], tmp_path / "o"
         )

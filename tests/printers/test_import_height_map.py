@@ -10,8 +10,8 @@ from oracles.firmware.geometry import delta
 import oed
 from pkm_printers.bed_mesh import BedMesh, distinct
 from pkm_printers.probed_point import ProbedPoint
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
+from pkm_studies.base import InputError
+from pkm_studies.importers import import_files
 from printers.delta_printer import take
 from printers.test_import_rrf import FILES, TILT_CONFIG
 
@@ -104,7 +104,7 @@ def test_a_map_alone_calibrates_a_bed_that_leans(tmp_path: Path) -> None:
     for name, content in files.items():
         (folder / name).write_text(content)
     paths = [folder / name for name in files]
-    path, _ = session.import_files("rrf", paths, folder / "out", mesh="readings")
+    path, _ = import_files("rrf", paths, folder / "out", mesh="readings")
     estimate = oed.identify(oed.read_readings(oed.load_study(path))).section
     assert estimate.readings == inside.sum()
     radius = estimate.parameters["radius"]

@@ -14,9 +14,9 @@ from oracles.klipper_cost import Delta, cost
 
 import oed
 from oed.base import units
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands.cli import main
-from pkm_studies.importers import session
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
+from pkm_studies.importers import import_files
 
 ARMS = (217.0, 217.0, 217.0)
 #: radius of a printer that no study describes, mm, and its true geometry
@@ -99,7 +99,7 @@ def test_real_printers_reach_the_cost_of_klipper(
 ) -> None:
     """SAVE_CONFIG stores the geometry of Klipper's own least-squares fit."""
     config = shared_data / "klipper_delta" / f"{name}.cfg"
-    path, imported = session.import_files("klipper", [config], tmp_path)
+    path, imported = import_files("klipper", [config], tmp_path)
     study = oed.load_study(path)
     section = oed.identify(oed.read_readings(study)).section
     kinds = {"radius": "mm", "arm": "mm", "angle": "deg", "endstop": "mm"}
@@ -165,9 +165,7 @@ def test_a_value_above_the_saved_block_is_the_one_in_use(tmp_path: Path) -> None
         "#delta_radius: 120", "delta_radius: 99"
     )
     (tmp_path / "printer.cfg").write_text(text)
-    path, imported = session.import_files(
-        "klipper", [tmp_path / "printer.cfg"], tmp_path
-    )
+    path, imported = import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
     assert oed.load_study(path).machine.nominal["radius_mm"] == 99.0
     line = text.splitlines().index("delta_radius: 99") + 1
     (sentence,) = [s for s in imported.statements if "does not use the saved" in s]
@@ -195,7 +193,7 @@ def test_bad_files_name_line_and_remedy(
     assert old in text
     (tmp_path / "printer.cfg").write_text(text.replace(old, new, 1))
     with pytest.raises(InputError) as raised:
-        session.import_files("klipper", [tmp_path / "printer.cfg"], tmp_path / "out")
+        import_files("klipper", [tmp_path / "printer.cfg"], tmp_path / "out")
     assert words in str(raised.value)
     assert not (tmp_path / "out").exists()
 
@@ -205,7 +203,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
     readings = tmp_path / "printer.readings.csv"
     readings.write_text("mine")
     with pytest.raises(InputError, match="importing overwrites nothing"):
-        session.import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
+        import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
     assert readings.read_text() == "mine"
 
 
@@ -215,7 +213,7 @@ def test_nominal_numbers_of_another_printer_are_exit_1(
     """The readings fit, but only 30 mm from the endstops that the file states."""
     text = printer(readings_of_truth()).replace("= 251.0", "= 221.0")
     (tmp_path / "printer.cfg").write_text(text)
-    path, _ = session.import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
+    path, _ = import_files("klipper", [tmp_path / "printer.cfg"], tmp_path)
     readings = str(tmp_path / "printer.readings.csv")
     plain = "\n[posterior]\nenabled = false\n[report]\nhtml = false\npdf = false\n"
     plain += '[identify]\neffects = "none"\n'
@@ -227,4 +225,4 @@ def test_nominal_numbers_of_another_printer_are_exit_1(
 
 def test_an_unknown_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="did you mean klipper"):
-        session.import_files("kliper", [tmp_path / "a.cfg"], tmp_path)
+        import_files("kliper", [tmp_path / "a.cfg"], tmp_path)

@@ -9,7 +9,7 @@ import pytest
 from oracles.firmware.geometry import Probe, delta, spiral
 from oracles.firmware.klipper import HEADER, Klipper, example
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from printers.delta_printer import fitted, nominal, take
 
 REAL = delta(110.3, 250.0, [210.3, 329.8, 90.0], [260.2, 259.7, 260.3])

@@ -14,8 +14,8 @@ from oracles.firmware import fit, marlin, marlin_g33, rrf
 from oracles.firmware.geometry import Delta, Probe, contact, delta, spiral
 
 import oed
-from pkm_studies.base.errors import InputError
-from pkm_studies.commands.cli import main
+from pkm_studies.base import InputError
+from pkm_studies.commands import main
 from printers import delta_printer
 from printers.delta_printer import compensate, endstops, fitted, nominal, said, take
 

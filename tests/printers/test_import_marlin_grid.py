@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from printers.delta_printer import said, take
 from printers.test_import_marlin import OLD_LOG
 

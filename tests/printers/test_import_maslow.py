@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 
 import oed
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
+from pkm_studies.base import InputError
+from pkm_studies.importers import import_files
 
 YAML = """\
 board: Maslow
@@ -56,7 +56,7 @@ def taken(files: dict[str, str], folder: Path) -> tuple[Path, str, list]:
     for name, text in files.items():
         (folder / name).write_text(text)
     paths = [folder / name for name in files]
-    path, imported = session.import_files("maslow", paths, folder / "out", name="m")
+    path, imported = import_files("maslow", paths, folder / "out", name="m")
     return path, " ".join(imported.statements), list(imported.rows)
 
 
@@ -170,6 +170,6 @@ def test_what_is_missing_or_wrong_is_refused(
 def test_an_option_that_is_not_read_is_refused(option: str, tmp_path: Path) -> None:
     given = {"machine": "delta", "column_map": tmp_path / "no", "mesh": "readings"}
     with pytest.raises(InputError, match="need no --m"):
-        session.import_files(
+        import_files(
             "maslow", [tmp_path / "m.yaml"], tmp_path, **{option: given[option]}
         )

@@ -10,8 +10,8 @@ from oracles.firmware import marlin, rrf
 from oracles.firmware.geometry import Delta, Probe, delta, spiral
 from oracles.firmware.klipper import Klipper, example
 
-from pkm_studies.commands.cli import main
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.commands import main
+from pkm_studies.results import load_result
 from printers.delta_printer import take
 
 SETTINGS = "M665 L250 R125 H300\nM666 X-0.2 Y-0.2 Z-0.2"

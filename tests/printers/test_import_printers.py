@@ -10,8 +10,8 @@ from oracles.delta_trilateration import nozzle, travel_to
 
 import oed
 from oed.base import units
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
+from pkm_studies.base import InputError
+from pkm_studies.importers import import_files
 
 #: what the firmware believes, and the true printer: mm and rad
 ADJUST = (0.3, -0.2, 0.0)
@@ -69,20 +69,20 @@ def test_reprapfirmware(tmp_path: Path) -> None:
     log.write_text(
         f"12:01 G32 bed probe heights: {heights}, mean 0.1, deviation from mean 0.2\n"
     )
-    study, _ = session.import_files("rrf", [config, bed, log], tmp_path / "out")
+    study, _ = import_files("rrf", [config, bed, log], tmp_path / "out")
     check_estimate(study)
     with pytest.raises(InputError, match=r"give the bed\.g"):
-        session.import_files("rrf", [config, log], tmp_path / "b")
+        import_files("rrf", [config, log], tmp_path / "b")
     with pytest.raises(InputError, match="has the answer of a last G30"):
-        session.import_files("rrf", [config, bed], tmp_path / "b")
+        import_files("rrf", [config, bed], tmp_path / "b")
     points = bed.read_text()
     bed.write_text(points.replace("G30 P1 ", "G30 P1e999 "))
     with pytest.raises(InputError, match=r"bed\.g: line \d+.*not a finite number"):
-        session.import_files("rrf", [config, bed, log], tmp_path / "b")
+        import_files("rrf", [config, bed, log], tmp_path / "b")
     bed.write_text(points)
     log.write_text("G32 bed probe heights: 0.1 0.2, mean 0\n")
     with pytest.raises(InputError, match=r"line 1.*2 heights for 7 probe points"):
-        session.import_files("rrf", [config, bed, log], tmp_path / "b")
+        import_files("rrf", [config, bed, log], tmp_path / "b")
 
 
 def test_marlin(tmp_path: Path) -> None:
@@ -98,11 +98,11 @@ def test_marlin(tmp_path: Path) -> None:
         for (x, y), z in zip(PLACES, believed_heights(), strict=True)
     ]
     log.write_text(settings + "\n".join(points) + "\nok\n")
-    study, _ = session.import_files("marlin", [log], tmp_path / "out")
+    study, _ = import_files("marlin", [log], tmp_path / "out")
     check_estimate(study)
     log.write_text("\n".join(points))
     with pytest.raises(InputError, match="answer of M503"):
-        session.import_files("marlin", [log], tmp_path / "b")
+        import_files("marlin", [log], tmp_path / "b")
 
 
 def test_marlin_calibration_report(tmp_path: Path) -> None:
@@ -116,21 +116,21 @@ def test_marlin_calibration_report(tmp_path: Path) -> None:
     )
     log.write_text(text)
     with pytest.raises(InputError, match=r"line 7.*probe_radius_mm"):
-        session.import_files("marlin", [log], tmp_path / "b")
+        import_files("marlin", [log], tmp_path / "b")
     prefixed = "".join(f"Recv: {line}\n" for line in text.splitlines())
     printed = prefixed.replace(
         "G33 Auto", "Checking... AC at radius:60.00\nRecv: G33 Auto"
     )
     log.write_text(printed)
-    _, imported = session.import_files("marlin", [log], tmp_path / "host")
+    _, imported = import_files("marlin", [log], tmp_path / "host")
     assert {round(float(row["y_mm"]), 6) for row in imported.rows} >= {60.0, -60.0}
     log.write_text(
         printed + "Recv: M665 L215.00 R106.50 H239.00\nRecv: M666 X0 Y0 Z0\n"
     )
-    path, _ = session.import_files("marlin", [log], tmp_path / "after")
+    path, _ = import_files("marlin", [log], tmp_path / "after")
     assert oed.load_study(path).machine.nominal["radius_mm"] == 105.0  # while it probed
     log.write_text(text + "probe_radius_mm = 80\n")
-    _, imported = session.import_files("marlin", [log], tmp_path / "out")
+    _, imported = import_files("marlin", [log], tmp_path / "out")
     points = {float(row["z_mm"]): row for row in imported.rows}
     assert set(points) > {0.20, -0.10, 0.05, 0.03, -0.04, 0.11}
     # the middle is a mean over three places near it

@@ -15,7 +15,7 @@ from oracles.firmware import fit, rrf
 from oracles.firmware.geometry import bed, delta
 
 import oed
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from printers.delta_printer import compensate, endstops, fitted, nominal, said, take
 
 CONFIG = """\

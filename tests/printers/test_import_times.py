@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pkm_printers import gcode
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 Run = Callable[..., tuple[int, str, str]]
 #: an answer before calibration, then the one after it, with seconds between them

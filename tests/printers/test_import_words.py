@@ -11,9 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies.base.errors import InputError
-from pkm_studies.importers import session
-from pkm_studies.importers.base import ImportedSession
+from pkm_studies.base import InputError
+from pkm_studies.importers import ImportedSession, import_files
 
 # -- one file of each firmware that has everything an import needs ----------------------
 
@@ -156,7 +155,7 @@ def read(kind: str, files: dict[str, str], folder: Path) -> ImportedSession:
         (folder / name).write_text(text)
         paths.append(folder / name)
     number = len(list(folder.glob("out*")))
-    return session.import_files(kind, paths, folder / f"out{number}", name="p")[1]
+    return import_files(kind, paths, folder / f"out{number}", name="p")[1]
 
 
 def outcome(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pkm_printers import facts, gcode, klipper_config
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 
 #: s; this took minutes where time grew with the square
 SOON = 5.0

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from oed.result import StudyResult
+from pkm_reports.blocks import Block, Items, Section
 from pkm_reports.comparison import accuracy, causes, glance, parameters, plans
-from pkm_reports.page import document
-from pkm_reports.page.blocks import Block, Items, Section
-from pkm_reports.page.document import Content
+from pkm_reports.page import Content, assembled
 from pkm_reports.report import write_document
 
 
@@ -25,9 +24,7 @@ def write_comparison(
     """
     if len(results) < 2:
         raise ValueError("a comparison needs two results or more")
-    return write_document(
-        document.assembled(content(results, changes)), out, "comparison"
-    )
+    return write_document(assembled(content(results, changes)), out, "comparison")
 
 
 def content(results: Mapping[str, StudyResult], changes: Sequence[str]) -> Content:

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 
 from oed.result import StudyResult
 from oed.result.verdict import accuracy_verdicts
+from pkm_reports import missing, text
+from pkm_reports.blocks import Block, Picture, Table, TableColumn, number_columns
+from pkm_reports.comparison import side_by_side
 from pkm_reports.comparison.glance import rms_by_component
-from pkm_reports.figures import side_by_side
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import Block, Picture, Table, TableColumn, number_columns
-from pkm_reports.sections.answer import accuracy as answer_accuracy
+from pkm_reports.sections import wanted_accuracy
 
 
 def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
@@ -43,7 +43,7 @@ def _goals(results: Mapping[str, StudyResult]) -> dict[str, float]:
     """The strictest accuracy that a study asks for, by component and unit."""
     goals: dict[str, float] = {}
     for result in results.values():
-        for key, value in answer_accuracy.wanted(result).items():
+        for key, value in wanted_accuracy(result).items():
             goals[key] = min(value, goals[key]) if key in goals else value
     return goals
 

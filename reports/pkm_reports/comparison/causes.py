@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from oed.result import GapSection, StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Table,
     TableColumn,
     number_columns,
     wide_column,
 )
-from pkm_reports.sections.gap import explanations
+from pkm_reports.sections import explanation_row
 
 
 def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
@@ -34,7 +34,7 @@ def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
 def _row(name: str, gap: GapSection) -> list[str]:
     cells = [name, text.MISSING, text.MISSING]
     if gap.answers:
-        explanation, probability, _ = explanations.row(gap.answers[0])
+        explanation, probability, _ = explanation_row(gap.answers[0])
         cells = [name, explanation, probability]
     return [*cells, _rms(gap, gap.rms_before), _rms(gap, gap.rms_after)]
 

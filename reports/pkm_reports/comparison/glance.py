@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from oed.result import StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Items, Paragraph, Table, TableColumn
-from pkm_reports.sections.answer import measure
+from pkm_reports import text
+from pkm_reports.blocks import Block, Items, Paragraph, Table, TableColumn
+from pkm_reports.sections import is_plan, used_setups
 
 Results = Mapping[str, StudyResult]
 #: ratio from which two accuracies or times differ
@@ -26,7 +26,7 @@ def sentences(results: Results) -> list[Block]:
 def minutes(result: StudyResult) -> float:
     """Time of the plan; NaN where there is none."""
     design, plan = result.design, result.plan
-    if not measure.is_plan(result):
+    if not is_plan(result):
         return math.nan
     if design is not None and design.order is not None:
         return design.order.minutes
@@ -127,7 +127,7 @@ def _readings(result: StudyResult) -> str:
 
 
 def _setups(result: StudyResult) -> str:
-    setups = measure.used_setups(result)
+    setups = used_setups(result)
     return text.listing(f"{s.name} ({s.instrument})" for s in setups)
 
 

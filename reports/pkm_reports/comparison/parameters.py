@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from oed.result import ParameterEstimate, StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Table, TableColumn, number_columns
+from pkm_reports import text
+from pkm_reports.blocks import Block, Table, TableColumn, number_columns
 
 Estimates = Mapping[str, ParameterEstimate]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from oed.result import DesignSection, Drawing, StudyResult
-from pkm_reports.figures import overview
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Picture, Table, TableColumn, number_columns
+from pkm_reports import text
+from pkm_reports.blocks import Block, Picture, Table, TableColumn, number_columns
+from pkm_reports.sections import draw_overview
 
 
 def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
@@ -26,7 +26,7 @@ def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
 def _picture(k: int, name: str, drawing: Drawing) -> Picture:
     points = text.count(len(drawing.tool_points), "reading")
     caption = f"{name}: machine at home and the tool points of {points}."
-    return Picture(f"plan_{k}", lambda: overview.draw(drawing), caption)
+    return Picture(f"plan_{k}", lambda: draw_overview(drawing), caption)
 
 
 def _scores(designs: Mapping[str, DesignSection]) -> Table:

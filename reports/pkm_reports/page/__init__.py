@@ -1,1 +1,27 @@
-"""The page that a report is written on: blocks, text, style, HTML and PDF."""
+"""Pages: a document of numbered blocks, written as HTML and PDF, and sheets for the machine.
+
+Content                 title, first page, chapters and appendix of a document
+Document                such a document with its blocks numbered
+assembled               the document of a content
+build_document          the document of a result
+render_html             a document as one HTML file
+render_pdf              a document as PDF
+script_digest           digest of the page's script, for its content policy
+write_sheet             the sheet that the operator fills in
+write_adjustment_page   what to adjust at the machine, as PDF
+write_certificate_page  a calibration certificate, as PDF
+"""
+
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from pkm_reports.page.adjustment import write_adjustment_page
+    from pkm_reports.page.certificate import write_certificate_page
+    from pkm_reports.page.document import Content, Document, assembled, build_document
+    from pkm_reports.page.html import render_html, script_digest
+    from pkm_reports.page.pdf import render_pdf
+    from pkm_reports.page.sheet import write_sheet
+else:
+    __getattr__ = door(__name__)

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from oed.base.own_files import write_own
 from oed.result import StudyResult
+from pkm_reports.blocks import Section
 from pkm_reports.page import document, pdf
-from pkm_reports.page.blocks import Section
 from pkm_reports.page.document import Content
-from pkm_reports.sections.adjustment import page_blocks
+from pkm_reports.sections import adjustment_blocks
 
 
 def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
@@ -27,9 +27,9 @@ def write_adjustment_page(result: StudyResult, folder: Path) -> Path:
         study=result.study,
         machine=result.machine.name,
         foot=document.footer(result),
-        answer=[Section("adjust", "Adjust", page_blocks(section))],
+        answer=[Section("adjust", "Adjust", adjustment_blocks(section))],
         chapters=[],
         appendix=[],
     )
-    page = pdf.render(document.assembled(content))
+    page = pdf.render_pdf(document.assembled(content))
     return write_own(folder / "adjustment.pdf", page)

@@ -8,8 +8,8 @@ from pathlib import Path
 from oed.base import units
 from oed.base.own_files import write_own
 from oed.result.certificate import Certificate, CertifiedAccuracy, Institution
-from pkm_reports.page import document, pdf, text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Facts,
     Items,
@@ -20,6 +20,7 @@ from pkm_reports.page.blocks import (
     text_columns,
     wide_column,
 )
+from pkm_reports.page import document, pdf
 from pkm_reports.page.document import Content
 
 #: parameters up to which their covariance fits on a page
@@ -45,7 +46,7 @@ def write_certificate_page(certificate: Certificate, folder: Path) -> Path:
         chapters=[Section("parameters", "Parameters", _parameters(c))],
         appendix=[],
     )
-    page = pdf.render(document.assembled(content))
+    page = pdf.render_pdf(document.assembled(content))
     return write_own(folder / "certificate.pdf", page)
 
 

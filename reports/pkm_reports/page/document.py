@@ -11,9 +11,8 @@ import string
 from collections.abc import Iterator, Sequence
 
 from oed.result import StudyResult
-from pkm_reports import sections
-from pkm_reports.page import style, text
-from pkm_reports.page.blocks import (
+from pkm_reports import sections, style, text
+from pkm_reports.blocks import (
     Block,
     Code,
     Facts,
@@ -24,9 +23,7 @@ from pkm_reports.page.blocks import (
     Section,
     Table,
 )
-from pkm_reports.sections import answer
-from pkm_reports.view import scene
-from pkm_reports.view.scene import PageView
+from pkm_reports.view import PageView, build_view
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -187,7 +184,7 @@ class Content:
     appendix: Sequence[Section]
 
 
-def build(result: StudyResult) -> Document:
+def build_document(result: StudyResult) -> Document:
     """All text, tables and pictures of a result."""
     content = Content(
         title=result.title or result.study,
@@ -195,11 +192,11 @@ def build(result: StudyResult) -> Document:
         study=result.study,
         machine=result.machine.name,
         foot=footer(result),
-        answer=answer.parts(result),
+        answer=sections.answer_parts(result),
         chapters=sections.chapters(result),
         appendix=sections.appendix(result),
     )
-    return assembled(content, scene.build(result))
+    return assembled(content, build_view(result))
 
 
 def assembled(content: Content, view: PageView | None = None) -> Document:

@@ -15,15 +15,15 @@ from typing import Final
 import jinja2
 
 from pkm_reports.page.document import Document
-from pkm_reports.view import scene
+from pkm_reports.view import encoded_view
 
 #: parts of the script, in order
 SCRIPTS: Final = ("page.js", "camera.js", "residuals.js", "view.js")
 
 
-def render(document: Document) -> bytes:
+def render_html(document: Document) -> bytes:
     """The page as UTF-8 bytes; the template engine escapes every text."""
-    view = "" if document.view is None else scene.encoded(document.view)
+    view = "" if document.view is None else encoded_view(document.view)
     page = _template().render(
         doc=document.page,
         images=document.images,

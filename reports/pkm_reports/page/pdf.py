@@ -10,12 +10,12 @@ import msgspec
 import typst
 
 from pkm_reports.page.document import Document
-from pkm_reports.page.style import Image
+from pkm_reports.style import Image
 
 POINTS_PER_INCH = 72.0
 
 
-def render(document: Document) -> bytes:
+def render_pdf(document: Document) -> bytes:
     """The bytes of the PDF; the same document gives the same bytes.
 
     Text reaches typst as JSON, hence as strings that it never reads as markup.

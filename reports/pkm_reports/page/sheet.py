@@ -13,7 +13,8 @@ import msgspec
 from oed.base.own_files import write_own
 from oed.base.text import shorten
 from oed.result import PlannedReading, SetupInfo, StageRecord, StudyResult
-from pkm_reports.page import missing, pdf, text
+from pkm_reports import missing, text
+from pkm_reports.page import pdf
 from pkm_reports.page.document import footer
 
 #: rows on the sheet; all readings are in poses.csv

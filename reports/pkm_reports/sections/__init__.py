@@ -1,12 +1,25 @@
-"""The chapters of a report, in order; each module of this folder has its `CHAPTER`."""
+"""The content of a report: its first page, its chapters in order, and their figures.
+
+chapters           the chapters that apply to a result, in order
+appendix           claims, key figures, versions and study file
+answer_parts       the first page: what the user asked, answered
+adjustment_blocks  what a fitter adjusts, for a page of its own
+explanation_row    an explanation of the gap as a row of a table
+wanted_accuracy    errors that a study wants, by component
+is_plan            whether a result is a plan, without readings
+used_setups        the set-ups that its readings use
+draw_overview      the machine with all readings, small
+draw_closure       a machine that does not assemble, and what keeps it open
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
+from oed.base.lazy import door
 from oed.result import StudyResult
-from pkm_reports.page.blocks import Chapter, Section
+from pkm_reports.blocks import Chapter, Section
 from pkm_reports.sections import (
     acceptance,
     accuracy,
@@ -26,6 +39,17 @@ from pkm_reports.sections.gap import before as gap_before
 from pkm_reports.sections.gap import chapter as gap
 from pkm_reports.sections.gap import mixture, second_visit
 from pkm_reports.sections.stages import chapter as stages
+
+if TYPE_CHECKING:
+    from pkm_reports.sections.adjustment import adjustment_blocks
+    from pkm_reports.sections.answer import answer_parts
+    from pkm_reports.sections.answer.accuracy import wanted_accuracy
+    from pkm_reports.sections.answer.measure import is_plan, used_setups
+    from pkm_reports.sections.figures.closure import draw_closure
+    from pkm_reports.sections.figures.overview import draw_overview
+    from pkm_reports.sections.gap.explanations import explanation_row
+else:
+    __getattr__ = door(__name__)
 
 #: chapters in order; one that does not apply to a result is absent from its report
 CHAPTERS: Final = (

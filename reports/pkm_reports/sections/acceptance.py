@@ -12,9 +12,8 @@ from oed.result import (
     StudyResult,
     VerificationSection,
 )
-from pkm_reports.figures import run_curves
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Paragraph,
@@ -24,6 +23,7 @@ from pkm_reports.page.blocks import (
     headed_list,
     number_columns,
 )
+from pkm_reports.sections.figures import run_curves
 
 
 def blocks(result: StudyResult) -> list[Block]:

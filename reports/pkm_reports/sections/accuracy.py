@@ -15,9 +15,8 @@ from oed.result import (
     SpreadRecord,
     StudyResult,
 )
-from pkm_reports.figures import accuracy, budget, map_layout, workspace
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Paragraph,
@@ -28,6 +27,7 @@ from pkm_reports.page.blocks import (
 )
 from pkm_reports.sections import accuracy_ranges
 from pkm_reports.sections import budget as budget_lines
+from pkm_reports.sections.figures import accuracy, budget, map_layout, workspace
 
 Components = Mapping[str, ComponentAccuracy]
 REFERENCES: Final = {

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Table, TableColumn, number_columns
+from pkm_reports import text
+from pkm_reports.blocks import Block, Table, TableColumn, number_columns
 
 NAMES: Final = {
     "absolute": "absolute",

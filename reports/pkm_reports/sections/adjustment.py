@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import AdjustmentLine, AdjustmentSection, StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Paragraph,
@@ -39,7 +39,7 @@ def blocks(result: StudyResult) -> list[Block]:
     ]
 
 
-def page_blocks(section: AdjustmentSection) -> list[Block]:
+def adjustment_blocks(section: AdjustmentSection) -> list[Block]:
     """What the fitter's page has, with room to write."""
     return [
         Paragraph(_about(section)),

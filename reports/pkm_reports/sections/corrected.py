@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Final
 
 from oed.result import CorrectedSection, EffectEstimate, PredictionSection, StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Notice,

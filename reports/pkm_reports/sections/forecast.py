@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import ForecastSection, StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Paragraph,

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import HeldOutSection, StudyResult
-from pkm_reports.figures import held_out
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Picture,
@@ -17,6 +16,7 @@ from pkm_reports.page.blocks import (
     number_columns,
     wide_column,
 )
+from pkm_reports.sections.figures import held_out
 
 LEAST_COVERAGE: Final = 0.85
 CAPTION: Final = (

@@ -12,9 +12,8 @@ from oed.result import (
     StudyResult,
     indices,
 )
-from pkm_reports.figures import singular_values
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Paragraph,
@@ -25,6 +24,7 @@ from pkm_reports.page.blocks import (
     transposed,
     wide_column,
 )
+from pkm_reports.sections.figures import singular_values
 
 #: lost directions of a variant beyond which they are counted, not described
 MANY: Final = 8

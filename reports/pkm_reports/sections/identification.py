@@ -16,9 +16,8 @@ from oed.result import (
     StudyResult,
 )
 from oed.result.fit_limits import chi2_is_large
-from pkm_reports.figures import parameters, residuals, run_curves
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Notice,
@@ -29,8 +28,9 @@ from pkm_reports.page.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.page.missing import or_nan
+from pkm_reports.missing import or_nan
 from pkm_reports.sections import noise
+from pkm_reports.sections.figures import parameters, residuals, run_curves
 
 Estimates = Mapping[str, ParameterEstimate]
 MARKS: Final = {"weak": "chosen", "prior": "bad"}

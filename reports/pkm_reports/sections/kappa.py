@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 
 from oed.result import KappaMap, StudyResult
-from pkm_reports.figures import kappa
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Picture,
@@ -18,6 +17,7 @@ from pkm_reports.page.blocks import (
     number_columns,
     transposed,
 )
+from pkm_reports.sections.figures import kappa
 
 MOST_COLUMNS: Final = 8
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import MachineInfo, SetupInfo
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Table, TableColumn, wide_column
+from pkm_reports import text
+from pkm_reports.blocks import Block, Table, TableColumn, wide_column
 
 #: columns of the machine's table that hold sentences
 SENTENCES: Final = ("about", "text")

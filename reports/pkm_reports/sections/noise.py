@@ -6,9 +6,9 @@ from typing import Final
 
 from oed.result import GoodnessSection, NoiseRecord
 from oed.result.fit_limits import ALARM, LEAST_DOF
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Notice, Table, TableColumn, number_columns
-from pkm_reports.page.missing import or_nan
+from pkm_reports import text
+from pkm_reports.blocks import Block, Notice, Table, TableColumn, number_columns
+from pkm_reports.missing import or_nan
 
 #: runs that the table shows
 SHOWN: Final = 8

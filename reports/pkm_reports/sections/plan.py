@@ -16,9 +16,8 @@ from oed.result import (
     StudyResult,
     WorkingOrder,
 )
-from pkm_reports.figures import machine, path
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Items,
@@ -33,7 +32,9 @@ from pkm_reports.page.blocks import (
     wide_column,
 )
 from pkm_reports.sections import machine as machine_table
+from pkm_reports.sections.figures import machine, path
 from pkm_reports.sections.stages.chapter import has_schedule
+from pkm_reports.view import points_mm
 
 
 def blocks(result: StudyResult) -> list[Block]:
@@ -69,7 +70,7 @@ def _drawing_caption(drawing: Drawing) -> str:
             " Each parameter stands at the point or the leg that it moves; the table"
             " explains them."
         )
-    tips = machine.points_mm(drawing.tool_points)
+    tips = points_mm(drawing.tool_points)
     if not len(tips):
         return caption
     setups = drawing.reading_of

@@ -17,9 +17,8 @@ from oed.result import (
     largest_pareto_k,
 )
 from oed.result.record import Number
-from pkm_reports.figures import corner
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Notice,
@@ -31,7 +30,8 @@ from pkm_reports.page.blocks import (
     transposed,
     wide_column,
 )
-from pkm_reports.page.missing import or_nan
+from pkm_reports.missing import or_nan
+from pkm_reports.sections.figures import corner
 
 LARGEST_RHAT: Final = 1.01
 SMALLEST_ESS: Final = 1000.0

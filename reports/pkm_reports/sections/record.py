@@ -6,8 +6,8 @@ from typing import Final
 
 from oed.base.text import shorten
 from oed.result import StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Code,

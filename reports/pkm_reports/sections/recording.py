@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from oed.result import RecordedChoice, RecordingSection
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Paragraph, Table, number_columns, wide_column
+from pkm_reports import text
+from pkm_reports.blocks import Block, Paragraph, Table, number_columns, wide_column
 
 
 def blocks(recording: RecordingSection | None) -> list[Block]:

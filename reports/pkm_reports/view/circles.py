@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.result import GapSection, Trace
-from pkm_reports.page import text
+from pkm_reports import text
 
 if TYPE_CHECKING:
     from pkm_reports.view.scene import ViewReading

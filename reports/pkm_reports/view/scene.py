@@ -9,11 +9,11 @@ from typing import Final
 import msgspec
 import numpy as np
 
+from oed.base import units
 from oed.base.arrays import Array
 from oed.result import Drawing, GapSection, PredictionSection, StudyResult
-from pkm_reports.figures.machine import points_mm
-from pkm_reports.page import text
-from pkm_reports.page.missing import or_nan
+from pkm_reports import text
+from pkm_reports.missing import or_nan
 from pkm_reports.view.circles import Circle, circles
 
 #: decimals of places, mm
@@ -81,7 +81,7 @@ class PageView:
     circles: list[Circle]
 
 
-def build(result: StudyResult) -> PageView | None:
+def build_view(result: StudyResult) -> PageView | None:
     """The views of a result; None where nothing is drawn, or far too much."""
     drawing = result.drawing
     if drawing is None or not (drawing.lines or drawing.tool_points):
@@ -95,7 +95,7 @@ def build(result: StudyResult) -> PageView | None:
     return PageView(lines, labels, readings, _fields(result), shown)
 
 
-def encoded(view: PageView) -> str:
+def encoded_view(view: PageView) -> str:
     """JSON for a script element: no character of it ends the element."""
     words = msgspec.json.encode(view).decode("utf-8")
     return words.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
@@ -245,3 +245,8 @@ def residuals_of_readings(
     ]
     listed = iter(entries)
     return [[next(listed) for _ in range(n)] for n in channels]
+
+
+def points_mm(points: Sequence[Sequence[float]]) -> Array:
+    """Points (n, 3) given in m, in mm."""
+    return units.from_si(np.array(points, dtype=float).reshape(-1, 3), "mm")

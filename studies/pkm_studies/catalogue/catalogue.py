@@ -23,10 +23,10 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import Any
 
-from pkm_studies.base import user_code
-from pkm_studies.base.errors import Place, shorten, suggest
-from pkm_studies.base.plugins import GROUPS, plugins, project_plugins
-from pkm_studies.base.user_code import Origin
+from pkm_studies import user_code
+from pkm_studies.base import Place, shorten, suggest
+from pkm_studies.plugins import GROUPS, plugins, project_plugins
+from pkm_studies.user_code import Origin
 
 #: characters of an error that are shown
 LONGEST_REASON = 120

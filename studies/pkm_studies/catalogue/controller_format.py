@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 from oed.base.arrays import Array
 from oed.model.machine import Machine
 from oed.result import EffectTable
-from pkm_studies.base.errors import shorten
+from pkm_studies.base import shorten
 
 if TYPE_CHECKING:
     from oed.compensate.command_grid import CommandGrid
     from oed.compensate.further_axes import FurtherAxes
     from oed.mechanism.kinematics import Kinematics
-    from pkm_studies.study.tables import ControllerTable
+    from pkm_studies.tables import ControllerTable
 
 #: characters of a comment, which holds text of results
 LONGEST_COMMENT = 1000

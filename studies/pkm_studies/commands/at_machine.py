@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.console import DONE, FAILED
-from pkm_studies.base.user_code import consent
+from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode, StudyPath, Wanted
+from pkm_studies.console import DONE, FAILED
+from pkm_studies.user_code import consent
 
 
 def next_reading(
@@ -33,24 +34,49 @@ def next_reading(
     allow_code: AllowCode = False,
 ) -> int:
     """Advise at the machine: the best next reading, when to stop; the next visit of a diagnosis."""
-    from pkm_studies.sessions import next_visit
-    from pkm_studies.study import load, shipped
+    from pkm_studies import shipped
+    from pkm_studies.study import load
 
     loaded = load(shipped.study_path(study), consent(allow_code=allow_code))
     if after is not None:
-        next_visit.check_alone(after, readings, wanted, follow=follow)
-        print("\n".join(next_visit.lines(loaded, study, after)))
+        _check_alone(after, readings, wanted, follow=follow)
+        from pkm_studies.sessions import visit_lines
+
+        print("\n".join(visit_lines(loaded, study, after)))
         return DONE
     if readings is None:
-        raise next_visit.no_readings()
-    from pkm_studies.sessions import next_reading as advice
-    from pkm_studies.sessions.next_sentences import sentences
+        raise _no_readings()
+    from pkm_studies.sessions import Adviser, advice_sentences
 
-    adviser = advice.Adviser(loaded, wanted)
+    adviser = Adviser(loaded, wanted)
     if not follow:
         known = adviser.advise(readings)
-        print("\n".join(sentences(adviser, known)))
+        print("\n".join(advice_sentences(adviser, known)))
         return FAILED if known.objections else DONE
-    for lines in advice.watch(adviser, readings):
+    for lines in adviser.watch(readings):
         print("\n".join([*lines, ""]), flush=True)
     return 0
+
+
+def _check_alone(
+    after: Path, readings: Path | None, wanted: str, *, follow: bool
+) -> None:
+    """Raises InputError where options of the next reading go with a diagnosis."""
+    if readings is None and not wanted and not follow:
+        return
+    raise InputError(
+        "a diagnosis has its own readings: --readings, --wanted and --follow are of the"
+        " next single reading",
+        "give --after alone, or leave it out",
+        field="--after",
+        value=str(after),
+    )
+
+
+def _no_readings() -> InputError:
+    """The error where neither readings nor a diagnosis is given."""
+    return InputError(
+        "there is nothing to advise from",
+        "give --readings FILE.csv, or --after DIR with the folder of a diagnosis",
+        field="--readings",
+    )

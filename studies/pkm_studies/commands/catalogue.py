@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pkm_studies.base import console
-from pkm_studies.base.console import DONE
+from pkm_studies import console
+from pkm_studies.console import DONE
 
 if TYPE_CHECKING:
-    from pkm_studies.catalogue.catalogue import CatalogueEntry
+    from pkm_studies.catalogue import CatalogueEntry
 
 
 class Kind(enum.StrEnum):
@@ -55,7 +55,7 @@ def _entry_lines(entry: CatalogueEntry) -> list[str]:
 
 
 def _list_studies(as_json: bool) -> int:
-    from pkm_studies.study import shipped
+    from pkm_studies import shipped
 
     studies = list(shipped.studies().values())
     if as_json:
@@ -69,9 +69,9 @@ def _list_studies(as_json: bool) -> int:
 
 
 def _list_importers(as_json: bool) -> int:
-    from pkm_studies.importers import registry
+    from pkm_studies.importers import importers
 
-    known = [(name, one.about) for name, one in registry.importers().items()]
+    known = [(name, one.about) for name, one in importers().items()]
     if as_json:
         console.print_json([{"name": name, "about": about} for name, about in known])
         return DONE
@@ -101,7 +101,7 @@ def schema(
     ],
 ) -> int:
     """Print a JSON schema, for editors and scripts."""
-    from pkm_studies.study import schemas
+    from pkm_studies.study import SCHEMAS
 
-    console.print_json(schemas.SCHEMAS[of.value]())
+    console.print_json(SCHEMAS[of.value]())
     return DONE

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base import console
-from pkm_studies.base.console import BAD_INPUT, DONE, FAILED
-from pkm_studies.base.errors import InputError
+from pkm_studies import console
+from pkm_studies.base import InputError
 from pkm_studies.commands.options import (
     AllowCode,
 )
+from pkm_studies.console import BAD_INPUT, DONE, FAILED
 
 
 def check(
@@ -34,8 +34,8 @@ def check(
     allow_code: AllowCode = False,
 ) -> int:
     """Check studies, and readings against what they predict; run nothing."""
-    from pkm_studies.base.user_code import consent
     from pkm_studies.commands import checks, closure_picture
+    from pkm_studies.user_code import consent
 
     given = consent(allow_code=allow_code)
     code = DONE

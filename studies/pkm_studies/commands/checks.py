@@ -13,11 +13,8 @@ from oed import checks
 from oed.checks import Severity, blind
 from oed.dataset import Dataset
 from oed.mechanism.kinematics import AssemblyError, Kinematics
-from pkm_studies.base.errors import InputError, Place, SourceAbsentError
-from pkm_studies.base.progress import Silent
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.base.user_code import Consent, Origin
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue, shipped, sources
+from pkm_studies.base import InputError, Place, Silent, SourceAbsentError, Stream
 from pkm_studies.resolve.machine import (
     check_home,
     doubtful_lengths,
@@ -29,7 +26,8 @@ from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
 from pkm_studies.stages.fit.goodness import check_dataset
 from pkm_studies.stages.input_checks import check_inputs
 from pkm_studies.stages.run_state import state_of
-from pkm_studies.study import Study, load, shipped, sources
+from pkm_studies.study import Study, load
+from pkm_studies.user_code import Consent, Origin
 
 
 @dataclasses.dataclass(frozen=True)

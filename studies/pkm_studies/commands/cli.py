@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 
 import typer
 
-from pkm_studies.base import console, files
-from pkm_studies.base.console import BAD_INPUT, DONE, FAILED
-from pkm_studies.base.errors import InputError, shorten
+from pkm_studies import console, files
+from pkm_studies.base import InputError, shorten
 from pkm_studies.commands.subcommands import SubcommandGroup
+from pkm_studies.console import BAD_INPUT, DONE, FAILED
 
 app = typer.Typer(
     name="oed",

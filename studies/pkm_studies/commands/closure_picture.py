@@ -11,12 +11,11 @@ from oed.mechanism.closest_closure import closest_closure
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from oed.result.closest_closure import ClosestClosure
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Consent, Origin
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue, files, shipped
+from pkm_studies.base import InputError, Place
 from pkm_studies.resolve.machine import study_machine
-from pkm_studies.study import load, shipped
+from pkm_studies.study import load
+from pkm_studies.user_code import Consent, Origin
 
 KINDS = (".png", ".svg", ".pdf")
 
@@ -53,12 +52,12 @@ def _machine(path: Path, consent: Consent) -> Machine:
 
 
 def _save(machine: Machine, closure: ClosestClosure, words: str, picture: Path) -> None:
-    from pkm_reports.figures import closure as figures
-    from pkm_reports.page import style
+    from pkm_reports import style
+    from pkm_reports.sections import draw_closure
 
     title = f"{machine.name} {words.partition(':')[0]}"
     with style.applied():
-        figure = figures.draw(closure, title, [c.name for c in machine.joints])
+        figure = draw_closure(closure, title, [c.name for c in machine.joints])
         content, kind = io.BytesIO(), picture.suffix[1:].lower()
         figure.savefig(content, format=kind, dpi=style.PIXELS_PER_INCH)
     files.write_whole(picture, content.getvalue())

@@ -8,9 +8,9 @@ from typing import Annotated, Literal
 
 import typer
 
-from pkm_studies.base.plugins import project_plugins
-from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import AllowCode
+from pkm_studies.plugins import project_plugins
+from pkm_studies.user_code import consent
 
 
 def import_files(
@@ -57,9 +57,9 @@ def import_files(
     allow_code: AllowCode = False,
 ) -> int:
     """Make a study with readings from files of another program."""
-    from pkm_studies.importers import session
+    from pkm_studies import importers
 
-    path, imported = session.import_files(
+    path, imported = importers.import_files(
         kind,
         paths,
         out,

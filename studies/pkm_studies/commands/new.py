@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Origin, consent
+from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode
+from pkm_studies.user_code import Origin, consent
 
 
 def new(
@@ -53,11 +53,11 @@ def new(
     # The study will name the files: they lie where a study's files may lie.
     origin = Origin(Path(), consent(allow_code=allow_code))
     path = _new_study(name, machine, loops, instrument, source, origin)
-    from pkm_studies.study import decode
+    from pkm_studies.study import TO_MEASURE
 
     first = "edit it"
-    if decode.TO_MEASURE in path.read_text(encoding="utf-8"):
-        first = f'write your numbers where it says "{decode.TO_MEASURE}"'
+    if TO_MEASURE in path.read_text(encoding="utf-8"):
+        first = f'write your numbers where it says "{TO_MEASURE}"'
     print(f"Study: {path}; {first}, then: oed run {shlex.quote(str(path))}")
     return 0
 
@@ -78,7 +78,7 @@ def _new_study(
             )
         if name is None:
             raise InputError("a copy needs a name", "oed new NAME --from STUDY")
-        from pkm_studies.study import shipped
+        from pkm_studies import shipped
 
         return shipped.copy(name, source, Path())
     if machine is None:
@@ -86,12 +86,12 @@ def _new_study(
             "it is not said what to start from",
             "give --machine, a name or a file of your own, or --from STUDY",
         )
-    from pkm_studies.importers import drafts
+    from pkm_studies.drafts import default_instrument, model_of, write_draft
 
-    model = drafts.model_of(machine, origin, loops)
+    model = model_of(machine, origin, loops)
     for sentence in model.sentences:
         print(f"{sentence[0].upper()}{sentence[1:]}.")
     if instrument is None:
-        instrument, others = drafts.default_instrument(model.machine, origin)
+        instrument, others = default_instrument(model.machine, origin)
         print(f"Instrument: {instrument}; it can also be read by {', '.join(others)}")
-    return drafts.write(name, model, instrument, origin)
+    return write_draft(name, model, instrument, origin)

@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.console import DONE, FAILED
-from pkm_studies.base.user_code import consent
 from pkm_studies.commands.options import (
     AllowCode,
     MachineStudy,
     ResultFolder,
     StoredResult,
 )
+from pkm_studies.console import DONE, FAILED
+from pkm_studies.user_code import consent
 
 
 def report(
@@ -32,14 +32,15 @@ def report(
     ] = Path("out/comparison"),
 ) -> int:
     """Write HTML and PDF again from result.json, or a comparison of several results."""
-    from pkm_studies.base import files
-    from pkm_studies.results import result_folder
+    from pkm_studies import files, result_folder
 
     if len(folders) == 1:
         paths = result_folder.write_report(folders[0])
     else:
+        from pkm_studies.sessions import write_comparison
+
         files.check_writable(out)
-        paths = result_folder.write_comparison(folders, out)
+        paths = write_comparison(folders, out)
     for path in paths:
         print(f"Report: {path}")
     return DONE
@@ -47,9 +48,9 @@ def report(
 
 def compare(before: ResultFolder, after: ResultFolder) -> int:
     """Compare two sessions of one machine: what changed, and by how much."""
-    from pkm_studies.results import comparison
+    from pkm_studies import sessions
 
-    compared = comparison.compare(before, after)
+    compared = sessions.compare(before, after)
     for sentence in compared.sentences:
         print(sentence)
     return DONE if compared.is_trusted else FAILED
@@ -75,10 +76,10 @@ def history(
     allow_code: AllowCode = False,
 ) -> int:
     """Show how a machine drifts over its sessions, and when to calibrate again."""
-    from pkm_studies.sessions import history as histories
+    from pkm_studies.sessions import machine_history
 
     given = consent(allow_code=allow_code)
-    report = histories.history(folders, limit, study, given)
+    report = machine_history(folders, limit, study, given)
     for sentence in report.sentences:
         print(sentence)
     return DONE if report.is_trusted else FAILED
@@ -97,13 +98,13 @@ def adjust(
     allow_code: AllowCode = False,
 ) -> int:
     """Choose what to adjust at the machine, by how much, and what it brings."""
-    from pkm_studies.sessions import adjustment
+    from pkm_studies.sessions import adjust_folder, adjustment_sentences
 
     given = consent(allow_code=allow_code)
-    section, paths = adjustment.adjust_folder(
+    section, paths = adjust_folder(
         folder, wanted=wanted, study_file=study, consent=given
     )
-    for line in adjustment.sentences(section):
+    for line in adjustment_sentences(section):
         print(line)
     for path in paths:
         print(f"Written: {path}")
@@ -152,15 +153,15 @@ def compensate(
     allow_code: AllowCode = False,
 ) -> int:
     """Write what the controller reads: parameters, tables, measuring poses."""
-    from pkm_studies.compensation import export, table_grid
+    from pkm_studies.compensation import export_folder
 
-    written = export.export_folder(
+    written = export_folder(
         folder,
         to,
         out=out,
         study_file=study,
         force=force,
-        commands=table_grid.COMMANDS if commands is None else commands,
+        commands=commands,
         firmware=firmware,
         adjusted=adjusted,
         consent=consent(allow_code=allow_code),

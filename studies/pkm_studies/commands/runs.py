@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from oed.base import own_files
-from pkm_studies.base import console
-from pkm_studies.base.console import DONE, FAILED
+from pkm_studies import console
 from pkm_studies.commands.options import (
     AllowCode,
     OutFolder,
@@ -18,6 +17,7 @@ from pkm_studies.commands.options import (
     StudyPath,
     Verbose,
 )
+from pkm_studies.console import DONE, FAILED
 from pkm_studies.stages.outcome import report_outcome
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def run(
     allow_code: AllowCode = False,
 ) -> int:
     """Run a study: design, identification, accuracy, report."""
-    from pkm_studies.notebook import display
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline  # only now: errors of input come at once
@@ -57,7 +57,7 @@ def simulate(
     allow_code: AllowCode = False,
 ) -> int:
     """Write readings of a virtual machine, and its truth in a second file."""
-    from pkm_studies.base import files
+    from pkm_studies import files
 
     files.check_new(out)
     loaded = load(study, allow_code)
@@ -94,7 +94,7 @@ def identify(
     allow_code: AllowCode = False,
 ) -> int:
     """Identify the machine from readings."""
-    from pkm_studies.notebook import display
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline
@@ -136,7 +136,7 @@ def diagnose(
     allow_code: AllowCode = False,
 ) -> int:
     """Find what causes the gap between model and machine: which effect, and where."""
-    from pkm_studies.notebook import display
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
     from pkm_studies import pipeline
@@ -167,7 +167,7 @@ def plan(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan which measurements to do, in which order; read and fit nothing."""
-    from pkm_studies.notebook import display
+    from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out, "-plan")
     from pkm_studies import pipeline
@@ -204,7 +204,7 @@ def forecast(
     """Plan the nodes of forecast compensation, or make the table of measured ones."""
     loaded, folder = load_for(study, allow_code, out, "-forecast")
     from pkm_studies import pipeline
-    from pkm_studies.results import claims
+    from pkm_studies.results import claim_failure
     from pkm_studies.stages.forecast.words import sentences
 
     result = pipeline.forecast(loaded, folder, readings=readings, seed=seed)
@@ -215,7 +215,7 @@ def forecast(
         name, words = ("forecast_table.csv", "Table")
     print(f"{words}: {own_files.latest(folder / name)}")
     failing = [
-        claims.failure(claim, loaded.path.name)
+        claim_failure(claim, loaded.path.name)
         for claim in result.claims
         if not claim.met
     ]
@@ -226,9 +226,8 @@ def forecast(
 
 def load(path: Path, allow_code: bool) -> Study:
     """The study of a file or of a shipped study's name."""
-    from pkm_studies import study
-    from pkm_studies.base.user_code import consent
-    from pkm_studies.study import shipped
+    from pkm_studies import shipped, study
+    from pkm_studies.user_code import consent
 
     return study.load(shipped.study_path(path), consent(allow_code=allow_code))
 
@@ -241,7 +240,7 @@ def load_for(
     Raises InputError where the folder cannot be written, or has a result that the study
     rests on.
     """
-    from pkm_studies.base import files
+    from pkm_studies import files
 
     loaded = load(path, allow_code)
     folder = out or Path("out") / f"{loaded.name}{suffix}"
@@ -252,7 +251,7 @@ def load_for(
 
 def _check_apart(study: Study, folder: Path) -> None:
     """Raises InputError where the study takes its prior from the folder of its results."""
-    from pkm_studies.base.errors import InputError
+    from pkm_studies.base import InputError
 
     named = {"earlier": [study.prior.earlier or ""], "from": study.prior.from_}
     for key, names in named.items():

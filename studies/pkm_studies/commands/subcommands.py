@@ -13,8 +13,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.plugins import project_plugins
+from pkm_studies.base import InputError
+from pkm_studies.plugins import project_plugins
 
 #: options that name readings, of which none may be left out without a word
 READINGS = {"--readings", "--after"}

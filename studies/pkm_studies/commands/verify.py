@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from pkm_studies.base.console import DONE, FAILED
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Consent, consent
+from pkm_studies.base import InputError
 from pkm_studies.commands.options import AllowCode, MachineStudy, StoredResult
+from pkm_studies.console import DONE, FAILED
+from pkm_studies.user_code import Consent, consent
 
 
 def verify(
@@ -51,7 +51,7 @@ def verify(
     allow_code: AllowCode = False,
 ) -> int:
     """Plan the acceptance test of a compensated machine, or judge its readings."""
-    from pkm_studies.base import csv_table
+    from pkm_studies import csv_table
 
     given = consent(allow_code=allow_code)
     if readings is not None:
@@ -80,20 +80,20 @@ def _check_judged(promise: str, uncertainty: str, planned: Path | None) -> None:
 
 
 def _judge(folder: Path, readings: Path) -> int:
-    from pkm_studies.sessions import verification
+    from pkm_studies import acceptance
 
-    verdict = verification.judge_folder(folder, readings)
-    for sentence in verification.verdict_sentences(verdict):
+    verdict = acceptance.judge_folder(folder, readings)
+    for sentence in acceptance.verdict_sentences(verdict):
         print(sentence)
     return DONE if verdict.passed else FAILED
 
 
 def _compare(folder: Path, readings: Path, study: Path | None, given: Consent) -> int:
     """Compare readings along runs with what the compensated machine should read."""
-    from pkm_studies.sessions import run_check
+    from pkm_studies import acceptance
 
-    check = run_check.check_folder(folder, readings, study, given)
-    for sentence in run_check.sentences(check):
+    check = acceptance.check_folder(folder, readings, study, given)
+    for sentence in acceptance.check_sentences(check):
         print(sentence)
     return DONE if check.passed else FAILED
 
@@ -108,9 +108,9 @@ def _plan(
     given: Consent,
     planned: Path | None,
 ) -> int:
-    from pkm_studies.sessions import verification
+    from pkm_studies import acceptance
 
-    section, path = verification.plan_folder(
+    section, path = acceptance.plan_folder(
         folder,
         promised=promise,
         uncertainty=uncertainty,
@@ -120,7 +120,7 @@ def _plan(
         consent=given,
         planned=planned,
     )
-    for sentence in verification.plan_sentences(section):
+    for sentence in acceptance.plan_sentences(section):
         print(sentence)
     least = min(demand.power for demand in section.components.values())
     if least < power:

@@ -30,13 +30,9 @@ from oed.result import (
     PredictionSection,
     StudyResult,
 )
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
-from pkm_studies.resolve.earlier_result import mixture_of
-from pkm_studies.results.budget_advice import advice_on, quantities
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
+from pkm_studies.earlier_result import mixture_of
+from pkm_studies.results import advice_on, error_quantities
 
 #: end of the name of the file with the budget
 BUDGET_FILE = "_budget.json"
@@ -94,11 +90,11 @@ def complete_budget(
         advice=advice_on(section.lines, section.predicted, driven),
         no_axes=_without_axes(content, prediction, budget, section),
     )
-    exact = quantities(budget.predicted, driven)
+    exact = error_quantities(budget.predicted, driven)
     alone = corrected is None and mixture_of(result) is not None
     sentence = (
         f"with this file the predicted rms{' of a machine without effects' * alone} is"
-        f" {quantities(section.predicted, driven)}; exact compensation leaves {exact}"
+        f" {error_quantities(section.predicted, driven)}; exact compensation leaves {exact}"
     )
     return FileBudget(section, sentence + _axes_sentence(controller, content, section))
 
@@ -155,14 +151,14 @@ def _axes_sentence(
     if not section.no_axes:
         return ""
     units_of = {n: undriven_units(content)[n] for n in section.no_axes}
-    without = quantities(section.no_axes, units_of)
+    without = error_quantities(section.no_axes, units_of)
     sentence = (
         f". No drive of this machine corrects {', '.join(units_of)}: {without} rms"
     )
     if controller.offsets is None:
         return sentence + "; csv and json have columns for further axes"
     columns = ", ".join(f"{axis.name}_offset" for axis in content.further.axes)
-    remaining = quantities(section.predicted, units_of)
+    remaining = error_quantities(section.predicted, units_of)
     return f"{sentence}, and {remaining} with further axes that take back {columns}"
 
 

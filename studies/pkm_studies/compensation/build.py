@@ -12,15 +12,11 @@ from oed.base.arrays import Array
 from oed.compensate.command_grid import GridAxis
 from oed.model.machine import Machine
 from oed.result import StudyResult
-from pkm_studies.base.errors import InputError
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    MeasuringPose,
-)
+from pkm_studies.base import InputError
+from pkm_studies.catalogue import Compensation, ControllerFormat, MeasuringPose
 from pkm_studies.compensation import identified, table_grid
+from pkm_studies.quantities import column
 from pkm_studies.resolve.machine import study_kinematics
-from pkm_studies.resolve.quantities import column
 from pkm_studies.resolve.workspace import workspace_axes, workspace_commands
 from pkm_studies.study import Study
 
@@ -30,11 +26,11 @@ def compensation(
     study: Study,
     folder: Path,
     controller: ControllerFormat,
-    largest: int = table_grid.COMMANDS,
+    largest: int | None = None,
 ) -> Compensation:
     """The content of an export in a format.
 
-    largest  number of commands of a table
+    largest  number of commands of a table; `table_grid.COMMANDS` by default
 
     Raises InputError where nothing was identified, and where `largest` is too small.
     """
@@ -86,17 +82,18 @@ def _with_grid(
     content: Compensation,
     result: StudyResult,
     axes: tuple[GridAxis, ...],
-    largest: int,
+    largest: int | None,
 ) -> Compensation:
     """The content with the grid of its table, where its workspace is in reach."""
     kinematics = content.kinematics
     correction = table_grid.table_correction(content.further, content.identified.values)
     want = table_grid.with_offsets(
-        table_grid.wanted(kinematics, result.final_prediction),
+        table_grid.table_accuracy(kinematics, result.final_prediction),
         content.further,
         result.final_prediction,
     )
-    grid = table_grid.table_grid(axes, correction, want, largest)
+    most = table_grid.COMMANDS if largest is None else largest
+    grid = table_grid.command_grid(axes, correction, want, most)
     if grid is None:
         return content
     notes = (*content.notes, *table_grid.sentences(grid, want))

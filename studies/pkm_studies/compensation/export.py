@@ -19,25 +19,18 @@ from oed.compensate import (
 )
 from oed.result import StudyResult, trust, verdict
 from oed.result.verdict import accuracy_verdicts
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError, Place
-from pkm_studies.base.user_code import Consent, Origin
-from pkm_studies.catalogue import catalogue
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies import catalogue, files
+from pkm_studies.base import InputError, Place
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation import build
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
-from pkm_studies.compensation.table_grid import COMMANDS
 from pkm_studies.resolve.workspace import regular
-from pkm_studies.results import stored_result
-from pkm_studies.results.stored_result import BadFitError
+from pkm_studies.results import BadFitError, load_result
 from pkm_studies.study import Study
-from pkm_studies.study.tables import ControllerTable
+from pkm_studies.tables import ControllerTable
+from pkm_studies.user_code import Consent, Origin
 
 #: the end of a file's name that is no part of the name itself
 ENDING = re.compile(r"\.[A-Za-z]\w*")
@@ -63,7 +56,7 @@ def export_folder(
     out: Path | None = None,
     study_file: Path | None = None,
     force: bool = False,
-    commands: int = COMMANDS,
+    commands: int | None = None,
     firmware: str | None = None,
     adjusted: bool = False,
     consent: Consent = Consent.RECORDED,
@@ -82,7 +75,7 @@ def export_folder(
     Raises InputError, and BadFitError where the fit is bad.
     """
     controller = named_format(reference, Origin.command(consent))
-    result = stored_result.load_result(folder)
+    result = load_result(folder)
     study = result_study(result, folder, study_file, consent)
     if firmware is not None:
         study = _with_version(study, controller, firmware)
@@ -90,7 +83,7 @@ def export_folder(
     if adjusted:
         result = adjusted_result(result)
         notes = (*notes, AFTER_ADJUSTMENT)
-    return export(
+    return export_result(
         result,
         study,
         controller,
@@ -138,7 +131,7 @@ def _with_version(study: Study, controller: ControllerFormat, version: str) -> S
     return msgspec.structs.replace(study, controller=stated)
 
 
-def export(
+def export_result(
     result: StudyResult,
     study: Study,
     controller: ControllerFormat,
@@ -146,7 +139,7 @@ def export(
     *,
     out: Path | None = None,
     force: bool = False,
-    commands: int = COMMANDS,
+    commands: int | None = None,
     notes: tuple[str, ...] = (),
 ) -> Export:
     """As `export_folder`, from a result in memory; `notes` are further comments."""

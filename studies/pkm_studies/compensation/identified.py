@@ -19,9 +19,9 @@ from oed.result import (
     StudyResult,
 )
 from oed.result.mixture import BEST, MIXTURE, PLAIN
-from pkm_studies.base.errors import InputError
-from pkm_studies.catalogue.controller_format import Identified
-from pkm_studies.resolve.earlier_result import (
+from pkm_studies.base import InputError
+from pkm_studies.catalogue import Identified
+from pkm_studies.earlier_result import (
     controller_values,
     known_parameters,
     mixture_of,

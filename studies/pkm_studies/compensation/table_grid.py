@@ -22,8 +22,8 @@ from oed.compensate.command_grid import (
 )
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.result import PredictionSection
-from pkm_studies.base.errors import InputError
-from pkm_studies.resolve.quantities import display_unit
+from pkm_studies.base import InputError
+from pkm_studies.quantities import display_unit
 
 #: largest number of commands of a table, unless the user gives another
 COMMANDS = 5000
@@ -37,7 +37,7 @@ SHRINK, SHRINKS = 0.9, 20
 
 
 @dataclasses.dataclass(frozen=True)
-class Wanted:
+class TableAccuracy:
     """Which errors count, and how large they may be.
 
     names   (k,) of the components, or of the joints
@@ -53,7 +53,9 @@ class Wanted:
     motion: Callable[[Array], Array]
 
 
-def wanted(kinematics: Kinematics, prediction: PredictionSection | None) -> Wanted:
+def table_accuracy(
+    kinematics: Kinematics, prediction: PredictionSection | None
+) -> TableAccuracy:
     """A share of the predicted accuracy; without one, a joint error of 1 um."""
     if prediction is None:
         return _of_joints(kinematics)
@@ -64,7 +66,7 @@ def wanted(kinematics: Kinematics, prediction: PredictionSection | None) -> Want
     remaining = rms_of(after, kinematics)
     if not (remaining > 0.0).all():
         return _of_joints(kinematics)
-    return Wanted(
+    return TableAccuracy(
         tuple(c.name for c in driven),
         tuple(c.unit for c in driven),
         SHARE * remaining,
@@ -73,8 +75,8 @@ def wanted(kinematics: Kinematics, prediction: PredictionSection | None) -> Want
 
 
 def with_offsets(
-    want: Wanted, further: FurtherAxes, prediction: PredictionSection | None
-) -> Wanted:
+    want: TableAccuracy, further: FurtherAxes, prediction: PredictionSection | None
+) -> TableAccuracy:
     """As `want`, and the offsets for further axes to a share of what stays unknown.
 
     Those of which nothing was predicted do not count.
@@ -98,7 +100,7 @@ def with_offsets(
         whole[:, k:, nq:] = rows
         return whole
 
-    return Wanted(
+    return TableAccuracy(
         (*want.names, *(f"{axis.name} offset" for _, axis in counted)),
         (*want.units, *(axis.unit for _, axis in counted)),
         np.concatenate([want.target, targets]),
@@ -113,9 +115,9 @@ def rms_of(values: Mapping[str, float], kinematics: Kinematics) -> Array:
     return np.array(sizes, dtype=float)
 
 
-def _of_joints(kinematics: Kinematics) -> Wanted:
+def _of_joints(kinematics: Kinematics) -> TableAccuracy:
     joints = kinematics.machine.joints
-    return Wanted(
+    return TableAccuracy(
         tuple(j.name for j in joints),
         tuple(j.unit for j in joints),
         np.full(len(joints), JOINT_ERROR),
@@ -136,8 +138,11 @@ def table_correction(further: FurtherAxes, parameters: Array) -> Correction:
     return correction
 
 
-def table_grid(
-    axes: tuple[GridAxis, ...], correction: Correction, want: Wanted, largest: int
+def command_grid(
+    axes: tuple[GridAxis, ...],
+    correction: Correction,
+    want: TableAccuracy,
+    largest: int,
 ) -> CommandGrid | None:
     """The grid of a table over a box; None where no part of the box is in reach.
 
@@ -169,7 +174,7 @@ def table_grid(
     return None
 
 
-def sentences(grid: CommandGrid, want: Wanted) -> tuple[str, ...]:
+def sentences(grid: CommandGrid, want: TableAccuracy) -> tuple[str, ...]:
     """What the grid is, how a controller reads it, and what a limit costs."""
     parts = [
         f"{axis.name} {_place(axis.lower, axis.unit)} to {_place(axis.upper, axis.unit)}"
@@ -192,7 +197,7 @@ def sentences(grid: CommandGrid, want: Wanted) -> tuple[str, ...]:
     return words, reading, _limit(grid, want)
 
 
-def _limit(grid: CommandGrid, want: Wanted) -> str:
+def _limit(grid: CommandGrid, want: TableAccuracy) -> str:
     rms = grid.errors.max(axis=0)
     costs = [
         f"{name} {quantity(size, unit)}"

@@ -18,8 +18,8 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import column_map
 from pkm_studies.importers.ballbar_circles import MeasuredCircle, measured_circles
 from pkm_studies.importers.ballbar_traces import BarTrace, trace_columns
@@ -30,11 +30,11 @@ from pkm_studies.importers.base import (
 )
 from pkm_studies.importers.column_map import Model
 from pkm_studies.importers.line_times import read_tables
+from pkm_studies.importers.map_tables import CircleFacts, ColumnMap
+from pkm_studies.quantities import column as usual_column
+from pkm_studies.quantities import read_values
 from pkm_studies.resolve.poses import PLANES
-from pkm_studies.resolve.quantities import column as usual_column
-from pkm_studies.resolve.quantities import read_values
 from pkm_studies.resolve.tool_points import ToolPoints
-from pkm_studies.study.tables.column_map import CircleFacts, ColumnMap
 
 #: harmonics of a turn that are not noise, at most
 HARMONICS = 15

@@ -6,10 +6,10 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.ballbar_traces import BarTrace, run_numbers, traces
-from pkm_studies.study.tables.column_map import CircleFacts, CircleOfFiles, ColumnMap
+from pkm_studies.importers.map_tables import CircleFacts, CircleOfFiles, ColumnMap
 
 
 @dataclasses.dataclass(frozen=True)

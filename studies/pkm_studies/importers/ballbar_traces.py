@@ -13,11 +13,11 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve.quantities import column as usual_column
-from pkm_studies.resolve.quantities import read_values
-from pkm_studies.study.tables.column_map import CircleFacts, ColumnMap
+from pkm_studies.base import Place
+from pkm_studies.csv_table import CsvTable
+from pkm_studies.importers.map_tables import CircleFacts, ColumnMap
+from pkm_studies.quantities import column as usual_column
+from pkm_studies.quantities import read_values
 
 #: columns of a trace, with their SI units
 QUANTITIES = {"angle": "rad", "time": "s", "deviation": "m"}

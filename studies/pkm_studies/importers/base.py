@@ -9,7 +9,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 from oed.base import csv_text
 from oed.dataset.dialect import commented
-from pkm_studies.base.user_code import Consent
+from pkm_studies.user_code import Consent
 
 #: cells of a row of the readings file, by column
 Row = Mapping[str, str]

@@ -19,18 +19,17 @@ import tomli_w
 
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies.base import files, user_code
-from pkm_studies.base.errors import Place
-from pkm_studies.base.user_code import Origin
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue, files, user_code
+from pkm_studies import study as studies
+from pkm_studies.base import Place
+from pkm_studies.drafts import prediction_table
 from pkm_studies.importers import column_sources
-from pkm_studies.importers.axis_lines import prediction_table
 from pkm_studies.importers.base import ImportRequest, readings_name
+from pkm_studies.importers.map_tables import ColumnMap
 from pkm_studies.resolve.machine import described_machine, study_machine
-from pkm_studies.study import decode, loader
-from pkm_studies.study.tables.column_map import ColumnMap
-from pkm_studies.study.tables.fit import PredictionReference
-from pkm_studies.study.tables.machine import MachineTable
+from pkm_studies.study import decode_table, tables_of
+from pkm_studies.tables import MachineTable, PredictionReference
+from pkm_studies.user_code import Origin
 
 LIMIT = 200_000
 
@@ -54,8 +53,8 @@ def load(request: ImportRequest) -> tuple[ColumnMap, Place]:
         return ColumnMap(), Place("--map")
     place = Place(str(request.map))
     text = files.read_text(request.map, limit=LIMIT, what="column map")
-    table = decode.tables_of(text, place)
-    return column_sources.expanded(decode.decode(ColumnMap, table, place), place), place
+    table = tables_of(text, place)
+    return column_sources.expanded(decode_table(ColumnMap, table, place), place), place
 
 
 def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
@@ -64,7 +63,7 @@ def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
     --machine is a model, a file of the user's, or a study whose machine is meant.
     """
     if request.machine is not None and request.machine.endswith(".toml"):
-        study = loader.load(request.machine, request.consent)
+        study = studies.load(request.machine, request.consent)
         machine = study_machine(study)
         return _model(machine, study.machine, study.folder, request)
     described: str | MachineTable | None = request.machine

@@ -14,9 +14,9 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.dataset.columns import LABELS, SIGMA, UNITLESS
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import Place
-from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
+from pkm_studies.base import Place
+from pkm_studies.csv_table import CsvTable
+from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 
 BRACES = re.compile(r"\{([^{}]*)\}")
 #: significant digits of a product: less is rounding

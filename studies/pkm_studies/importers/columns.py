@@ -24,8 +24,8 @@ from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError, Place, suggest
+from pkm_studies.base import InputError, Place, suggest
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
     column_map,
     column_sources,
@@ -38,10 +38,10 @@ from pkm_studies.importers.base import (
     Row,
 )
 from pkm_studies.importers.line_times import read_tables
-from pkm_studies.resolve.quantities import column as usual_column
-from pkm_studies.resolve.quantities import read_values
-from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
-from pkm_studies.study.tables.fit import PredictionReference
+from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
+from pkm_studies.quantities import column as usual_column
+from pkm_studies.quantities import read_values
+from pkm_studies.tables import PredictionReference
 
 #: readings that a sentence lists
 MOST_LISTED = 10

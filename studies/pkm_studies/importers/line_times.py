@@ -10,10 +10,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from pkm_studies.base import csv_table
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.plain_number import plain_number
+from pkm_studies import csv_table
+from pkm_studies.base import InputError
+from pkm_studies.csv_table import CsvTable, plain_number
 
 DAY: Final = 86400.0
 #: a time at the beginning of a line or cell, the date before it where there is one

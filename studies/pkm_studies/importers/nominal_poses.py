@@ -11,12 +11,12 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import orientations
 from pkm_studies.importers.base import Row
+from pkm_studies.importers.map_tables import ColumnMap
 from pkm_studies.resolve.tool_points import ToolPoints
-from pkm_studies.study.tables.column_map import ColumnMap
 
 
 def nominal_frames(

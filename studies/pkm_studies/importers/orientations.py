@@ -12,11 +12,11 @@ from oed.base import orientation, units
 from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation
 from oed.model.instrument import Instrument
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base import InputError, Place
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.base import Row
-from pkm_studies.resolve.quantities import column as usual_column
-from pkm_studies.study.tables.column_map import OrientationColumns
+from pkm_studies.importers.map_tables import OrientationColumns
+from pkm_studies.quantities import column as usual_column
 
 #: what a quaternion's length may differ by from 1
 UNIT_LENGTH = 1e-2

@@ -5,9 +5,9 @@ from __future__ import annotations
 import warnings
 from importlib.metadata import EntryPoint
 
-from pkm_studies.base.errors import InputError, shorten, suggest
-from pkm_studies.base.plugins import plugins
+from pkm_studies.base import InputError, shorten, suggest
 from pkm_studies.importers.base import Importer
+from pkm_studies.plugins import plugins
 
 KIND = "importers"
 

@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from oed.mechanism.kinematics import AssemblyError
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Consent
+from pkm_studies import files
+from pkm_studies.base import InputError
 from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
 from pkm_studies.resolve import conventions
 from pkm_studies.resolve.resolved import resolve, with_readings
-from pkm_studies.study import SUFFIX, load
-from pkm_studies.study.loader import parse
+from pkm_studies.study import SUFFIX, load, parse
+from pkm_studies.user_code import Consent
 
 
 def import_files(

@@ -26,8 +26,8 @@ from oed.base.arrays import Array
 from oed.dataset.columns import SIGMA
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
-from pkm_studies.base.csv_table import CsvTable
-from pkm_studies.base.errors import InputError, Place
+from pkm_studies.base import InputError, Place
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
     column_map,
     column_sources,
@@ -37,7 +37,7 @@ from pkm_studies.importers import (
 )
 from pkm_studies.importers.base import ImportedSession, ImportRequest, Row
 from pkm_studies.importers.line_times import read_tables
-from pkm_studies.study.tables.column_map import ColumnMap, ColumnSource
+from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 
 INSTRUMENT = "pose_tracker_position"
 #: tolerances of a frame that is only known by the best fit

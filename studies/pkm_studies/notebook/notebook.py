@@ -16,9 +16,8 @@ import msgspec
 from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement
 from oed.result import StudyResult
-from pkm_studies import pipeline
-from pkm_studies.base.progress import Silent
-from pkm_studies.base.user_code import Origin, consent
+from pkm_studies import pipeline, shipped
+from pkm_studies.base import Silent
 from pkm_studies.notebook.views import (
     AccuracyView,
     DesignView,
@@ -40,7 +39,8 @@ from pkm_studies.stages.steps import design as design_steps
 from pkm_studies.stages.steps import fit as fit_steps
 from pkm_studies.stages.steps import prediction as prediction_steps
 from pkm_studies.stages.steps import readings as readings_steps
-from pkm_studies.study import Study, load, loader, shipped
+from pkm_studies.study import Study, from_tables, load
+from pkm_studies.user_code import Origin, consent
 
 
 def load_study(study: str | Path, *, allow_code: bool = False) -> Study:
@@ -76,7 +76,7 @@ def build_study(
     >>> study.setup[0].instrument
     'rm4'
     """
-    return loader.from_tables(tables, Path(folder), consent(allow_code=allow_code))
+    return from_tables(tables, Path(folder), consent(allow_code=allow_code))
 
 
 def choose_design(study: Study, *, seed: int | None = None) -> DesignView:
@@ -339,15 +339,13 @@ def write_compensation(
     >>> [path.name for path in oed.write_compensation(estimate, "json", "out/control")]
     ['compensation.json']
     """
-    from pkm_studies.compensation.export import export, named_format
-    from pkm_studies.compensation.table_grid import COMMANDS
+    from pkm_studies.compensation import export_result, named_format
 
     given = view.state.study.consent
     controller = named_format(to, Origin.command(given))
     result, study, folder = _result(view.state), view.state.study, Path(out)
-    largest = COMMANDS if commands is None else commands
-    return export(
-        result, study, controller, folder, force=force, commands=largest
+    return export_result(
+        result, study, controller, folder, force=force, commands=commands
     ).paths
 
 

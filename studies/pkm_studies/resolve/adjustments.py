@@ -8,9 +8,10 @@ from collections.abc import Collection
 
 from oed.model.adjustment import Adjustment
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import lookup, quantities
-from pkm_studies.study.tables import AdjustTable, MachineTable
+from pkm_studies import quantities
+from pkm_studies.base import Place
+from pkm_studies.resolve import lookup
+from pkm_studies.tables import AdjustTable, MachineTable
 
 #: what a table may state, and what it is of the adjustment
 AMOUNTS = ("step", "sd", "most")

@@ -9,11 +9,11 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.gap.before.runs import Run
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve.conditions import FEED, MINUTE, PASS_SUFFIX, reading_time
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.resolve.lookup import known_name
-from pkm_studies.study.tables import ConditionsTable, GapDesignTable, RunCondition
+from pkm_studies.tables import ConditionsTable, GapDesignTable, RunCondition
 
 
 def candidate_runs(

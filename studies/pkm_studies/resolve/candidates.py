@@ -10,12 +10,13 @@ import numpy as np
 from oed.base import units
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import command_ranges, grids, limits, lookup, quantities
+from pkm_studies import quantities
+from pkm_studies.base import Place
+from pkm_studies.quantities import format_value
+from pkm_studies.resolve import command_ranges, grids, limits, lookup
 from pkm_studies.resolve.grids import Circles, ReferencePlan
-from pkm_studies.resolve.quantities import format_value
 from pkm_studies.study import Study
-from pkm_studies.study.tables import DesignTable, KappaTable
+from pkm_studies.tables import DesignTable, KappaTable
 
 #: largest share by which a reading may differ from what the instrument holds
 HOLD_TOLERANCE = 0.01

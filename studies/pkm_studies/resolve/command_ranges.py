@@ -9,8 +9,8 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve.quantities import format_as
+from pkm_studies.base import Place
+from pkm_studies.quantities import format_as
 
 
 def command_units(machine: Machine) -> dict[str, str]:

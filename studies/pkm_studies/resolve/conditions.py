@@ -11,7 +11,7 @@ import numpy as np
 from oed.base import units
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import Setup
-from pkm_studies.study.tables import ConditionsTable
+from pkm_studies.tables import ConditionsTable
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -18,10 +18,10 @@ from oed.mechanism.controller import Controller
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Machine
-from pkm_studies.base import csv_table, files
-from pkm_studies.base.errors import InputError, Place, suggest
-from pkm_studies.resolve.earlier_result import SAME, controller_values, named_result
-from pkm_studies.resolve.quantities import column, display_unit
+from pkm_studies import csv_table, files
+from pkm_studies.base import InputError, Place, suggest
+from pkm_studies.earlier_result import SAME, controller_values, named_result
+from pkm_studies.quantities import column, display_unit
 from pkm_studies.study import Study
 
 #: rows of a table of parameters by name: value, unit, and nominal where it is there

@@ -14,9 +14,9 @@ from oed.model.expressions import passive_joints
 from oed.model.instrument import Channel, Instrument
 from oed.model.machine import Component, Coordinate, Machine, Parameter
 from oed.model.passive_joint import PassiveJoint
-from pkm_studies.catalogue import catalogue
-from pkm_studies.catalogue.catalogue import CatalogueEntry
-from pkm_studies.resolve.quantities import column
+from pkm_studies import catalogue
+from pkm_studies.catalogue import CatalogueEntry
+from pkm_studies.quantities import column
 
 if TYPE_CHECKING:
     from oed.measurement.measurement import Measurement

@@ -6,9 +6,9 @@ from collections.abc import Collection, Iterator
 
 from oed.dataset.digests import SAME, shared
 from oed.result import StudyResult
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve.earlier_result import result_folder
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.base import Place
+from pkm_studies.earlier_result import result_folder
+from pkm_studies.results import load_result
 from pkm_studies.study import Study
 
 #: share of readings that equal those of the prior, from which a user must know

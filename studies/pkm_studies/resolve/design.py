@@ -13,12 +13,12 @@ from oed.base.arrays import Array
 from oed.design.quotas import QuotaSet
 from oed.design.weights import WEIGHED
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import command_ranges, lookup, quantities, quotas
+from pkm_studies import quantities
+from pkm_studies.base import Place
+from pkm_studies.resolve import command_ranges, lookup, quotas
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
-from pkm_studies.study.tables import DesignTable
-from pkm_studies.study.tables.base import CriterionName
+from pkm_studies.tables import CriterionName, DesignTable
 
 #: criteria by their names in the schema
 CRITERIA: tuple[str, ...] = get_args(CriterionName)
@@ -282,7 +282,7 @@ def _retained(
         return plans[lookup.known_name(table.keep, plans, at, "reference plan")].series
     if table.keep_readings is None:
         return ()
-    from pkm_studies.study import sources
+    from pkm_studies import sources
 
     path = study.folder / table.keep_readings
     return tuple(sources.from_files([path], measurement).series)

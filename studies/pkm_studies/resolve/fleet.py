@@ -17,9 +17,9 @@ from oed.estimation.fleet import (
 )
 from oed.model.machine import Machine
 from oed.result import StudyResult, trust
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve.earlier_result import result_folder
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.base import Place
+from pkm_studies.earlier_result import result_folder
+from pkm_studies.results import load_result
 from pkm_studies.study import Study
 
 #: tolerances by which the nominal numbers of a machine of the same model may differ

@@ -9,11 +9,11 @@ import numpy as np
 
 from oed.model.effect import Effect
 from oed.model.machine import Machine
-from pkm_studies.base.errors import InputError, Place, suggest
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue
+from pkm_studies.base import InputError, Place, suggest
 from pkm_studies.resolve.effect_sizes import check_sizes, sized
 from pkm_studies.study import Study
-from pkm_studies.study.tables import ActingTable, ConditionsTable, GapTable
+from pkm_studies.tables import ActingTable, ConditionsTable, GapTable
 
 ALL = "all"
 

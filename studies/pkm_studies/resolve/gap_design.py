@@ -13,14 +13,13 @@ from oed.design.rules import Rules
 from oed.gap.before.runs import Run
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
-from pkm_studies.base.errors import Place
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue
+from pkm_studies.base import Place
 from pkm_studies.resolve import candidate_runs
 from pkm_studies.resolve.conditions import MINUTE
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
-from pkm_studies.study.tables import ConditionsTable, GapDesignTable
-from pkm_studies.study.tables.gap_design import PLAN
+from pkm_studies.tables import PLAN, ConditionsTable, GapDesignTable
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,17 +19,18 @@ from oed.measurement.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate, Machine
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import poses, quantities
+from pkm_studies import quantities
+from pkm_studies.base import Place
+from pkm_studies.quantities import format_value
+from pkm_studies.resolve import poses
 from pkm_studies.resolve.command_ranges import check_tool_workspace, command_units
 from pkm_studies.resolve.lookup import known_name
-from pkm_studies.resolve.quantities import format_value
 from pkm_studies.resolve.reach import (
     REACH_REMEDY,
     check_joint_range,
     reach_problem,
 )
-from pkm_studies.study.tables import Axis, GridTable, Span
+from pkm_studies.tables import Axis, GridTable, Span
 
 #: most poses of one grid
 MAX_POSES = 200_000

@@ -12,9 +12,9 @@ from oed.design import feasible
 from oed.design.clearance import Surroundings, cup_place
 from oed.design.segments import Capsule
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import quantities
-from pkm_studies.study.tables import ConeTable, LimitsTable
+from pkm_studies import quantities
+from pkm_studies.base import Place
+from pkm_studies.tables import ConeTable, LimitsTable
 
 UNLIKELY = "leave the travel of the instrument on too many machines within tolerances"
 

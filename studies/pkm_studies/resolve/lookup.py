@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Iterable, Mapping, Sequence
 
-from pkm_studies.base.errors import Place, suggest
+from pkm_studies.base import Place, suggest
 
 
 def known_name(

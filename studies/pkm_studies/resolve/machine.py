@@ -12,14 +12,13 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Coordinate, Dimension, Machine
-from pkm_studies.base import user_code
-from pkm_studies.base.errors import Place
-from pkm_studies.base.user_code import Origin
-from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve import quantities, reach
+from pkm_studies import catalogue, quantities, user_code
+from pkm_studies.base import Place
+from pkm_studies.resolve import reach
 from pkm_studies.resolve.adjustments import with_adjustments
 from pkm_studies.study import Study
-from pkm_studies.study.tables import MachineTable
+from pkm_studies.tables import MachineTable
+from pkm_studies.user_code import Origin
 
 #: values of each coordinate at which the workspace is tried
 TRIED = 3

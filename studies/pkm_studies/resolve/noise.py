@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from oed.measurement.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.noise.statement import NoiseStatement
-from pkm_studies.base.errors import Place, suggest
-from pkm_studies.resolve import quantities
+from pkm_studies import quantities
+from pkm_studies.base import Place, suggest
 from pkm_studies.study import Study
 
 #: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of

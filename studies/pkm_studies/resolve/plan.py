@@ -19,8 +19,9 @@ from oed.design.candidates import reading_time
 from oed.design.nuisances import Nuisances
 from oed.design.stages.option import Option, build_option
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import grids, lookup, quantities
+from pkm_studies import quantities
+from pkm_studies.base import Place
+from pkm_studies.resolve import grids, lookup
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.resolve.planned_effects import (
     NONE,
@@ -29,8 +30,7 @@ from pkm_studies.resolve.planned_effects import (
 )
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
-from pkm_studies.study.tables import GridTable, MeasuredTable, PlanTable
-from pkm_studies.study.tables.gap_design import PLAN
+from pkm_studies.tables import PLAN, GridTable, MeasuredTable, PlanTable
 
 MeasurementWith = Callable[[Iterable[str]], Measurement]
 

@@ -18,7 +18,7 @@ from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study

@@ -13,13 +13,11 @@ from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base import csv_table
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import quantities
+from pkm_studies import csv_table, quantities
+from pkm_studies.base import Place
 from pkm_studies.resolve.command_ranges import command_units
 from pkm_studies.resolve.tool_points import ToolPoints, ranges
-from pkm_studies.study.tables import GridTable, Span
-from pkm_studies.study.tables.poses import CircleTable, CubeTable
+from pkm_studies.tables import CircleTable, CubeTable, GridTable, Span
 
 #: fields of a table that give poses in place of a grid
 FORMS = ("poses", "file", "circle", "line", "cube", "sample")

@@ -15,10 +15,11 @@ from oed.dataset import columns
 from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import command_ranges, grids, quantities, reach
+from pkm_studies import quantities
+from pkm_studies.base import Place
+from pkm_studies.resolve import command_ranges, grids, reach
 from pkm_studies.study import Study
-from pkm_studies.study.tables import PredictionTable
+from pkm_studies.tables import PredictionTable
 
 if TYPE_CHECKING:
     import pandas as pd

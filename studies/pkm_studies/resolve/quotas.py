@@ -18,10 +18,11 @@ from oed.base.arrays import Index, Mask
 from oed.design.quotas import Quota, QuotaSet, equal_numbers
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place, suggest
-from pkm_studies.resolve import lookup, quantities
+from pkm_studies import quantities
+from pkm_studies.base import Place, suggest
+from pkm_studies.resolve import lookup
 from pkm_studies.resolve.command_ranges import command_units
-from pkm_studies.study.tables import DesignTable, QuotaTable
+from pkm_studies.tables import DesignTable, QuotaTable
 
 #: a coordinate may be outside a range by this (m, rad) and count as inside
 SLACK = 1e-9

@@ -5,8 +5,8 @@ from __future__ import annotations
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve.quantities import format_value
+from pkm_studies.base import Place
+from pkm_studies.quantities import format_value
 
 #: remedy for poses out of reach
 REACH_REMEDY = (

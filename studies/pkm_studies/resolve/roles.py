@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from oed.measurement.measurement import Measurement, Series
 from oed.model.instrument import Setup
-from pkm_studies.resolve import lookup, quantities
+from pkm_studies import quantities
+from pkm_studies.resolve import lookup
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
@@ -97,11 +98,11 @@ def dataset(
     """The readings: files given to the command, files of the study, or its source."""
     table = study.readings
     if readings is None and table is not None and not table.simulate:
-        from pkm_studies.study import sources
+        from pkm_studies import sources
 
         return sources.readings(table, study, measurement)
     if readings:
-        from pkm_studies.study import sources
+        from pkm_studies import sources
 
         return sources.from_files(readings, measurement)
     return None

@@ -11,12 +11,12 @@ from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument, Protocol, Setup, mount
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
-from pkm_studies.catalogue import catalogue
-from pkm_studies.resolve import command_ranges, quantities, reach
-from pkm_studies.resolve.quantities import check_not_negative
+from pkm_studies import catalogue, quantities
+from pkm_studies.base import Place
+from pkm_studies.quantities import check_not_negative
+from pkm_studies.resolve import command_ranges, reach
 from pkm_studies.study import Study
-from pkm_studies.study.tables import SetupTable
+from pkm_studies.tables import SetupTable
 
 
 def mounted_setups(study: Study, kinematics: Kinematics) -> dict[str, Setup]:

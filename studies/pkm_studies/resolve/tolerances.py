@@ -13,14 +13,15 @@ from oed.base.arrays import Array
 from oed.model.instrument import Setup
 from oed.model.machine import CommonTolerance, Machine, Parameter
 from oed.model.parameter_vector import ParameterVector
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import lookup, quantities
-from pkm_studies.resolve.earlier_result import known_parameters, named_result
+from pkm_studies import quantities
+from pkm_studies.base import Place
+from pkm_studies.earlier_result import known_parameters, named_result
+from pkm_studies.quantities import check_not_negative
+from pkm_studies.resolve import lookup
 from pkm_studies.resolve.fleet import fleet_knowledge
 from pkm_studies.resolve.noise import LARGEST, with_noise
-from pkm_studies.resolve.quantities import check_not_negative
 from pkm_studies.study import Study
-from pkm_studies.study.tables import BoundsTable, ToleranceTable
+from pkm_studies.tables import BoundsTable, ToleranceTable
 
 #: least eigenvalue of a correlation matrix: nearer to 0 one combination has no error left
 LEAST = 1e-6

@@ -14,8 +14,8 @@ from scipy.spatial import KDTree
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import quantities
+from pkm_studies import quantities
+from pkm_studies.base import Place
 
 #: sampled commands, steps at most, slope step (m, rad), and miss that is accepted (m)
 SAMPLES, STEPS, SLOPE_STEP, MISS = 600, 30, 1e-6, 1e-8

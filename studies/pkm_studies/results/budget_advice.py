@@ -34,23 +34,23 @@ def unmodelled_sentence(
     if not section.unmodelled:
         return None
     worst = section.unmodelled[0]
-    geometry = quantities(after, driven)
+    geometry = error_quantities(after, driven)
     opening = f"This is geometry alone ({geometry})."
     effect = f"{worst.effect} of its expected size ({worst.expected})"
     usual = section.usual
     if usual is None or len(usual.effects) == 1:
-        whole = quantities(worst.with_it, driven)
+        whole = error_quantities(worst.with_it, driven)
         added = f"{effect} would bring {whole}, as calibration takes a part of it for"
         cause = "geometry"
     else:
-        whole = quantities(usual.unmodelled, driven)
+        whole = error_quantities(usual.unmodelled, driven)
         added = f"All {len(usual.effects)} usual effects would bring {whole}, as"
         cause = f"calibration takes a part of them for geometry; most is {effect}"
     corrected = ""
     if usual is not None:
         corrected = (
             ". Fitted with the geometry and corrected they would leave"
-            f" {quantities(usual.fitted, driven)}"
+            f" {error_quantities(usual.fitted, driven)}"
         )
     return (
         f"{opening} {added} {cause}{corrected}. Sizes vary by decades. Remedy:"
@@ -67,8 +67,8 @@ def advice_on(
     for number, (improvement, after) in enumerate(best):
         order = "Improve first" if number == 0 else "Then"
         sentences.append(
-            f"{order}: {improvement} brings {quantities(after, components)} instead of"
-            f" {quantities(predicted, components)}."
+            f"{order}: {improvement} brings {error_quantities(after, components)} instead of"
+            f" {error_quantities(predicted, components)}."
         )
     return sentences
 
@@ -113,7 +113,7 @@ def _improvement(line: BudgetLine) -> str:
     return f"half the {line.source}"
 
 
-def quantities(values: Values, components: Mapping[str, str]) -> str:
+def error_quantities(values: Values, components: Mapping[str, str]) -> str:
     """Values of components {name: unit} in words."""
     parts = [f"{name} {values[name]:.3g} {unit}" for name, unit in components.items()]
     return ", ".join(parts)

@@ -14,8 +14,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from oed.result import Claim
-from pkm_studies.base.errors import shorten, suggest
-from pkm_studies.study.tables import ClaimTable, StudyFile
+from pkm_studies.base import shorten, suggest
+from pkm_studies.tables import ClaimTable, StudyFile
 
 #: numbers of result.json that are in the `unit` which stands beside them
 IN_UNIT = ("rms", "rms_raw", "p95", "max", "value", "sd", "mean", "q025", "q975")
@@ -38,7 +38,7 @@ def check_claims(
     return claims
 
 
-def failure(claim: Claim, where: str) -> str:
+def claim_failure(claim: Claim, where: str) -> str:
     """What a claim that is not met says: measured against claimed, and where it stands."""
     measured = claim.measured
     if isinstance(measured, float):
@@ -51,7 +51,7 @@ def check_claim(name: str, table: ClaimTable, result: Mapping[str, Any]) -> Clai
     """A claim on a result as plain tables and lists."""
     wanted = f"{table.of} {_wanted(table)}"
     try:
-        value = lookup(result, table.of)
+        value = value_at(result, table.of)
     except LookupError as error:
         measured = shorten(str(error), LONGEST)
         return Claim(claim=name, measured=measured, wanted=wanted, met=False)
@@ -70,7 +70,7 @@ def _unit(result: Mapping[str, Any], path: str, value: object) -> str:
     if not isinstance(value, float) or name not in IN_UNIT:
         return ""
     try:
-        unit = _table(lookup(result, table)).get("unit", "")
+        unit = _table(value_at(result, table)).get("unit", "")
     except LookupError:  # the name holds a dot
         return ""
     return unit if isinstance(unit, str) else ""
@@ -79,7 +79,7 @@ def _unit(result: Mapping[str, Any], path: str, value: object) -> str:
 # -- the value at a path ---------------------------------------------------------------
 
 
-def lookup(result: object, path: str) -> Any:
+def value_at(result: object, path: str) -> Any:
     """The value at a path.
 
     Raises LookupError that says how far the path leads, and what is there.

@@ -7,9 +7,8 @@ from pathlib import Path
 import msgspec
 
 from oed.result import StudyResult, relations, trust
-from pkm_studies.base import files
-from pkm_studies.base.errors import Place
-from pkm_studies.base.names import check_name
+from pkm_studies import files
+from pkm_studies.base import Place, check_name
 
 #: bytes of the largest result that is read
 LIMIT = 1 << 28

@@ -1,1 +1,32 @@
-"""A machine after its first result: next readings, verification, acceptance, history."""
+"""A machine after its first result: the next reading, its history, what to adjust by hand.
+
+Adviser               advises the next reading of a study, and says when to stop
+Advice                what it says: accuracy known so far, the next reading, its effect
+FittedReadings        the readings of a file with their fit, as the adviser takes them
+advice_sentences      an advice in lines
+reading_of            the series and row of a candidate's number
+SKIPPED               how the remark of a skipped pose begins
+is_skipped            whether a row of a readings file skips its pose
+skipped_in_rows       the skipped poses of such rows
+visit_lines           the second visit that a diagnosis advises, in lines
+compare               what changed between two results of one machine
+write_comparison      a report of several results side by side
+machine_history       how a machine drifts over its results, and when to calibrate again
+adjust_folder         what a fitter adjusts at the machine of a result, and by how much
+adjustment_sentences  its lines, with the accuracy after each
+"""
+
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from pkm_studies.sessions.adjustment import adjust_folder, adjustment_sentences
+    from pkm_studies.sessions.comparison import compare, write_comparison
+    from pkm_studies.sessions.history import machine_history
+    from pkm_studies.sessions.next_reading import Adviser, FittedReadings, reading_of
+    from pkm_studies.sessions.next_sentences import Advice, advice_sentences
+    from pkm_studies.sessions.next_visit import visit_lines
+    from pkm_studies.sessions.skipped_poses import SKIPPED, is_skipped, skipped_in_rows
+else:
+    __getattr__ = door(__name__)

@@ -23,19 +23,16 @@ from oed.result import (
     EstimateSection,
     StudyResult,
 )
-from pkm_studies.base import files
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.user_code import Consent
-from pkm_studies.compensation.identified import adjusted_result
-from pkm_studies.compensation.stored_study import result_study
-from pkm_studies.resolve import earlier_result
-from pkm_studies.resolve.component_values import component_values
+from pkm_studies import earlier_result, files, result_folder
+from pkm_studies.acceptance import covariances
+from pkm_studies.base import InputError
+from pkm_studies.compensation import adjusted_result, result_study
+from pkm_studies.quantities import component_values
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.workspace import regular_commands
-from pkm_studies.results import result_folder, stored_result
-from pkm_studies.results.stored_result import refuse_bad_fit
-from pkm_studies.sessions.acceptance.promise import covariances
+from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.study import Study
+from pkm_studies.user_code import Consent
 
 CSV, NOMINAL = "adjust.csv", "adjusted.toml"
 
@@ -57,7 +54,7 @@ def adjust_folder(
     Raises InputError where nothing was identified or nothing is adjustable, and
     BadFitError where the fit promises nothing.
     """
-    result = stored_result.load_result(folder)
+    result = load_result(folder)
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     machine = adjustable_machine(result, study, folder, wanted)
@@ -298,7 +295,7 @@ def _nominal_table(result: StudyResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-def sentences(section: AdjustmentSection) -> Iterator[str]:
+def adjustment_sentences(section: AdjustmentSection) -> Iterator[str]:
     """The lines, and the accuracy after each, for a terminal."""
     start = section.accuracy[0]
     if not section.lines:

@@ -16,14 +16,14 @@ from oed.estimation import session_drift
 from oed.estimation.session_change import CombinationChange, Session
 from oed.estimation.session_drift import SessionDrift
 from oed.result import ParameterEstimate, StudyResult
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.base.user_code import Consent
-from pkm_studies.compensation.stored_study import result_study
-from pkm_studies.resolve.component_values import component_values
-from pkm_studies.results import comparison, stored_result
-from pkm_studies.results.comparison import SessionReport
-from pkm_studies.sessions.acceptance.promise import promised_accuracy
+from pkm_studies.acceptance import promised_accuracy
+from pkm_studies.base import InputError, Stream
+from pkm_studies.compensation import result_study
+from pkm_studies.quantities import component_values
+from pkm_studies.results import load_result
+from pkm_studies.sessions import comparison
+from pkm_studies.sessions.comparison import SessionReport
+from pkm_studies.user_code import Consent
 
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 #: probability of a false alarm, and combinations that are printed
@@ -46,7 +46,7 @@ class Sessions:
     unit: str
 
 
-def history(
+def machine_history(
     folders: Sequence[Path],
     limits: str = "",
     study_file: Path | None = None,
@@ -96,7 +96,7 @@ def _sessions(folders: Sequence[Path]) -> Sessions:
             f"a history needs two sessions or more, here are {len(found_in)}",
             "name folders with a result.json, or a folder that holds them",
         )
-    loaded = [stored_result.load_result(path) for path in found_in]
+    loaded = [load_result(path) for path in found_in]
     comparison.refuse_same_sessions(loaded, found_in)
     dates = [_date(path) for path in found_in]
     known = [date for date in dates if date is not None]

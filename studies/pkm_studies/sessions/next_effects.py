@@ -26,7 +26,7 @@ from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.process import stated_laws
 from oed.result.verdict import SURE
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.resolve.planned_effects import (
     NONE,
     UNKNOWNS,

@@ -20,18 +20,17 @@ from oed.estimation import identification
 from oed.estimation.estimate import Estimate
 from oed.measurement.measurement import Measurement, Series
 from oed.result import trust
-from pkm_studies.base.errors import InputError
-from pkm_studies.base.progress import Silent
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.resolve import quantities, roles
-from pkm_studies.resolve.component_values import component_values
+from pkm_studies import quantities
+from pkm_studies.base import InputError, Silent, Stream
+from pkm_studies.quantities import component_values
+from pkm_studies.resolve import roles
 from pkm_studies.sessions.next_effects import (
     Outlook,
     effects_at,
     noise_with_effects,
     outlook_with_effects,
 )
-from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, sentences
+from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, advice_sentences
 from pkm_studies.sessions.skipped_poses import SkippedPose, allowed, skipped_in_file
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.fit.estimate import estimate_section
@@ -95,6 +94,20 @@ class Adviser:
         """The advice after the readings of a file. Raises InputError as they are read."""
         skipped = skipped_in_file(readings, self.everything)
         return self.advise_fitted(self.fit(readings), skipped)
+
+    def watch(self, readings: Path) -> Iterator[list[str]]:
+        """Lines of advice, now and after each readable change of the file; without end."""
+        last: tuple[int, int] | None = None
+        while True:
+            status = readings.stat()
+            stamp = (status.st_mtime_ns, status.st_size)
+            if stamp != last:
+                last = stamp
+                try:
+                    yield advice_sentences(self, self.advise(readings))
+                except InputError as error:
+                    yield [str(error)]
+            time.sleep(PAUSE)
 
     @property
     def everything(self) -> Measurement:
@@ -383,18 +396,3 @@ def reading_of(pool: Candidates, index: int) -> tuple[Series, int]:
             return series, first
         first -= len(series)
     raise IndexError(f"candidate {index} of {len(pool)}")
-
-
-def watch(adviser: Adviser, readings: Path) -> Iterator[list[str]]:
-    """Lines of advice, now and after each readable change of the file; without end."""
-    last: tuple[int, int] | None = None
-    while True:
-        status = readings.stat()
-        stamp = (status.st_mtime_ns, status.st_size)
-        if stamp != last:
-            last = stamp
-            try:
-                yield sentences(adviser, adviser.advise(readings))
-            except InputError as error:
-                yield [str(error)]
-        time.sleep(PAUSE)

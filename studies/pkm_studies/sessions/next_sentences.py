@@ -12,7 +12,7 @@ from oed.base.arrays import Array
 from oed.base.text import format_number
 from oed.measurement.measurement import Series
 from oed.result.verdict import SURE, Judgement, judge, overall, percent
-from pkm_studies.resolve import quantities
+from pkm_studies import quantities
 from pkm_studies.sessions.next_effects import Outlook
 from pkm_studies.stages import describe
 
@@ -97,8 +97,35 @@ class Advice:
         ratios = self.after[positive] / self.known[positive]
         return float(1.0 - np.exp(np.mean(np.log(ratios)))) if ratios.size else 0.0
 
+    def stop_sentences(self) -> list[str]:
+        """Whether to stop now, and how far it is."""
+        if self.objections:
+            return [
+                f"Look for the cause before you go on: {'; '.join(self.objections)}."
+            ]
+        if self.is_reached:
+            reached = "what the plan would reach" if self.follows_plan else EVERY
+            return [f"Stop: {reached} is reached."]
+        if self.is_reached_by_geometry:
+            return [GEOMETRY_SO_FAR]
+        if np.isfinite(self.limits).any():
+            if self.more is None:
+                return [f"{MOST_AHEAD} more readings would not reach what is wanted."]
+            if self.more == 1:
+                return ["About 1 more reading reaches what is wanted."]
+            return [f"About {self.more} more readings reach what is wanted."]
+        if self.planned is not None and self.readings >= self.planned:
+            return [f"Stop: the {self.planned} readings of the plan are taken."]
+        if self.readings and self.gain < LEAST_GAIN:
+            return [
+                f"Stop: a further reading gains less than {100 * LEAST_GAIN:.0f} %."
+            ]
+        if self.planned is None:
+            return []
+        return [f"The plan has {self.planned} readings."]
 
-def sentences(adviser: Adviser, advice: Advice) -> list[str]:
+
+def advice_sentences(adviser: Adviser, advice: Advice) -> list[str]:
     """The advice in lines: what is known, the next reading, when to stop."""
     machine = adviser.base.resolved.machine
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
@@ -115,7 +142,13 @@ def sentences(adviser: Adviser, advice: Advice) -> list[str]:
             line += f"   wanted {wanted}{_stated(advice, k)}"
         lines.append(line)
     skipped = skips(advice)
-    return [*advice.findings, *lines, *stop(advice), *skipped, *_next(adviser, advice)]
+    return [
+        *advice.findings,
+        *lines,
+        *advice.stop_sentences(),
+        *skipped,
+        *_next(adviser, advice),
+    ]
 
 
 def _stated(advice: Advice, component: int) -> str:
@@ -157,27 +190,3 @@ def _next(adviser: Adviser, advice: Advice) -> list[str]:
 
 def _values(numbers: dict[str, float]) -> str:
     return ", ".join(f"{key} = {value:.7g}" for key, value in numbers.items())
-
-
-def stop(advice: Advice) -> list[str]:
-    """Whether to stop now, and how far it is."""
-    if advice.objections:
-        return [f"Look for the cause before you go on: {'; '.join(advice.objections)}."]
-    if advice.is_reached:
-        reached = "what the plan would reach" if advice.follows_plan else EVERY
-        return [f"Stop: {reached} is reached."]
-    if advice.is_reached_by_geometry:
-        return [GEOMETRY_SO_FAR]
-    if np.isfinite(advice.limits).any():
-        if advice.more is None:
-            return [f"{MOST_AHEAD} more readings would not reach what is wanted."]
-        if advice.more == 1:
-            return ["About 1 more reading reaches what is wanted."]
-        return [f"About {advice.more} more readings reach what is wanted."]
-    if advice.planned is not None and advice.readings >= advice.planned:
-        return [f"Stop: the {advice.planned} readings of the plan are taken."]
-    if advice.readings and advice.gain < LEAST_GAIN:
-        return [f"Stop: a further reading gains less than {100 * LEAST_GAIN:.0f} %."]
-    if advice.planned is None:
-        return []
-    return [f"The plan has {advice.planned} readings."]

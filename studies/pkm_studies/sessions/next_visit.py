@@ -8,37 +8,13 @@ from pathlib import Path
 
 from oed.base import units
 from oed.result import ChosenRun, GapSection, StudyResult
-from pkm_studies.base.errors import InputError
-from pkm_studies.results.result_folder import VISIT
-from pkm_studies.results.stored_result import load_result
+from pkm_studies.base import InputError
+from pkm_studies.result_folder import VISIT
+from pkm_studies.results import load_result
 from pkm_studies.study import Study
 
 
-def check_alone(
-    after: Path, readings: Path | None, wanted: str, *, follow: bool
-) -> None:
-    """Raises InputError where options of the next reading go with a diagnosis."""
-    if readings is None and not wanted and not follow:
-        return
-    raise InputError(
-        "a diagnosis has its own readings: --readings, --wanted and --follow are of the"
-        " next single reading",
-        "give --after alone, or leave it out",
-        field="--after",
-        value=str(after),
-    )
-
-
-def no_readings() -> InputError:
-    """The error where neither readings nor a diagnosis is given."""
-    return InputError(
-        "there is nothing to advise from",
-        "give --readings FILE.csv, or --after DIR with the folder of a diagnosis",
-        field="--readings",
-    )
-
-
-def lines(study: Study, named: Path, folder: Path) -> list[str]:
+def visit_lines(study: Study, named: Path, folder: Path) -> list[str]:
     """What the visit is worth, its runs, and the file to fill in.
 
     named   the study as the user gave it: its path, or the name of a shipped one

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 from oed.base.text import format_number
-from pkm_studies.base import console
-from pkm_studies.resolve.earlier_result import corrects_effects
-from pkm_studies.results.budget_advice import improvements
+from pkm_studies import console
+from pkm_studies.earlier_result import corrects_effects
+from pkm_studies.results import improvements
 from pkm_studies.stages.headline import REFERENCES, without_drive
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from oed.measurement.reading_noise import reading_sigma
 from oed.model.instrument import Channel, Setup
 from oed.model.machine import Coordinate, Machine
 from oed.result import Drawing, MachineInfo, Polyline, SetupInfo, StudyResult
-from pkm_studies.resolve import quantities
+from pkm_studies import quantities
 from pkm_studies.stages.drawing_labels import parameter_labels
 from pkm_studies.study import Study
 

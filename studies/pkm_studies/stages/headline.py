@@ -24,7 +24,7 @@ from oed.result import (
     verdict,
 )
 from oed.result.verdict import accuracy_verdicts
-from pkm_studies.results.budget_advice import unmodelled_sentence
+from pkm_studies.results import unmodelled_sentence
 from pkm_studies.stages.design.phrases import (
     design_sentences,
     effects_sentences,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import order, select
 from pkm_studies.stages.gap.virtual_readings import check_coefficients

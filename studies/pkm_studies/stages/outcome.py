@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pkm_studies.base import console
-from pkm_studies.base.console import DONE, FAILED
+from pkm_studies import console
+from pkm_studies.console import DONE, FAILED
 
 if TYPE_CHECKING:
     from oed.result import Claim, StudyResult

@@ -17,9 +17,9 @@ from oed.posterior import posterior
 from oed.posterior.checkpoint import Checkpoint
 from oed.posterior.posterior import Posterior
 from oed.result import StudyResult
-from pkm_studies.base import files
+from pkm_studies import files
 from pkm_studies.resolve import conventions
-from pkm_studies.results.result_folder import (
+from pkm_studies.result_folder import (
     RESULT,
     VISIT,
     renamed_sentences,

@@ -9,10 +9,11 @@ from pathlib import Path
 
 from oed.dataset import dialect
 from oed.dataset.digests import digests, is_counted
-from pkm_studies.base.errors import InputError
-from pkm_studies.results.stored_result import load_result
+from pkm_studies import sources
+from pkm_studies.base import InputError
+from pkm_studies.results import load_result
 from pkm_studies.stages.run_state import RunState
-from pkm_studies.study import Study, sources
+from pkm_studies.study import Study
 
 #: name of the J-th file of the I-th session in the folder of a result
 NAME = "session{}_{}.readings.csv"

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from oed.base import own_files
-from pkm_studies.base import console
-from pkm_studies.results import result_folder
+from pkm_studies import console, result_folder
 from pkm_studies.stages import accuracy_table, headline, outcome
 from pkm_studies.stages.plan.phrases import plan_sentences
 

@@ -1,7 +1,36 @@
-"""A study file as written: its tables, and how they are loaded."""
+"""A study file as written: its text becomes a `Study`, or a refusal with field and remedy.
 
-from pkm_studies.base.user_code import Consent as Consent
-from pkm_studies.study.loader import SUFFIX as SUFFIX
-from pkm_studies.study.loader import Study as Study
-from pkm_studies.study.loader import load as load
-from pkm_studies.study.loader import parse as parse
+load          the study of a file
+parse         the study of a text
+from_tables   the study of tables that were read before
+Study         a study as written, with the place of its file
+SUFFIX        end of a study file's name
+decode_table  a struct from a table of TOML
+tables_of     the tables of a text in TOML
+TO_MEASURE    what stands in a draft where the user must measure
+SCHEMAS       descriptions of the files, for `oed schema`
+combinations  settings of a sweep, each with each
+with_setting  a study with other values
+AS_PUBLISHED  the remedy where a published file was changed
+Row           a row of a collection, cells by column
+read_csv      rows of a collection's CSV file
+read_json     content of its JSON file
+"""
+
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from pkm_studies.study.data_sources.tables import (
+        AS_PUBLISHED,
+        Row,
+        read_csv,
+        read_json,
+    )
+    from pkm_studies.study.decode import TO_MEASURE, decode_table, tables_of
+    from pkm_studies.study.loader import SUFFIX, Study, from_tables, load, parse
+    from pkm_studies.study.schemas import SCHEMAS
+    from pkm_studies.study.vary import combinations, with_setting
+else:
+    __getattr__ = door(__name__)

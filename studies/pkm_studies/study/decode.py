@@ -17,8 +17,7 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from pkm_studies.base.errors import InputError, Place, shorten, suggest
-from pkm_studies.base.names import PATTERN as NAME_PATTERN
+from pkm_studies.base import NAME_PATTERN, InputError, Place, shorten, suggest
 
 T = TypeVar("T")
 #: what a draft has in place of a number that nobody but its user knows
@@ -41,7 +40,7 @@ PATTERNS = {
 }
 
 
-def decode(kind: type[T], data: object, place: Place) -> T:
+def decode_table(kind: type[T], data: object, place: Place) -> T:
     """A struct of type `kind` from a table.
 
     Keys that the struct does not know go to its field `free_keys`, if it has one.
@@ -75,14 +74,14 @@ def decode(kind: type[T], data: object, place: Place) -> T:
 
 
 def convert(kind: Any, value: object, place: Place) -> Any:
-    """A value of the annotated type: structs by `decode`, plain values by msgspec."""
+    """A value of the annotated type: structs by `decode_table`, plain values by msgspec."""
     union = typing.get_origin(kind) in (typing.Union, types.UnionType)
     options = typing.get_args(kind) if union else (kind,)
     for option in map(_without_bounds, options):
         origin, inner = typing.get_origin(option), typing.get_args(option)
         is_table = isinstance(value, Mapping)
         if _is_struct(option) and (is_table or len(options) == 1):
-            return decode(option, value, place)
+            return decode_table(option, value, place)
         if origin is list and _is_struct(inner[0]):
             if is_table:
                 raise place.error(
@@ -90,7 +89,10 @@ def convert(kind: Any, value: object, place: Place) -> Any:
                     f"write [[{place.field}]], with two brackets",
                 )
             if isinstance(value, list):
-                return [decode(inner[0], v, place.item(i)) for i, v in enumerate(value)]
+                return [
+                    decode_table(inner[0], v, place.item(i))
+                    for i, v in enumerate(value)
+                ]
         if origin is dict and isinstance(value, Mapping):
             return _converted_table(inner, value, place)
     return _plain(kind, value, place)

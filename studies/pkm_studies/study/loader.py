@@ -8,11 +8,11 @@ from typing import Any
 
 import msgspec
 
-from pkm_studies.base import files
-from pkm_studies.base.errors import Place
-from pkm_studies.base.user_code import Consent, Origin
+from pkm_studies import files
+from pkm_studies.base import Place
 from pkm_studies.study import decode
-from pkm_studies.study.tables import ReadingsTable, StudyFile
+from pkm_studies.tables import ReadingsTable, StudyFile
+from pkm_studies.user_code import Consent, Origin
 
 SCHEMA = 1
 #: bytes of the largest study file
@@ -66,7 +66,7 @@ def parse(text: str, path: Path, consent: Consent = Consent.RECORDED) -> Study:
     place = Place(str(path))
     table = decode.tables_of(text, place, "mend it there, or start from `oed new`")
     _check_schema(table, place)
-    tables = decode.decode(StudyFile, table, place)
+    tables = decode.decode_table(StudyFile, table, place)
     _check_tables(tables, place)
     fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
     return Study(**fields, path=path, text=text, consent=consent)

@@ -11,7 +11,7 @@ import msgspec
 
 from oed.base import units
 from oed.result import StudyResult
-from pkm_studies.study.tables import StudyFile, StudyTable
+from pkm_studies.tables import StudyFile, StudyTable
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 Schema = dict[str, Any]

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from pkm_studies.base.errors import Place, suggest
+from pkm_studies.base import Place, suggest
 from pkm_studies.study import loader
 from pkm_studies.study.loader import Study
 

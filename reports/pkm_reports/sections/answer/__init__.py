@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from oed.result import StudyResult
-from pkm_reports.page.blocks import Block, Section
+from pkm_reports.blocks import Block, Section
 from pkm_reports.sections.answer import (
     accuracy,
     causes,
@@ -32,7 +32,7 @@ PARTS: Final[tuple[Part, ...]] = (
 )
 
 
-def parts(result: StudyResult) -> list[Section]:
+def answer_parts(result: StudyResult) -> list[Section]:
     """The parts of the first page that this result can answer."""
     content = [
         Section(anchor, title(result), blocks(result))

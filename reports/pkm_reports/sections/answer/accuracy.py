@@ -20,8 +20,8 @@ from oed.result.verdict import (
     accuracy_verdicts,
     percent,
 )
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Notice,
     Paragraph,
@@ -121,7 +121,7 @@ def _held_out_table(sections: Sequence[HeldOutSection]) -> Table:
 # -- what is wanted --------------------------------------------------------------------
 
 
-def wanted(result: StudyResult) -> dict[str, float]:
+def wanted_accuracy(result: StudyResult) -> dict[str, float]:
     """Accuracy that the study asks for, by component and unit (`z_um`)."""
     accuracies: dict[str, float] = {}
     if result.design is not None and result.design.how_many is not None:
@@ -139,7 +139,7 @@ def verdicts(
     result: StudyResult, components: Mapping[str, ComponentAccuracy]
 ) -> dict[str, WantedVerdict]:
     """The verdict on all that the study asks for, by predicted component."""
-    goals = wanted(result)
+    goals = wanted_accuracy(result)
     limits = {
         name: missing.entry(goals, f"{name}_{c.after.unit}")
         for name, c in components.items()

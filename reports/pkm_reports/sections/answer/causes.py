@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import CorrectedSection, EffectEstimate, GapSection, StudyResult
-from pkm_reports.figures.gap import effects
-from pkm_reports.figures.gap.effects import spoken
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Paragraph,
     Table,
@@ -18,6 +16,8 @@ from pkm_reports.page.blocks import (
     number_columns,
     wide_column,
 )
+from pkm_reports.sections.figures.gap import effects
+from pkm_reports.sections.figures.gap.effects import spoken
 from pkm_reports.sections.gap import explanations
 
 #: causes that are listed, and coefficients that stand for the size of one

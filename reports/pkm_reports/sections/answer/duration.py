@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from oed.result import DesignSection, PlanSection, StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Paragraph
+from pkm_reports import text
+from pkm_reports.blocks import Block, Paragraph
 from pkm_reports.sections.stages import wording
 from pkm_reports.sections.stages.chapter import has_schedule
 

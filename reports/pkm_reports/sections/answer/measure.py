@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import Drawing, SetupInfo, StudyResult
-from pkm_reports.figures import overview
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Facts,
     Picture,
@@ -18,6 +17,7 @@ from pkm_reports.page.blocks import (
     number_columns,
     transposed,
 )
+from pkm_reports.sections.figures.overview import draw_overview
 from pkm_reports.sections.stages.chapter import has_schedule
 
 #: set-ups and stages named one by one
@@ -53,7 +53,7 @@ def blocks(result: StudyResult) -> list[Block]:
     drawing = result.drawing
     if drawing is not None and drawing.lines and drawing.tool_points:
         caption = _caption(drawing)
-        picture = Picture("overview", lambda: overview.draw(drawing), caption)
+        picture = Picture("overview", lambda: draw_overview(drawing), caption)
         content.append(picture)
     return [*content, *_in_order(result)]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from oed.result import IdentifiabilityFinding, IdentifiabilitySection, StudyResult
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Items, Paragraph
+from pkm_reports import text
+from pkm_reports.blocks import Block, Items, Paragraph
 from pkm_reports.sections.identifiability import lost_count
 
 #: remedies of a finding that are named

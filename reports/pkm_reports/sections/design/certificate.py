@@ -8,8 +8,8 @@ from typing import Final
 
 from oed.result import DesignSection
 from oed.result.record import Number
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Paragraph,
     Table,

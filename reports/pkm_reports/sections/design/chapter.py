@@ -6,9 +6,8 @@ import math
 from typing import Final
 
 from oed.result import DesignSection, HowManySummary, RobustSummary, StudyResult
-from pkm_reports.figures import how_many, robust
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Paragraph,
@@ -18,10 +17,11 @@ from pkm_reports.page.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.page.missing import or_nan
+from pkm_reports.missing import or_nan
 from pkm_reports.sections import recording
 from pkm_reports.sections.design import certificate, criteria, plans
 from pkm_reports.sections.design.certificate import criterion_value
+from pkm_reports.sections.figures import how_many, robust
 
 
 def blocks(result: StudyResult) -> list[Block]:

@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 
 from oed.result import CriterionComparison, DesignSection
-from pkm_reports.figures import criteria
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Paragraph,
     Picture,
@@ -19,6 +18,7 @@ from pkm_reports.page.blocks import (
     number_columns,
 )
 from pkm_reports.sections.design.certificate import criterion_value
+from pkm_reports.sections.figures import criteria
 
 #: criteria from which the values by the others have a table of their own
 MANY: Final = 4

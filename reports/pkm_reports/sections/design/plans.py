@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 
 from oed.result import DesignSection, PlanScore
-from pkm_reports.figures import predicted
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Picture,
     Table,
@@ -17,6 +16,7 @@ from pkm_reports.page.blocks import (
     wide_column,
 )
 from pkm_reports.sections.design.certificate import criterion_value
+from pkm_reports.sections.figures import predicted
 
 
 def blocks(design: DesignSection) -> list[Block]:

@@ -16,10 +16,8 @@ from oed.result import (
     StudyResult,
 )
 from oed.result.record import Number
-from pkm_reports.figures.gap import confusable
-from pkm_reports.figures.gap.effects import spoken
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Items,
@@ -30,6 +28,8 @@ from pkm_reports.page.blocks import (
     number_columns,
     wide_column,
 )
+from pkm_reports.sections.figures.gap import confusable
+from pkm_reports.sections.figures.gap.effects import spoken
 from pkm_reports.sections.gap import runs
 
 #: rows of the table of imitated combinations

@@ -17,13 +17,8 @@ from oed.result import (
 )
 from oed.result.gap import LEAST_CLOSURE
 from oed.result.record import Number
-from pkm_reports.figures.gap import effects
-from pkm_reports.figures.gap import map as gap_map
-from pkm_reports.figures.gap import polar as gap_polar
-from pkm_reports.figures.gap import trace as gap_trace
-from pkm_reports.figures.gap.effects import spoken
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Items,
@@ -35,7 +30,12 @@ from pkm_reports.page.blocks import (
     number_columns,
     wide_column,
 )
-from pkm_reports.page.missing import or_nan
+from pkm_reports.missing import or_nan
+from pkm_reports.sections.figures.gap import effects
+from pkm_reports.sections.figures.gap import map as gap_map
+from pkm_reports.sections.figures.gap import polar as gap_polar
+from pkm_reports.sections.figures.gap import trace as gap_trace
+from pkm_reports.sections.figures.gap.effects import spoken
 from pkm_reports.sections.gap import explanations
 
 

@@ -7,16 +7,16 @@ from typing import Final
 
 from oed.result import AnswerRecord, GapSection
 from oed.result.gap import MISSED_GAP_COST, NO_GAP_PROBABILITY
-from pkm_reports.figures.gap import effects
-from pkm_reports.figures.gap.effects import spoken
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Table,
     TableColumn,
     number_columns,
     wide_column,
 )
+from pkm_reports.sections.figures.gap import effects
+from pkm_reports.sections.figures.gap.effects import spoken
 
 MOST_ANSWERS: Final = 6
 #: members from which a class is counted, not represented by one of its names
@@ -75,7 +75,7 @@ def _columns() -> list[TableColumn]:
 
 
 def _answers(gap: GapSection) -> Table:
-    rows = [row(answer) for answer in gap.answers[:MOST_ANSWERS]]
+    rows = [explanation_row(answer) for answer in gap.answers[:MOST_ANSWERS]]
     caption = (
         "Explanations of the gap. An effect beside a named one that could be any of"
         " many is reported as an effect of unknown form. " + _decision()
@@ -95,7 +95,7 @@ def _decision() -> str:
 
 
 def _credible_set(gap: GapSection) -> Table:
-    rows = [row(answer) for answer in gap.set95]
+    rows = [explanation_row(answer) for answer in gap.set95]
     caption = (
         "Credible set: with 95 % probability one of these sets of effects acts, with or"
         " without a remainder of unknown form. The remainder is named where it is more"
@@ -104,7 +104,7 @@ def _credible_set(gap: GapSection) -> Table:
     return Table(_columns(), rows, caption)
 
 
-def row(answer: AnswerRecord) -> list[str]:
+def explanation_row(answer: AnswerRecord) -> list[str]:
     """An explanation, its probability, and what cannot be distinguished from it."""
     aliases = [
         spoken(name)

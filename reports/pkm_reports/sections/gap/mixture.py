@@ -7,8 +7,8 @@ from typing import Final
 
 from oed.result import MixtureSection, PredictionSection, StudyResult
 from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE, NOTHING, PLAIN
-from pkm_reports.page import text
-from pkm_reports.page.blocks import (
+from pkm_reports import text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Paragraph,

@@ -7,8 +7,8 @@ from typing import Final
 
 from oed.base import units
 from oed.result import ChosenRun
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Table, TableColumn, number_columns, wide_column
+from pkm_reports import text
+from pkm_reports.blocks import Table, TableColumn, number_columns, wide_column
 
 DIRECTION_SIGNS: Final = {True: "+1", False: f"{text.MINUS}1"}
 

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from oed.result import AlternativePlan, PlanSection, SequenceRecord, StudyResult
-from pkm_reports.figures import pareto, stage_accuracy, timeline
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Block,
     Chapter,
     Items,
@@ -24,6 +23,7 @@ from pkm_reports.page.blocks import (
     wide_column,
 )
 from pkm_reports.sections import recording
+from pkm_reports.sections.figures import pareto, stage_accuracy, timeline
 from pkm_reports.sections.stages import tables, verdict, wording
 
 

@@ -7,15 +7,15 @@ from typing import Final
 
 from oed.base.text import shorten
 from oed.result import MachineInfo, PlanSection, Sd, StageRecord
-from pkm_reports.figures import stage_accuracy
-from pkm_reports.page import missing, text
-from pkm_reports.page.blocks import (
+from pkm_reports import missing, text
+from pkm_reports.blocks import (
     Table,
     TableColumn,
     number_columns,
     transposed,
     wide_column,
 )
+from pkm_reports.sections.figures import stage_accuracy
 from pkm_reports.sections.stages import verdict, wording
 
 #: parameters named for each stage, those that improve most

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from oed.result import PlanSection
-from pkm_reports.page import text
-from pkm_reports.page.blocks import Block, Notice, Paragraph, headed_list
+from pkm_reports import text
+from pkm_reports.blocks import Block, Notice, Paragraph, headed_list
 from pkm_reports.sections.stages import wording
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from oed.result import AlternativePlan, PlanSection
 from oed.result.record import Number
-from pkm_reports.page import missing, text
+from pkm_reports import missing, text
 
 
 def minutes(value: Number) -> str:

@@ -13,7 +13,7 @@ from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.mechanism.limbs import PlatformOnLimbs, platform_on_limbs
 from oed.model.machine import Machine
-from pkm_studies.catalogue.controller_format import Compensation
+from pkm_studies.catalogue import Compensation
 
 #: why a machine has no such model
 NEEDS = (

@@ -13,11 +13,7 @@ from oed.compensate import compensated_joints
 from oed.mechanism import newton
 from oed.mechanism.c_code import generated_functions
 from oed.model.machine import Coordinate, Machine
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 
 #: SI units in one of LinuxCNC's units of a metric machine
 LINUXCNC_UNITS = {"m": "1e-3", "rad": "(3.14159265358979323846 / 180.0)"}

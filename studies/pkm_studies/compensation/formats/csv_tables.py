@@ -12,18 +12,14 @@ import numpy as np
 from oed.base import csv_text, units
 from oed.base.arrays import Array
 from oed.result import EffectTable
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats.json_file import (
     columns_about,
     grid_rows,
     offset_names,
     table,
 )
-from pkm_studies.resolve.quantities import column
+from pkm_studies.quantities import column
 
 #: decimals of lengths in mm and of angles in degrees
 DECIMALS = 6

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from oed.base import units
 from oed.model.machine import Machine
-from pkm_studies.base.errors import InputError, shorten
-from pkm_studies.catalogue.controller_format import (
+from pkm_studies.base import InputError, shorten
+from pkm_studies.catalogue import (
     LONGEST_COMMENT,
     Compensation,
     ControllerFormat,
     MeasuringPose,
     Texts,
 )
-from pkm_studies.resolve.quantities import display_unit
+from pkm_studies.quantities import display_unit
 
 #: seconds of rest before a reading, and feed, mm/min
 DWELL, FEED = 2.0, 300

@@ -11,12 +11,8 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.compensate import compensated_joints, corrected_commands, joint_corrections
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
-from pkm_studies.resolve.quantities import column, display_unit
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
+from pkm_studies.quantities import column, display_unit
 
 
 def write(compensation: Compensation) -> Texts:

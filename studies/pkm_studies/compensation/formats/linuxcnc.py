@@ -13,11 +13,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats import linuxcnc_deltas, linuxcnc_pentapod
 
 #: kinematics module by number of struts

@@ -16,7 +16,7 @@ from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.compensate import compensated_joints
 from oed.model.machine import Machine
-from pkm_studies.catalogue.controller_format import Compensation, Texts
+from pkm_studies.catalogue import Compensation, Texts
 
 #: limbs of the study may be this far, in degrees, from those of the module
 NEAR = 10.0

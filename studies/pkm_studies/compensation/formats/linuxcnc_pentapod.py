@@ -10,7 +10,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.model.machine import Machine
-from pkm_studies.catalogue.controller_format import Compensation, Texts
+from pkm_studies.catalogue import Compensation, Texts
 
 LEGS = (1, 2, 3, 4, 5)
 #: pins of a leg and the parameters that they hold

@@ -10,11 +10,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.mechanism.limbs import CRANK, LEG, Limb, PlatformOnLimbs, square_directions
 from oed.model.machine import Coordinate, Machine
-from pkm_studies.catalogue.controller_format import (
-    Compensation,
-    ControllerFormat,
-    Texts,
-)
+from pkm_studies.catalogue import Compensation, ControllerFormat, Texts
 from pkm_studies.compensation.formats import body_names
 from pkm_studies.compensation.formats.body_names import text_of
 

@@ -19,8 +19,8 @@ from oed.compensate.effects.tables import (
 )
 from oed.model.machine import Machine
 from oed.result import EffectTable, PredictionSection
-from pkm_studies.compensation import table_grid
-from pkm_studies.resolve.quantities import column, display_unit
+from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
+from pkm_studies.quantities import column, display_unit
 from pkm_studies.stages import describe
 
 #: largest number of commands of the effects' tables
@@ -45,12 +45,12 @@ def effect_tables(
         return [], tabled.missing
     readings = corrected.readings
     kinematics = readings.measurement.kinematics
-    want = table_grid.wanted(kinematics, prediction)
+    want = table_accuracy(kinematics, prediction)
 
     def correction(places: Array) -> Array:
         return _stacked(tabled, tabled_effects(corrected, places))
 
-    grid = table_grid.table_grid(axes, correction, want, COMMANDS)
+    grid = command_grid(axes, correction, want, COMMANDS)
     costs: list[dict[str, float]] = [{} for _ in tabled.tables]
     if grid is not None:
         tabled = tabled_effects(corrected, grid.commands)
@@ -75,7 +75,7 @@ def _stacked(first: TabledEffects, tabled: TabledEffects) -> Array:
 
 
 def _costs(
-    tabled: TabledEffects, grid: CommandGrid, want: table_grid.Wanted
+    tabled: TabledEffects, grid: CommandGrid, want: TableAccuracy
 ) -> Iterator[dict[str, float]]:
     """{component: rms error} by interpolation of each table, in its worst state."""
     ends = np.cumsum([len(table.values) for table in tabled.tables])

@@ -14,8 +14,8 @@ from oed.estimation.discrepancy import HEALTHY
 from oed.identifiability.information import prior_information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.resolve.component_values import with_fine_units
+from pkm_studies.base import Stream
+from pkm_studies.quantities import with_fine_units
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.planned_effects import (
     NONE,
@@ -30,7 +30,7 @@ from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.stages.recording import PlanToRecord, recording_section
-from pkm_studies.study.tables import DesignTable
+from pkm_studies.tables import DesignTable
 
 
 def allowed_effects(

@@ -15,12 +15,11 @@ from oed.design.exchange import Choice
 from oed.design.how_many import AccuracyGoal, SizeCurve
 from oed.design.rules import Rules
 from oed.result import HowManySummary
-from pkm_studies.base.errors import Place
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.resolve import quantities
+from pkm_studies import quantities
+from pkm_studies.base import Place, Stream
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
-from pkm_studies.study.tables import HowManyTable
+from pkm_studies.tables import HowManyTable
 
 
 def accuracy_by_size(

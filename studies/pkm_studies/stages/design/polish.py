@@ -11,11 +11,11 @@ from oed.design import polish, symbolic_criterion
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import PolishSummary
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve.design import Ranges
 from pkm_studies.stages.describe import field
 from pkm_studies.stages.design.criteria import StudyCriteria
-from pkm_studies.study.tables import PolishTable
+from pkm_studies.tables import PolishTable
 
 #: power mean that stands for E and O3
 POWER = 8

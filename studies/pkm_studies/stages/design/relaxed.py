@@ -9,7 +9,7 @@ from oed.design.candidates import Candidates
 from oed.design.exchange import Choice
 from oed.design.weights import choose_by_weights
 from oed.result import CandidateWeight, RelaxedSummary
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.stages.describe import displayed_command
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem

@@ -14,11 +14,11 @@ from oed.design.exchange import Choice
 from oed.measurement import simulation
 from oed.mechanism.kinematics import AssemblyError
 from oed.result import RobustSummary
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.how_many import chosen_pool
 from pkm_studies.stages.design.search import DesignProblem
-from pkm_studies.study.tables import RobustTable
+from pkm_studies.tables import RobustTable
 
 #: machines drawn for each scenario until one reaches all candidates
 TRIES = 5

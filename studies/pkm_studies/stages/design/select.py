@@ -25,7 +25,7 @@ from oed.result import (
     RobustSummary,
     WorkingOrder,
 )
-from pkm_studies.base.errors import Place
+from pkm_studies.base import Place
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import Circles
 from pkm_studies.resolve.planned_effects import NONE
@@ -42,7 +42,7 @@ from pkm_studies.stages.design import (
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
-from pkm_studies.study.tables import DesignTable
+from pkm_studies.tables import DesignTable
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

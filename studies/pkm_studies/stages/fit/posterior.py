@@ -16,7 +16,7 @@ from oed.measurement.measurement import Measurement
 from oed.posterior.posterior import MIXED_RHAT, Posterior
 from oed.result import IMPORTANCE, Marginal, PosteriorSection, PredictiveCheckRecord
 from oed.result.record import finite_or_none
-from pkm_studies.study.tables import PosteriorTable
+from pkm_studies.tables import PosteriorTable
 
 #: draws shown in the corner plot
 CORNER_DRAWS = 1500

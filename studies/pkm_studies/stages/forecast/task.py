@@ -15,10 +15,10 @@ from oed.compensate.table import grid_nodes
 from oed.design.candidates import reading_time
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve import quantities
+from pkm_studies import quantities
+from pkm_studies.base import Place
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.study.tables import ForecastTable
+from pkm_studies.tables import ForecastTable
 
 #: places at which errors count, drawn evenly over the box of the workspace
 PLACES = 256

@@ -20,7 +20,7 @@ from oed.design.stages.stage import travel
 from oed.design.stages.stage.knowledge import Prior
 from oed.design.stages.stage.prediction import PlanStage, predict_stage
 from oed.identifiability.assessment import assess
-from pkm_studies.base.errors import InputError
+from pkm_studies.base import InputError
 from pkm_studies.stages.plan.phrases import at_most_better, minutes, more_accurate
 from pkm_studies.stages.plan.streams import plan_streams
 from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask

@@ -16,7 +16,7 @@ from oed.design.stages.option import Option
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import StudyResult
-from pkm_studies.resolve.earlier_result import known_parameters
+from pkm_studies.earlier_result import known_parameters
 from pkm_studies.resolve.plan import PlanRequest, request_of
 from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
 from pkm_studies.stages.forecast.task import EstimatedParameters

@@ -13,7 +13,7 @@ from oed.base.arrays import Index
 from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.stages.option import Option
 from oed.design.stages.sequence.stage_plan import StagePlan
-from pkm_studies.base.progress import Progress
+from pkm_studies.base import Progress
 from pkm_studies.resolve.planned_effects import named_effects
 from pkm_studies.stages.plan.comparison import predict_readings
 from pkm_studies.stages.plan.earlier import EarlierSession

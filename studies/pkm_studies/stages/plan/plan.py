@@ -14,7 +14,7 @@ from oed.base.arrays import Array
 from oed.design.stages.search import PlanSearchResult
 from oed.design.stages.sequence.stage_plan import StagePlan
 from oed.design.stages.virtual_machines.propagation import StageRealisation, propagate
-from pkm_studies.base.progress import Progress
+from pkm_studies.base import Progress
 from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.alternatives import list_alternatives

@@ -19,7 +19,7 @@ from oed.identifiability.assessment import Assessment, assess
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.task import PlanTask
-from pkm_studies.study.tables import DesignTable
+from pkm_studies.tables import DesignTable
 
 #: posterior over prior standard deviation from which a parameter counts as unidentified
 UNIDENTIFIED = 0.95

@@ -17,13 +17,13 @@ from oed.design.stages.search import PlanSearchResult, search_plan
 from oed.design.stages.sequence.beam import BEAM
 from oed.design.stages.sequence.stage_memory import StageMemory
 from oed.design.stages.sequence.stage_plan import StagePlan
-from pkm_studies.base.errors import Place
-from pkm_studies.resolve.component_values import with_fine_units
+from pkm_studies.base import Place
+from pkm_studies.quantities import with_fine_units
 from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.streams import plan_streams
-from pkm_studies.study.tables import PlanTable
+from pkm_studies.tables import PlanTable
 
 #: a loss that any plan keeps: its bound is a single line
 ANY_LOSS = 1e6

@@ -14,7 +14,7 @@ from oed.compensate.effects.unmodelled import ExpectedEffect, ExpectedEffects
 from oed.model.machine import Machine
 from oed.model.size_prior import EFFECT_SIZES
 from oed.result import BudgetLine, BudgetSection, UnmodelledLine, UsualEffects
-from pkm_studies.results.budget_advice import Values, advice_on, error_ratio
+from pkm_studies.results import Values, advice_on, error_ratio
 
 #: largest usual size of an effect that the model lacks, in expected sizes
 FAR = EFFECT_SIZES.usual[-1]

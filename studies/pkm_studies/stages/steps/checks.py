@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from oed import checks
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.stages.fit.goodness import check_dataset, goodness_section
 from pkm_studies.stages.fit.states import beyond_recorded
 from pkm_studies.stages.run_state import Measured, MeasuredReadings

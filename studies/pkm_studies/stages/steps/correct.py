@@ -23,8 +23,8 @@ from oed.estimation.identification import IdentificationError
 from oed.gap.data.signature import untestable
 from oed.model.effect import Effect
 from oed.posterior import laplace, posterior
-from pkm_studies.base.random_streams import Stream
-from pkm_studies.catalogue import catalogue
+from pkm_studies import catalogue
+from pkm_studies.base import Stream
 from pkm_studies.resolve.effect_sizes import sized
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.workspace import regular_commands, workspace_axes

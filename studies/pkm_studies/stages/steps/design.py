@@ -5,7 +5,7 @@ from __future__ import annotations
 from oed.identifiability.assessment import assess
 from oed.identifiability.information import Scaling
 from oed.result import PolishSummary
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.resolve.plan import PlanRequest
 from pkm_studies.stages import describe, headline
 from pkm_studies.stages.design import cost, section, select

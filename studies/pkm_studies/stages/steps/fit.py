@@ -15,7 +15,7 @@ from oed.measurement.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import GoodnessSection
 from oed.result.verdict import percent
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.estimate import (
     combination_estimates,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.stages.forecast import files, section
 from pkm_studies.stages.forecast.task import EstimatedParameters, forecast_task
 from pkm_studies.stages.run_state import Fitted, StateT

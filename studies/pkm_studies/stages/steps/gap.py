@@ -7,7 +7,7 @@ import msgspec
 from oed.base import units
 from oed.design.rules import Rules
 from oed.measurement.measurement import Measurement
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
 from pkm_studies.resolve.planned_effects import CATALOGUE, NONE

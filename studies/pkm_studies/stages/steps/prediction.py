@@ -20,7 +20,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.stages.fit.effects import session_states
 from pkm_studies.stages.gap.virtual_readings import empty_readings
@@ -39,7 +39,7 @@ from pkm_studies.stages.run_state import (
     Scheduled,
     ScheduledT,
 )
-from pkm_studies.study.tables import PredictionTable
+from pkm_studies.tables import PredictionTable
 
 #: draws used for predictive intervals
 PREDICTIVE_DRAWS = 2000

@@ -14,7 +14,7 @@ from oed.measurement import simulation
 from oed.measurement.measurement import Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
-from pkm_studies.base.random_streams import Stream
+from pkm_studies.base import Stream
 from pkm_studies.stages.gap import virtual_readings
 from pkm_studies.stages.run_state import (
     HeldOut,

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pkm_studies.base import files
-from pkm_studies.base.csv_table import named_errors
-from pkm_studies.base.errors import Place, SourceAbsentError, shorten
+from pkm_studies import files
+from pkm_studies.base import Place, SourceAbsentError, shorten
+from pkm_studies.csv_table import named_errors
 
 #: bytes of the largest file
 LIMIT = 20_000_000

@@ -1,0 +1,291 @@
+"""What a result promises of the compensated machine, for an acceptance test."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from oed.accuracy.acceptance import Promise, smooth_functions
+from oed.accuracy.maps import ErrorMaps, Reference, driven_errors, error_maps
+from oed.base import units
+from oed.base.arrays import Array
+from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.model.machine import Component, Machine
+from oed.result import (
+    CorrectedSection,
+    EstimateSection,
+    PredictionSection,
+    StudyResult,
+)
+from pkm_studies.base import InputError
+from pkm_studies.compensation import identified_parameters
+from pkm_studies.earlier_result import mixture_of
+from pkm_studies.resolve.machine import study_kinematics
+from pkm_studies.resolve.workspace import between, regular_commands
+from pkm_studies.study import Study
+
+#: standard uncertainty of the acceptance measurement, as a share of the promise, where
+#: none is given and no set-up of the study reads the component
+UNCERTAINTY_SHARE = 0.2
+#: poses between those of the workspace that may be measured, at most
+BETWEEN = 200
+#: channel that reads a component of the pose
+READ = "read_{}"
+
+
+@dataclasses.dataclass(frozen=True)
+class FurtherPromise:
+    """What further axes promise of k components that no drive corrects, SI.
+
+    promise     with the axes
+    components  (k,)
+    known       (m, k) errors without the axes that are known in advance, at the commands
+    """
+
+    promise: Promise
+    components: tuple[Component, ...]
+    known: Array
+
+    @property
+    def without(self) -> Array:
+        """Rms errors (k,) without the axes."""
+        known = self.known[: self.promise.workspace]
+        return np.hypot(np.sqrt(np.mean(known**2, axis=0)), self.promise.rms)
+
+
+@dataclasses.dataclass(frozen=True)
+class PromisedAccuracy:
+    """A promise over commands (m, n_dof), SI, and what it rests on.
+
+    further  what holds with further axes, where the machine could use some
+    """
+
+    machine: Machine
+    command: Array
+    promise: Promise
+    components: tuple[Component, ...]
+    reference: Reference
+    conditions: tuple[str, ...]
+    further: FurtherPromise | None = None
+
+
+def promised_accuracy(
+    result: StudyResult,
+    study: Study,
+    file: str,
+    promised: Mapping[str, float],
+    uncertainty: Mapping[str, float],
+) -> PromisedAccuracy:
+    """The promise of a result for the components that the controller corrects.
+
+    promised     rms errors by component, SI, in place of the predicted ones
+    uncertainty  of one measured error by component, SI
+
+    Raises InputError where the result has no estimate with its covariance.
+    """
+    section = result.final_estimate
+    if section is None or not section.covariance:
+        raise InputError(
+            "this result has no estimate with its covariance",
+            "make it with `oed identify STUDY --readings CSV --out DIR`",
+            file=file,
+        )
+    kinematics = study_kinematics(study)
+    machine = kinematics.machine
+    workspace = regular_commands(study, kinematics)
+    table = study.prediction
+    reference: Reference = "home" if table is None else table.reference
+    command = _with_poses_between(kinematics, workspace, reference)
+    maps = error_maps(kinematics, command, reference)
+    covariance, tolerance = covariances(machine, section)
+    varying = _varying(maps, covariance)
+    driven = [k for k in varying if machine.components[k].compensatable]
+    known = {**_instrument_uncertainty(result, machine, reference), **uncertainty}
+    zeroed = reference == "home"
+    smooth = smooth_functions(command, machine.home_command if zeroed else None)
+
+    def promise(chosen: list[int]) -> Promise:
+        """The promise for some components."""
+        names = tuple(machine.components[k].name for k in chosen)
+        slope = maps.raw[:, chosen]
+        rms = promised_rms(result, machine, slope[: len(workspace)], chosen, covariance)
+        rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
+        shares = zip(names, UNCERTAINTY_SHARE * rms, strict=True)
+        given = [known.get(name, share) for name, share in shares]
+        return Promise(
+            names,
+            slope,
+            [covariance, tolerance],
+            rms,
+            np.array(given),
+            zeroed=zeroed,
+            smooth=smooth,
+            workspace=len(workspace),
+        )
+
+    others = [k for k in varying if k not in driven]
+    components = tuple(machine.components[k] for k in driven)
+    every = [machine.components[k].name for k in varying]
+    assumed = [name for name in every if name not in known]
+    return PromisedAccuracy(
+        machine=machine,
+        command=command,
+        promise=promise(driven),
+        components=components,
+        reference=reference,
+        conditions=(*_conditions(result), *_assumed_uncertainty(assumed)),
+        further=_further(result, kinematics, maps, reference, others, promise),
+    )
+
+
+def _with_poses_between(
+    kinematics: Kinematics, workspace: Array, reference: Reference
+) -> Array:
+    """The workspace's commands (n, n_dof), and some between them, which no readings took.
+
+    Errors of a best fit are those of the workspace alone.
+    """
+    if reference == "best_fit":
+        return workspace
+    return np.vstack([workspace, between(kinematics, workspace, BETWEEN)])
+
+
+def _conditions(result: StudyResult) -> tuple[str, ...]:
+    """What the promise rests on."""
+    if result.corrected is None:
+        return _states_of_use(result.judged_prediction)
+    return (*result.corrected.conditions, *without_effects(result))
+
+
+def _instrument_uncertainty(
+    result: StudyResult, machine: Machine, reference: Reference
+) -> dict[str, float]:
+    """Standard uncertainty, SI, of an error that a set-up of the study reads by itself.
+
+    Zeroed at home, an error is the difference of two readings.
+    """
+    readings = 1.0 if reference == "absolute" else math.sqrt(2.0)
+    component_of = {READ.format(c.name): c.name for c in machine.components}
+    sizes: dict[str, float] = {}
+    for setup in result.setups:
+        for column, sigma in setup.sigma.items():
+            stem, unit = units.split(column)
+            if stem in component_of:
+                name = component_of[stem]
+                size = readings * float(units.to_si(sigma, unit))
+                sizes[name] = min(size, sizes.get(name, size))
+    return sizes
+
+
+def _assumed_uncertainty(names: Sequence[str]) -> tuple[str, ...]:
+    """What is assumed of components that no set-up reads by itself."""
+    if not names:
+        return ()
+    share = f"{100.0 * UNCERTAINTY_SHARE:.0f} %"
+    return (
+        f"no set-up of the study reads {', '.join(names)} by itself: a measured error of"
+        f" it is taken to be uncertain by {share} of the promise, unless --uncertainty"
+        " states it",
+    )
+
+
+def _states_of_use(prediction: PredictionSection | None) -> tuple[str, ...]:
+    """The states in which a promise with effects holds; none without effects."""
+    if prediction is None or not prediction.states:
+        return ()
+    parts = [
+        f"{column} {' and '.join(f'{value:g}' for value in values)}"
+        for column, values in prediction.states.items()
+    ]
+    return (f"the machine is measured over the states in use: {', '.join(parts)}",)
+
+
+def without_effects(result: StudyResult) -> tuple[str, ...]:
+    """What to promise of a controller that corrects no effect."""
+    mixture = mixture_of(result)
+    if mixture is None or mixture.prediction is None:
+        return ()
+    driven = {
+        name: component.after
+        for name, component in mixture.prediction.components.items()
+        if component.compensatable
+    }
+    rms = ", ".join(f"{name} {s.rms:.3g} {s.unit}" for name, s in driven.items())
+    option = ",".join(f"{name}_{s.unit}={s.rms:.3g}" for name, s in driven.items())
+    return (
+        f"a controller that corrects the geometry alone is predicted to reach {rms} rms,"
+        f" over all answers of the diagnosis: promise that by `--promise {option}`",
+    )
+
+
+def _further(
+    result: StudyResult,
+    kinematics: Kinematics,
+    maps: ErrorMaps,
+    reference: Reference,
+    chosen: list[int],
+    promise: Callable[[list[int]], Promise],
+) -> FurtherPromise | None:
+    """The promise for components that no drive corrects; None where there are none."""
+    machine = kinematics.machine
+    parameters = identified_parameters(result, machine, tables=True)
+    if not chosen or parameters is None:
+        return None
+    try:
+        values = parameters.values
+        known = driven_errors(
+            kinematics, maps.command, values, reference, believed=values
+        )
+    except AssemblyError:
+        return None
+    components = tuple(machine.components[k] for k in chosen)
+    return FurtherPromise(promise(chosen), components, known[:, chosen])
+
+
+def covariances(
+    machine: Machine, section: EstimateSection | CorrectedSection
+) -> tuple[Array, Array]:
+    """Covariance (np, np) of the identified parameters, and of the tolerances, SI."""
+    size = len(machine.parameters)
+    covariance, tolerance = np.zeros((size, size)), np.zeros((size, size))
+    names = list(section.parameters)
+    known = {p.name for p in machine.parameters}
+    rows = [k for k, name in enumerate(names) if name in known]
+    at = [machine.index(names[k]) for k in rows]
+    factors = [units.factor(section.parameters[names[k]].unit) for k in rows]
+    part = np.array(section.covariance)[np.ix_(rows, rows)]
+    covariance[np.ix_(at, at)] = part * np.outer(factors, factors)
+    prior = [section.parameters[names[k]].prior_sd for k in rows]
+    tolerance[at, at] = (np.array(prior) * np.array(factors)) ** 2
+    return covariance, tolerance
+
+
+def _varying(maps: ErrorMaps, covariance: Array) -> list[int]:
+    """Numbers of the components that vary."""
+    variance = np.einsum("mkp,pq,mkq->k", maps.raw, covariance, maps.raw, optimize=True)
+    return np.flatnonzero(variance > 0.0).tolist()
+
+
+def promised_rms(
+    result: StudyResult,
+    machine: Machine,
+    slope: Array,
+    chosen: list[int],
+    covariance: Array,
+) -> Array:
+    """Predicted rms (k,), SI: as it is judged, over all answers where there are any.
+
+    Of what no drive corrects, the part that stays unknown. A prediction made before the
+    measurement promises nothing of this machine.
+    """
+    prediction = result.judged_prediction
+    if prediction is not None and prediction.mode != "plan":
+        spreads = [
+            prediction.components[machine.components[k].name].judged for k in chosen
+        ]
+        return np.array([s.rms * units.factor(s.unit) for s in spreads])
+    variance = np.einsum("mkp,pq,mkq->mk", slope, covariance, slope, optimize=True)
+    return np.asarray(np.sqrt(variance.mean(axis=0)))

@@ -1,0 +1,192 @@
+"""Acceptance test of a result's folder: its plan, and the judgement of its readings."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from oed.accuracy.acceptance import LEAST_POWER
+from oed.base import own_files
+from oed.base.text import rounded
+from oed.result import (
+    AcceptanceSection,
+    PromiseRecord,
+    VerificationSection,
+)
+from oed.result.verdict import Judgement
+from pkm_studies import files, result_folder
+from pkm_studies.acceptance import plan
+from pkm_studies.acceptance.healthy import (
+    healthy_accuracy,
+    healthy_sentences,
+)
+from pkm_studies.acceptance.judge import judge_file
+from pkm_studies.acceptance.plan import AXES
+from pkm_studies.acceptance.promise import promised_accuracy
+from pkm_studies.base import InputError, Stream
+from pkm_studies.compensation import result_study
+from pkm_studies.quantities import component_values
+from pkm_studies.resolve.machine import study_machine
+from pkm_studies.results import load_result, refuse_bad_fit
+from pkm_studies.user_code import Consent
+
+ACCEPTANCE_FILE = "acceptance.csv"
+CONCLUSIONS: Final[dict[Judgement, str]] = {
+    "pass": "The machine meets its promised accuracy.",
+    "fail": "The machine does not meet its promised accuracy.",
+    "cannot tell": (
+        "Whether the machine meets its promised accuracy, this test cannot tell: measure"
+        " more accurately, or at more poses."
+    ),
+}
+
+
+def plan_folder(
+    folder: Path,
+    *,
+    promised: str = "",
+    uncertainty: str = "",
+    power: float = 0.9,
+    most: int = 12,
+    study_file: Path | None = None,
+    consent: Consent = Consent.RECORDED,
+    planned: Path | None = None,
+) -> tuple[AcceptanceSection, Path]:
+    """Plan the acceptance test of a result; the section, and the file to fill in.
+
+    promised, uncertainty  `z_um=30,theta_arcsec=20`, in place of the predicted rms and
+                           of the study's instrument
+    power                  asked for
+    most                   poses at most
+    study_file             study, where it names a machine in a file of its own
+    consent                to run that file
+    planned                folder of the plan that said what a healthy machine reaches
+
+    Raises InputError, and BadFitError where the fit promises nothing.
+    """
+    result = load_result(folder)
+    refuse_bad_fit(result)
+    study = result_study(result, folder, study_file, consent)
+    machine = study_machine(study)
+    accuracy = promised_accuracy(
+        result,
+        study,
+        str(folder / "result.json"),
+        component_values(promised, "--promise", machine),
+        component_values(uncertainty, "--uncertainty", machine),
+    )
+    rng = Stream.ACCEPTANCE.rng(result.seed)
+    section = plan.plan_section(result, accuracy, rng, power=power, most=most)
+    healthy = healthy_accuracy(result, planned, section.components)
+    section = msgspec.structs.replace(section, healthy=healthy)
+    text = plan.to_fill_in(section, machine)
+    known = list(result.written.values())
+    path = own_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), known)
+    written = {**result.written, path.name: files.digest(text.encode())}
+    result = msgspec.structs.replace(
+        result, acceptance=section, verification=None, written=written
+    )
+    result_folder.rewrite(folder, result)
+    return section, path
+
+
+def judge_folder(folder: Path, readings: Path) -> VerificationSection:
+    """Judge the readings of an acceptance test, and write it into the result.
+
+    Raises InputError where the folder has no acceptance plan, and BadFitError where the
+    fit promises nothing.
+    """
+    result = load_result(folder)
+    if result.acceptance is None:
+        raise InputError(
+            "this result has no acceptance plan",
+            f"make it with `oed verify {shlex.quote(str(folder))}`",
+            file=str(folder / "result.json"),
+        )
+    refuse_bad_fit(result)
+    section = judge_file(result.acceptance, readings)
+    section = msgspec.structs.replace(section, healthy=result.acceptance.healthy)
+    result = msgspec.structs.replace(result, verification=section)
+    result_folder.rewrite(folder, result)
+    return section
+
+
+def plan_sentences(section: AcceptanceSection) -> Iterator[str]:
+    """What the plan demands and how sure it is."""
+    yield f"Measure the pose errors of the compensated machine at {len(section.poses)} poses."
+    for name, d in section.components.items():
+        yield (
+            f"{name}: promised rms {rounded(d.promised, 3)} {d.unit}; {_limits(d)}"
+            f" rms over these poses, measured to"
+            f" {rounded(d.uncertainty)} {d.unit} (1 sd). A machine with"
+            f" {100 * (section.miss - 1):.0f} % more than promised is caught with"
+            f" probability {d.power:.2f}{_confirmation(d)}."
+        )
+    yield f"A machine just at its promise fails with probability {section.false_alarm:.2f}."
+    for name, d in section.further.items():
+        bare = np.nan if d.without is None else d.without
+        yield (
+            f"{name}: no drive corrects it: {rounded(bare, 3)} {d.unit} rms are predicted"
+            f" without further axes. With axes that take the known errors back it is"
+            f" promised {rounded(d.promised, 3)} {d.unit}; {_limits(d)} rms, measured to"
+            f" {rounded(d.uncertainty)} {d.unit} (1 sd). Leave its column empty where you"
+            " do not measure it."
+        )
+    if section.further:
+        yield f"Write 1 into {AXES} where these axes were on; 0, or nothing, where not."
+    for condition in section.conditions:
+        yield f"Condition: {condition}."
+
+
+def _limits(demand: PromiseRecord) -> str:
+    """Up to which measured rms error it meets its promise, and from which on it fails."""
+    unit = demand.unit
+    fails = f"it fails above {rounded(demand.limit, 3)} {unit}"
+    if demand.confirms is None:
+        return fails
+    return f"it meets that up to {rounded(demand.confirms, 3)} {unit}, and {fails[3:]}"
+
+
+def _confirmation(demand: PromiseRecord) -> str:
+    if demand.confirms is not None:
+        return ""
+    return f": below {LEAST_POWER:g} this test ends only in fail or cannot tell"
+
+
+def verdict_sentences(section: VerificationSection) -> Iterator[str]:
+    """The judgement, component by component."""
+    for name, c in section.components.items():
+        yield (
+            f"{name}: {c.judgement}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)}"
+            f" {c.unit} (promised {rounded(c.promised, 3)} {c.unit}), largest"
+            f" {rounded(c.max, 3)} {c.unit}."
+        )
+    for name, c in section.further.items():
+        bare = np.nan if c.without is None else c.without
+        yield (
+            f"{name}: without further axes rms {rounded(bare, 3)} {c.unit}; with them"
+            f" {c.judgement}: rms {rounded(c.rms, 3)} {c.unit}, limit {rounded(c.limit, 3)} {c.unit}"
+            f" (promised {rounded(c.promised, 3)} {c.unit}), largest {rounded(c.max, 3)}"
+            f" {c.unit}."
+        )
+    for name, p in section.positioning.items():
+        yield (
+            f"{name}, after ISO 230-2 with {p.approaches} approaches at {p.targets}"
+            f" targets (the standard asks for 5 along an axis): accuracy A"
+            f" {rounded(p.accuracy, 3)}, systematic deviation E {rounded(p.systematic, 3)},"
+            f" repeatability R {rounded(p.repeatability, 3)}{_both_ways(p.mean, p.reversal)}"
+            f" {p.unit}."
+        )
+    yield from healthy_sentences(section)
+    yield CONCLUSIONS[section.judgement]
+
+
+def _both_ways(mean: float | None, reversal: float | None) -> str:
+    if mean is None or reversal is None:
+        return ""
+    return f", mean bidirectional deviation M {rounded(mean, 3)}, reversal B {rounded(reversal, 3)}"

@@ -1,0 +1,27 @@
+"""Drafts of a study for a machine and an instrument, with open places for the user.
+
+write_draft         writes the draft of a study, as `oed new` does
+draft_text          its text
+model_of            the machine that it starts from: of the catalogue, or a file of bodies
+default_instrument  an instrument that can read a machine as it stands, and others
+first_sound         the first of some drafts whose poses the machine can take
+prediction_table    the workspace of a draft, where accuracy counts
+SHARES              shares of the workspace that drafts try, the largest first
+format_numbers      numbers in SI as a draft writes them
+"""
+
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from pkm_studies.drafts.axis_lines import SHARES, format_numbers, prediction_table
+    from pkm_studies.drafts.drafts import (
+        default_instrument,
+        first_sound,
+        model_of,
+        write_draft,
+    )
+    from pkm_studies.drafts.template import draft_text
+else:
+    __getattr__ = door(__name__)

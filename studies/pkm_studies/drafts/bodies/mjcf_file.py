@@ -1,0 +1,249 @@
+"""Reads MJCF: bodies, joints and `equality/connect`, as MuJoCo's XML reference states."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+
+from oed.base.arrays import Array
+from pkm_studies.base import Place
+from pkm_studies.drafts.bodies.tree import (
+    BALL,
+    FREE,
+    HINGE,
+    SLIDE,
+    WORLD,
+    Body,
+    BodyJoint,
+    BodyLoop,
+    BodyTree,
+    of_quaternion,
+    turn,
+)
+from pkm_studies.drafts.bodies.xml_file import (
+    read_direction,
+    read_numbers,
+    read_root,
+)
+
+#: sections and elements of bodies that say nothing of the geometry
+APART = (
+    "option",
+    "size",
+    "visual",
+    "statistic",
+    "asset",
+    "contact",
+    "actuator",
+    "sensor",
+    "keyframe",
+    "tendon",
+    "custom",
+    "extension",
+    "geom",
+    "inertial",
+    "camera",
+    "light",
+)
+#: attributes that turn a body
+TURNS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
+JOINTS = {"hinge": HINGE, "slide": SLIDE, "ball": BALL, "free": FREE}
+#: sites at the tool point, the first that there is
+TOOLS = ("tool_point", "tool", "tcp")
+REMEDY = "save the model from MuJoCo (mj_saveLastXML), which writes plain bodies"
+ORIGIN = "0 0 0"
+
+
+def read(path: Path) -> BodyTree:
+    """The tree of an MJCF file. Raises InputError for what it does not read."""
+    place = Place(str(path))
+    return _Reader(read_root(path, "mujoco", "MJCF"), place).tree()
+
+
+class _Reader:
+    """What a file says before its bodies: units, order of Euler angles, defaults."""
+
+    def __init__(self, root: ET.Element, place: Place) -> None:
+        self.root, self.place = root, place
+        compiler = root.find("compiler")
+        settings = {} if compiler is None else compiler.attrib
+        degrees = settings.get("angle", "degree") == "degree"
+        self.angle = math.radians(1.0) if degrees else 1.0
+        self.order = settings.get("eulerseq", "xyz")
+        if len(self.order) != 3 or set(self.order.lower()) - set("xyz"):
+            raise place.error(f"eulerseq {self.order!r} is no order of axes", REMEDY)
+        if settings.get("coordinate", "local") != "local":
+            raise place.error("coordinates are global", REMEDY)
+        self.defaults: dict[str, dict[str, str]] = {}
+        for default in root.findall("default"):
+            self._default(default, {})
+        self.bodies: dict[str, Body] = {}
+        self.sites: dict[str, tuple[str, Array]] = {}
+        self.ignored: set[str] = set()
+
+    def tree(self) -> BodyTree:
+        for section in self.root:
+            if section.tag == "worldbody":
+                self._children(section, WORLD, "main")
+            elif section.tag not in ("compiler", "default", "equality"):
+                self._leave(section)
+        loops = [
+            self._loop(element)
+            for section in self.root.findall("equality")
+            for element in section
+        ]
+        if not loops:
+            raise self.place.error(
+                "no loop is closed", "close the loops with <equality><connect .../>"
+            )
+        tools: dict[str, Array] = {}
+        for name in TOOLS:
+            if name in self.sites:
+                body, at = self.sites[name]
+                tools.setdefault(body, at)
+        bodies = self.bodies
+        return BodyTree(
+            bodies, tuple(_closed(bodies, loops)), tools, tuple(sorted(self.ignored))
+        )
+
+    def _leave(self, element: ET.Element) -> None:
+        if element.tag not in APART:
+            raise self.place.error(f"<{element.tag}> is not read", REMEDY)
+        self.ignored.add(element.tag)
+
+    def _default(self, element: ET.Element, above: dict[str, str]) -> None:
+        joint = element.find("joint")
+        settings = above | ({} if joint is None else dict(joint.attrib))
+        self.defaults[element.get("class", "main")] = settings
+        for child in element.findall("default"):
+            self._default(child, settings)
+
+    def _children(self, element: ET.Element, name: str, style: str) -> None:
+        for child in element:
+            if child.tag == "body":
+                self._body(child, name, child.get("childclass", style))
+            elif child.tag == "site":
+                label = child.get("name", "")
+                self._check_name("site", label, self.sites)
+                self.sites[label] = (name, self._numbers(child.get("pos", ORIGIN)))
+            elif child.tag not in ("joint", "freejoint"):
+                self._leave(child)
+
+    def _body(self, element: ET.Element, parent: str, style: str) -> None:
+        name = element.get("name") or f"body{len(self.bodies) + 1}"
+        self._check_name("body", name, self.bodies)
+        if element.get("mocap") == "true":
+            raise self.place.error(f"body {name} is a mocap body", "leave it out")
+        joints = [
+            self._joint(child, name, style)
+            for child in element
+            if child.tag in ("joint", "freejoint")
+        ]
+        place = self._numbers(element.get("pos", ORIGIN))
+        rotation = self._rotation(element, name)
+        self.bodies[name] = Body(name, parent, place, rotation, tuple(joints))
+        self._children(element, name, style)
+
+    def _joint(self, element: ET.Element, body: str, style: str) -> BodyJoint:
+        stated = dict(element.attrib)
+        if element.tag == "freejoint":
+            stated["type"] = "free"
+        else:
+            class_name = stated.get("class", style)
+            stated = self.defaults.get(class_name, {}) | stated
+        kind = JOINTS.get(stated.get("type", "hinge"))
+        name = stated.get("name", f"a joint of {body}")
+        if kind is None:
+            raise self.place.error(f"{name} is no joint of MJCF", REMEDY)
+        unit = self.angle if kind == HINGE else 1.0
+        return BodyJoint(
+            name=name,
+            kind=kind,
+            axis=self._direction(stated.get("axis", "0 0 1"), 3),
+            at=self._numbers(stated.get("pos", ORIGIN)),
+            value=unit * float(self._numbers(stated.get("ref", "0"), 1)[0]),
+        )
+
+    def _rotation(self, element: ET.Element, name: str) -> Array:
+        given = [key for key in TURNS if element.get(key) is not None]
+        if not given:
+            return np.eye(3)
+        key = given[0]
+        text = element.get(key, "")
+        if len(given) > 1 or key == "zaxis":
+            raise self.place.error(
+                f"body {name} is turned by {', '.join(given)}", REMEDY
+            )
+        if key == "quat":
+            return of_quaternion(self._direction(text, 4))
+        if key == "axisangle":
+            numbers = self._numbers(text, 4)
+            axis = self._direction(" ".join(text.split()[:3]), 3)
+            return turn(axis, self.angle * numbers[3])
+        if key == "xyaxes":
+            numbers = self._numbers(text, 6)
+            z = np.cross(numbers[:3], numbers[3:])
+            if not z.any():
+                raise self.place.error(f"{text!r} are no two axes", REMEDY)
+            x, z = (v / np.linalg.norm(v) for v in (numbers[:3], z))
+            return np.column_stack([x, np.cross(z, x), z])
+        rotation = np.eye(3)
+        for letter, number in zip(self.order, self._numbers(text), strict=True):
+            step = turn(np.eye(3)["xyz".index(letter.lower())], self.angle * number)
+            rotation = rotation @ step if letter.islower() else step @ rotation
+        return rotation
+
+    def _loop(self, element: ET.Element) -> BodyLoop:
+        """A connection; the point on the second body follows from the drawing."""
+        if element.tag != "connect" or element.get("active") == "false":
+            problem = f"<equality> holds <{element.tag}> that is no active connection"
+            raise self.place.error(problem, "close loops with <connect> alone")
+        if element.get("site1") is not None:
+            first, second = (self._site(element.get(f"site{k}", "")) for k in (1, 2))
+            return BodyLoop(*first, *second)
+        names = element.get("body1", ""), element.get("body2", WORLD)
+        for name in names:
+            if name not in self.bodies and name != WORLD:
+                raise self.place.error(
+                    f"a connection names body {name!r}", "name one of the file"
+                )
+        anchor = self._numbers(element.get("anchor", ""))
+        return BodyLoop(names[0], anchor, names[1], np.full(3, np.nan))
+
+    def _site(self, name: str) -> tuple[str, Array]:
+        if name not in self.sites:
+            raise self.place.error(
+                f"a connection names site {name!r}", "name one of the file"
+            )
+        return self.sites[name]
+
+    def _numbers(self, text: str, count: int = 3) -> Array:
+        return read_numbers(text, count, self.place, REMEDY)
+
+    def _direction(self, text: str, count: int) -> Array:
+        return read_direction(text, count, self.place, REMEDY)
+
+    def _check_name(self, kind: str, name: str, known: Collection[str]) -> None:
+        if name and name in known:
+            raise self.place.error(
+                f"two of its elements <{kind}> have the name {name!r}",
+                "give each a name of its own",
+            )
+
+
+def _closed(bodies: dict[str, Body], loops: list[BodyLoop]) -> list[BodyLoop]:
+    """Loops with the point on the second body where it follows from the drawing."""
+    tree = BodyTree(bodies, (), {})
+    closed = []
+    for loop in loops:
+        if np.isfinite(loop.on_second).all():
+            closed.append(loop)
+            continue
+        place, rotation = tree.frame(loop.second)
+        there = rotation.T @ (tree.point(loop.first, loop.on_first) - place)
+        closed.append(BodyLoop(loop.first, loop.on_first, loop.second, there))
+    return closed

@@ -1,0 +1,225 @@
+"""What the result of an earlier session knows of a machine: parameters, covariance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from oed.base import units
+from oed.base.arrays import Array
+from oed.model.machine import Machine
+from oed.result import (
+    CorrectedSection,
+    EstimateSection,
+    MachineInfo,
+    MixtureSection,
+    ParameterEstimate,
+    StudyResult,
+)
+from pkm_studies.base import Place
+from pkm_studies.results import load_result
+from pkm_studies.study import Study
+
+FILE = "posterior.nc"
+#: difference of two nominal numbers, in their unit and relative, that is rounding
+SAME = 1e-9
+
+
+def named_result(
+    study: Study, name: str, place: Place, machine: Machine
+) -> tuple[StudyResult, Path]:
+    """The result in a folder that a study names at a place, and the folder.
+
+    A relative name starts at the study's file. Raises InputError where there is no
+    result with an identification, or one of another machine.
+    """
+    folder = result_folder(study, name, place)
+    result = load_result(folder)
+    difference = machine_difference(result.machine, machine)
+    if difference is not None:
+        problem = f"it is the result of another machine: {difference}"
+        raise place.error(problem, "name a result of this machine", name)
+    if result.final_estimate is None:
+        remedy = "make it with `oed identify STUDY --readings CSV --out DIR`"
+        raise place.error("nothing was identified there", remedy, name)
+    return result, folder
+
+
+def result_folder(study: Study, name: str, place: Place) -> Path:
+    """The folder that a study names at a place. Raises InputError without a result."""
+    folder = study.folder / name
+    if not (folder / "result.json").is_file():
+        problem = f"there is no result.json in {folder}"
+        if not folder.is_dir():
+            problem = f"there is no folder {folder}"
+        remedy = "name the folder of an `oed identify`, relative to the study's file"
+        raise place.error(problem, remedy, name)
+    return folder
+
+
+def machine_difference(stored: MachineInfo, machine: Machine) -> str | None:
+    """The first thing in which two machines differ, in words; None for one machine."""
+    if stored.name != machine.name:
+        return f"{machine.name} for {stored.name}"
+    nominal = {
+        p.name: units.number(p.nominal, units.display(p.unit))
+        for p in machine.parameters
+    }
+    for row in stored.parameters:
+        name = str(row["name"])
+        value = nominal.pop(name, math.nan)
+        if not math.isclose(value, float(row["nominal"]), rel_tol=SAME, abs_tol=SAME):
+            return f"{name} = {value:.9g} for {float(row['nominal']):.9g} {row['unit']}"
+    return None
+
+
+def identified_values(result: StudyResult, machine: Machine) -> tuple[Array, Array]:
+    """Identified parameters (np,) and their standard deviations, SI; else nominal, 0.
+
+    Those of the section `corrected` come first: they are estimated together with the
+    effects that a diagnosis found.
+    """
+    section = result.final_estimate
+    estimates = {} if section is None else section.parameters
+    values, sd = machine.nominal.copy(), np.zeros(len(machine.parameters))
+    for k, parameter in enumerate(machine.parameters):
+        estimate = estimates.get(parameter.name)
+        if estimate is not None:
+            values[k] = units.to_si(estimate.value, estimate.unit)
+            sd[k] = units.to_si(estimate.sd, estimate.unit)
+    return values, sd
+
+
+def controller_values(
+    result: StudyResult, machine: Machine, *, with_effects: bool = False
+) -> tuple[Array, Array]:
+    """Parameters (np,) that a controller is given, and standard deviations, SI.
+
+    The identified ones, but where effects may act: then those of least expected error.
+    With the effects of the best answer corrected as well (`with_effects`), those
+    estimated together with them.
+    """
+    values, sd = identified_values(result, machine)
+    section = mixture_of(result) or result.final_estimate
+    if section is None or with_effects:
+        return values, sd
+    for name, value in section.controller.items():
+        parameter = section.parameters[name]
+        values[machine.index(name)] = units.to_si(value, parameter.unit)
+        sd[machine.index(name)] = units.to_si(parameter.sd, parameter.unit)
+    return values, sd
+
+
+def mixture_of(result: StudyResult) -> MixtureSection | None:
+    """Parameters over all answers of a diagnosis that a controller can be given."""
+    mixture = None if result.gap is None else result.gap.mixture
+    return mixture if mixture is not None and mixture.controller else None
+
+
+def corrects_effects(result: StudyResult) -> bool:
+    """Whether the best answer's effects are corrected as well: not if that is worse."""
+    mixture = mixture_of(result)
+    is_better = mixture is None or mixture.with_effects is not None
+    return result.corrected is not None and is_better
+
+
+def known_parameters(
+    stored: StudyResult, machine: str, free: list[str], folder: Path
+) -> tuple[Array, Array, str]:
+    """Values (n,) of free parameters, their covariance (n, n), SI, and its source.
+
+    After a diagnosis both are those over all of its answers. Otherwise the covariance is
+    that of the section `corrected` where there is one, which effects do not bend, or comes
+    from the draws of the posterior, or, where there are none, from the estimate.
+
+    Raises InputError where not all of them were identified there.
+    """
+    section = _section(stored, machine, free, folder)
+    mixture = mixture_of(stored)
+    if mixture is not None and set(free) <= set(mixture.parameters):
+        return _over_answers(mixture, free)
+    draws = folder / FILE
+    if stored.corrected is None and draws.is_file():
+        sample = read_draws(draws, free)
+        if sample is not None:
+            covariance = np.atleast_2d(np.cov(sample.T))
+            return sample.mean(axis=0), covariance, "draws of the posterior"
+    rows = [section.parameters[name] for name in free]
+    value = _in_si([row.value for row in rows], rows)
+    if not section.covariance:
+        sd = _in_si([row.sd for row in rows], rows)
+        source = "standard deviations of the estimate, taken as independent"
+        return value, np.diag(sd**2), source
+    names = list(section.parameters)
+    at = [names.index(name) for name in free]
+    factors = np.array([units.factor(row.unit) for row in rows])
+    covariance = np.array(section.covariance)[np.ix_(at, at)]
+    source = "covariance of the estimate"
+    if stored.corrected is not None:
+        source = "parameters and effects estimated together"
+    return value, covariance * np.outer(factors, factors), source
+
+
+def _over_answers(
+    mixture: MixtureSection, free: Sequence[str]
+) -> tuple[Array, Array, str]:
+    """The same over all answers of a diagnosis."""
+    names = list(mixture.parameters)
+    at = [names.index(name) for name in free]
+    rows = [mixture.parameters[name] for name in free]
+    factors = np.array([units.factor(row.unit) for row in rows])
+    covariance = np.array(mixture.covariance)[np.ix_(at, at)]
+    value = np.array([row.value for row in rows]) * factors
+    source = "parameters over all answers of the diagnosis"
+    return value, covariance * np.outer(factors, factors), source
+
+
+def _section(
+    stored: StudyResult, machine: str, free: Sequence[str], folder: Path
+) -> EstimateSection | CorrectedSection:
+    """The estimate of a stored result, all of the free parameters in it."""
+    place = Place(str(folder / "result.json")).key("estimate")
+    section = stored.final_estimate
+    if section is None:
+        raise place.error("nothing was identified there", "make it with `oed identify`")
+    remedy = f"give a result for {machine} of this study"
+    absent = [name for name in free if name not in section.parameters]
+    if absent:
+        raise place.error(f"it has no estimate of {absent[0]}", remedy)
+    if stored.machine.name != machine:
+        raise place.error(f"it is about {stored.machine.name}", remedy)
+    return section
+
+
+def _in_si(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> Array:
+    """One number (n,) of each estimate, given in the estimate's unit."""
+    pairs = zip(numbers, rows, strict=True)
+    return np.array([float(units.to_si(number, row.unit)) for number, row in pairs])
+
+
+def read_draws(path: Path, free: list[str]) -> Array | None:
+    """Draws (draws, n) of the free parameters, SI; None where some are absent.
+
+    Raises InputError where the file does not hold draws.
+    """
+    import xarray  # takes a second to import, and only a plan after a session needs it
+
+    try:
+        with xarray.open_dataset(path, group="posterior", engine="h5netcdf") as data:
+            names = [str(name) for name in data["parameter"].values]
+            theta = np.asarray(data["theta"].values, dtype=float)
+        draws = theta.reshape(-1, len(names))
+        if len(draws) < 2 or not np.isfinite(draws).all():
+            raise ValueError("draws are missing")
+    except Exception as error:  # as many kinds as HDF5 and its readers have
+        raise Place(str(path)).error(
+            f"these are no draws of a posterior: {error}",
+            "restore the file, or make the result again; without it, the covariance of"
+            " the estimate counts",
+        ) from error
+    if not set(free) <= set(names):
+        return None
+    return draws[:, [names.index(name) for name in free]]

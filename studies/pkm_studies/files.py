@@ -1,0 +1,150 @@
+"""Writes files whole or not at all, and reads text files of limited size."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from oed.base.whole_file import flush, temporary_file
+from pkm_studies.base import InputError
+
+#: what helps where the system refuses, by error number
+REMEDIES = {
+    errno.ENOSPC: "make room on this disk, or name a folder on another one",
+    errno.EDQUOT: "remove files of yours from this disk, or name a folder on another one",
+    errno.EFBIG: "raise the limit of file sizes (ulimit -f), or ask who set it",
+    errno.EROFS: "name a folder on a disk that can be written to",
+}
+OTHERWISE = (
+    "check the name, its folder and its permissions, and close it in other programs"
+)
+
+
+def write_whole(path: Path, content: bytes | str) -> Path:
+    """Write a file with all its bytes or not at all, and return its path.
+
+    Its folder is made. Raises InputError where `path` is a folder or its folder cannot
+    be made, OSError where the disk refuses.
+    """
+    return write_all({path: content})[0]
+
+
+def write_all(contents: Mapping[Path, bytes | str]) -> tuple[Path, ...]:
+    """Write files as `write_whole`, all of them or none, in this order; their paths."""
+    parts = {}
+    with contextlib.ExitStack() as opened:
+        for path, content in contents.items():
+            if path.is_dir():
+                raise InputError(
+                    "a folder of this name is in the way", "name a file", file=str(path)
+                )
+            out_folder(path.parent)
+            part = opened.enter_context(temporary_file(path))
+            part.write_bytes(content.encode() if isinstance(content, str) else content)
+            flush(part)
+            parts[part] = path
+        for part, path in parts.items():
+            part.replace(path)
+    return tuple(contents)
+
+
+def refusal(error: OSError, further: str = "") -> InputError:
+    """What the system refuses of a file, and what helps; `further` is said after it."""
+    problem = (error.strerror or type(error).__name__).lower()
+    remedy = REMEDIES.get(error.errno or 0, OTHERWISE) + further
+    return InputError(problem, remedy, file=str(error.filename or "the system"))
+
+
+def check_new(path: Path) -> None:
+    """Raises InputError where `path` exists: nothing of the user's is overwritten."""
+    if path.exists():
+        raise InputError(
+            "there is a file of this name, and it is not overwritten",
+            "choose another name, or remove it",
+            file=str(path),
+        )
+
+
+def digest(content: bytes) -> str:
+    """SHA-256 of a file's content."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def out_folder(path: Path) -> Path:
+    """Make a folder for results. Raises InputError where that is impossible."""
+    check_writable(path)
+    path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def check_writable(path: Path) -> None:
+    """Raises InputError where `path` cannot become a folder to write into.
+
+    Makes nothing.
+    """
+    ancestors = (path, *path.absolute().parents)
+    nearest = next(folder for folder in ancestors if folder.exists())
+    if not nearest.is_dir():
+        raise InputError(
+            "a file of this name is in the way of a folder",
+            "name another folder",
+            file=str(nearest),
+        )
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError(
+            "nothing can be written into this folder",
+            "name another folder",
+            file=str(nearest),
+        )
+
+
+def read_text(path: Path, *, limit: int, what: str) -> str:
+    """UTF-8 text of a regular file of at most `limit` bytes.
+
+    Raises InputError, before reading where the file is too large.
+    """
+    file = str(path)
+    content = read_bytes(path, limit=limit, what=what)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            f"the file is no UTF-8 text (byte {error.start + 1})",
+            f"save the {what} as UTF-8",
+            file=file,
+        ) from None
+    if not text.strip():
+        raise InputError("the file is empty", f"write a {what} into it", file=file)
+    return text
+
+
+def read_bytes(path: Path, *, limit: int, what: str) -> bytes:
+    """Content of a regular file of at most `limit` bytes.
+
+    Raises InputError, before reading where the file is too large.
+    """
+    file = str(path)
+    if not path.exists():
+        remedy = "check the name and the folder you are in"
+        raise InputError(f"there is no such {what}", remedy, file=file)
+    if not path.is_file():
+        raise InputError(
+            f"a {what} is wanted, but this is no file", "name a file", file=file
+        )
+    size = path.stat().st_size
+    if size > limit:
+        remedy = (
+            f"a {what} has at most {_megabytes(limit):.0f} MB: check that this is the"
+            " right file"
+        )
+        problem = f"{_megabytes(size):.1f} MB is too large for a {what}"
+        raise InputError(problem, remedy, file=file)
+    return path.read_bytes()
+
+
+def _megabytes(size: int) -> float:
+    return size / 1e6

@@ -1,0 +1,119 @@
+"""The folder of a result: result.json, whose its files are, and their reports."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import msgspec
+
+from oed.base import own_files
+from oed.result import StudyResult
+from oed.result.verdict import accuracy_verdicts
+from pkm_studies import files
+from pkm_studies.base import InputError
+from pkm_studies.results import load_result, read_result
+
+RESULT = "result.json"
+#: readings of a second visit, to fill in
+VISIT = "second_visit.csv"
+#: files that are written after the result
+PAGES = ("report.html", "report.pdf", "measurement_sheet.pdf")
+
+
+def prepare(folder: Path) -> None:
+    """Make the folder of a result. Raises InputError where that is impossible.
+
+    Also where it has a result.json of another program.
+    """
+    files.out_folder(folder)
+    written_before(folder)
+
+
+def rewrite(folder: Path, result: StudyResult) -> None:
+    """Write result.json of a folder again, and the reports that the folder has.
+
+    Its verdicts are those of the result as it is now: an acceptance test confirms them.
+    """
+    result = msgspec.structs.replace(result, verdicts=accuracy_verdicts(result))
+    set_aside_foreign(folder)
+    write_result(folder, result)
+    html, pdf = ((folder / f"report.{kind}").is_file() for kind in ("html", "pdf"))
+    if html or pdf:
+        write_report(folder, html=html, pdf=pdf)
+
+
+def changed_files(folder: Path) -> list[str]:
+    """Sentences on reports and sheets that the user changed, and that stay."""
+    names = {name: own_files.latest(folder / name).name for name in PAGES}
+    return list(renamed_sentences(names))
+
+
+def renamed_sentences(names: Mapping[str, str]) -> Iterator[str]:
+    """Sentences on files that were written under another name."""
+    for name, written in names.items():
+        if written != name:
+            yield (
+                f"the file {name} is not as this version wrote it, and stays as it is;"
+                f" the new one is {written}"
+            )
+
+
+def set_aside_foreign(folder: Path) -> list[str]:
+    """Rename a result.json that is not as it was written; a sentence about it.
+
+    Results of versions that kept no list of their files are among these.
+    """
+    path = folder / RESULT
+    if not path.exists() or own_files.is_own(path):
+        return []
+    return [
+        f"the file {RESULT} was not as this version wrote it, and is now"
+        f" {own_files.set_aside(path, 'earlier').name}"
+    ]
+
+
+def write_result(folder: Path, result: StudyResult) -> None:
+    """Write result.json; where its folder refuses it, into a temporary one.
+
+    Raises InputError which says where it is: it may have taken hours.
+    """
+    encoded = msgspec.json.format(msgspec.json.encode(result), indent=1)
+    try:
+        own_files.write_own(folder / RESULT, encoded)
+    except OSError as error:
+        further = "; the result is lost: no temporary folder takes it either"
+        with contextlib.suppress(OSError, InputError):
+            rescue = Path(tempfile.mkdtemp(prefix="oed-"), RESULT)
+            files.write_whole(rescue, encoded)
+            further = f"; the result is kept in {rescue}"
+        raise files.refusal(error, further) from error
+
+
+def written_before(folder: Path) -> list[str]:
+    """Digests of the files that an earlier run wrote into the folder."""
+    path = folder / RESULT
+    if not path.exists():
+        return []
+    try:
+        return list(read_result(path).written.values())
+    except InputError as error:
+        raise InputError(
+            "this file is no result, and it is not overwritten",
+            "name another folder",
+            file=str(path),
+        ) from error
+
+
+# -- reports -----------------------------------------------------------------------------
+
+
+def write_report(
+    folder: Path, *, html: bool = True, pdf: bool = True
+) -> tuple[Path, ...]:
+    """HTML and PDF reports of the result in a folder; their paths."""
+    from pkm_reports import write_report
+
+    return write_report(load_result(folder), folder, html=html, pdf=pdf)

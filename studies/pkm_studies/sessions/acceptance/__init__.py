@@ -1,1 +1,0 @@
-"""Acceptance plans of a result, and the judgement of their readings."""

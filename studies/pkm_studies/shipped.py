@@ -1,0 +1,92 @@
+"""Finds the studies that come with the package, by name."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import tomllib
+from importlib import resources
+from pathlib import Path
+
+from pkm_studies import files
+from pkm_studies.base import InputError, Place, check_name, suggest
+from pkm_studies.study import SUFFIX
+
+NAME_LINE = re.compile(r'^name = ".*"$', re.MULTILINE)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class ShippedStudy:
+    """A study of the package: its name, title, question and file."""
+
+    name: str
+    title: str
+    question: str
+    path: Path
+
+
+def folder() -> Path:
+    """The folder of the shipped studies.
+
+    In the wheel they lie in the package; otherwise in the repository's folder.
+    """
+    package = Path(str(resources.files("pkm_studies")))
+    installed = package / "shipped"
+    return installed if installed.is_dir() else package.parent
+
+
+def studies() -> dict[str, ShippedStudy]:
+    """The shipped studies, by name."""
+    listing = {}
+    for path in sorted(folder().glob(f"*{SUFFIX}")):
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        name = path.name.removesuffix(SUFFIX)
+        title, question = table.get("title", name), table.get("question", "")
+        listing[name] = ShippedStudy(name, title, question, path)
+    return listing
+
+
+def find(name: str, field: str) -> ShippedStudy:
+    """The shipped study of this name. Raises InputError about `field`."""
+    known = studies()
+    if name not in known:
+        remedy = suggest(name, known, "shipped")
+        raise InputError("no such shipped study", remedy, field=field, value=name)
+    return known[name]
+
+
+def study_path(path: Path) -> Path:
+    """The file of a study that a command names: a path, or a shipped study's name.
+
+    A file that exists goes first. Raises InputError for a name without a suffix that is
+    neither.
+    """
+    is_name = path.name == str(path) and not path.suffix
+    if path.exists() or not is_name:
+        return path
+    return find(path.name, "STUDY").path
+
+
+def copy(name: str, source: str, out: Path) -> Path:
+    """Write a copy of a shipped study under a new name into a folder; its path.
+
+    Raises InputError for an unknown study, and where the file exists.
+    """
+    text = find(source, "--from").path.read_text(encoding="utf-8")
+    path = new_path(name, out)
+    title = path.name.removesuffix(SUFFIX)
+    return files.write_whole(path, NAME_LINE.sub(f'name = "{title}"', text, count=1))
+
+
+def new_path(name: str, out: Path) -> Path:
+    """The file of a new study. Raises InputError for a bad name or an existing file."""
+    name = name.removesuffix(SUFFIX)
+    check_name(name, Place("", "NAME"))
+    path = out / f"{name}{SUFFIX}"
+    if path.exists():
+        raise InputError(
+            "there is a study of this name",
+            "choose another name, or remove it",
+            file=str(path),
+        )
+    return path

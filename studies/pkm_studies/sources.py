@@ -1,0 +1,135 @@
+"""Loads the readings of a study: its files, or a published collection of data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from oed import dataset
+from oed.dataset import Dataset, ReadingsError
+from oed.dataset import table as readings_table
+from oed.measurement.measurement import Measurement
+from pkm_studies.base import InputError, SourceAbsentError, suggest
+from pkm_studies.plugins import project_plugins
+from pkm_studies.study import Row, Study
+from pkm_studies.tables import ReadingsTable
+
+
+def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Dataset:
+    """The readings that [readings] names.
+
+    Raises InputError, and SourceAbsentError where a collection is not there.
+    """
+    if table.source is None:
+        data = from_files([study.folder / name for name in table.files], measurement)
+    else:
+        data = _from_source(table.source, table, study, measurement)
+    for field, names in (("fit", table.fit or []), ("predict", table.predict)):
+        place = study.place.key("readings").key(field)
+        for i, name in enumerate(names):
+            if name not in data.setups:
+                remedy = suggest(name, data.setups, "set-ups with readings")
+                problem = "no reading was taken in this set-up"
+                raise place.item(i).error(problem, remedy, name)
+    return data
+
+
+def from_files(paths: Sequence[Path], measurement: Measurement) -> Dataset:
+    """Readings files taken together. Raises InputError."""
+    return from_sessions([paths], measurement)[0]
+
+
+def from_sessions(
+    sessions: Sequence[Sequence[Path]], measurement: Measurement
+) -> tuple[Dataset, tuple[int, ...]]:
+    """Readings files of several sessions, and whose clocks start again: their numbers.
+
+    Raises InputError.
+    """
+    try:
+        return dataset.load_sessions(sessions, measurement)
+    except ReadingsError as error:
+        raise _input_error(error) from error
+    except OSError as error:
+        raise _unreadable(error, sessions[0][0]) from error
+
+
+def check_text(path: Path) -> int:
+    """The number of rows of a readings file, checked without a machine.
+
+    Raises InputError for columns, numbers and orders that are wrong.
+    """
+    try:
+        return len(readings_table.read(path).frame)
+    except ReadingsError as error:
+        raise _input_error(error) from error
+    except OSError as error:
+        raise _unreadable(error, path) from error
+
+
+def _unreadable(error: OSError, path: Path) -> InputError:
+    """The error for a file that the system does not give."""
+    return InputError(
+        (error.strerror or "it cannot be read").lower(),
+        "check the name, the folder you are in and its permissions",
+        file=str(error.filename or path),
+    )
+
+
+def _input_error(error: ReadingsError) -> InputError:
+    where = []
+    if error.row:
+        where.append(f"row {error.row}")
+    if error.column:
+        where.append(f"column {error.column}")
+    return InputError(
+        error.problem,
+        error.remedy,
+        file=error.file,
+        field=", ".join(where),
+        value=error.value,
+    )
+
+
+def _from_source(
+    source: str, table: ReadingsTable, study: Study, measurement: Measurement
+) -> Dataset:
+    """Readings of a collection in the set-ups that the study knows."""
+    place = study.place.key("readings")
+    collections = project_plugins("sources")
+    if source not in collections:
+        remedy = suggest(source, collections)
+        raise place.key("source").error("no such source", remedy, source)
+    if table.path is None:
+        raise place.key("path").error(
+            "missing", f"say where {source} is, relative to the study"
+        )
+    folder = (study.folder / table.path).resolve()
+    if not folder.is_dir():
+        raise SourceAbsentError(
+            f"{source} is not there (looked in {folder})",
+            "put the data there, or change the path",
+            file=place.file,
+            field="readings.path",
+        )
+    rows: list[Row] = list(collections[source].load()(folder))
+    known = [row for row in rows if row["setup"] in measurement.setups]
+    if not known:
+        names = dict.fromkeys(row["setup"] for row in rows)
+        raise study.place.key("setup").error(
+            "no set-up has readings in the source", suggest("", names, "it has")
+        )
+    return _build(known, str(folder), measurement)
+
+
+def _build(rows: Sequence[Row], name: str, measurement: Measurement) -> Dataset:
+    """Readings from rows of text; numbered as the lines of a readings file."""
+    header = list(dict.fromkeys(column for row in rows for column in row))
+    lines = [(1, header)]
+    for number, row in enumerate(rows, start=2):
+        lines.append((number, [row.get(column, "") for column in header]))
+    try:
+        table = readings_table.from_rows(lines, name)
+        return dataset.from_tables([table], measurement)
+    except ReadingsError as error:
+        raise _input_error(error) from error

@@ -1,0 +1,45 @@
+"""The tables of a study file as frozen structs, one or more a module.
+
+A table is a struct of its own, with units in the names of its fields; unknown fields are
+refused. Other rooms take them from here.
+"""
+
+from pkm_studies.tables.base import (
+    Count,
+    CriterionName,
+    NotNegative,
+    Positive,
+    StudyTable,
+    Triple,
+)
+from pkm_studies.tables.design import (
+    DesignTable,
+    HowManyTable,
+    OrderTable,
+    PolishTable,
+    QuotaTable,
+    RobustTable,
+)
+from pkm_studies.tables.file import ClaimTable, StudyFile
+from pkm_studies.tables.fit import (
+    ForecastTable,
+    PosteriorTable,
+    PredictionReference,
+    PredictionTable,
+    ReadingsTable,
+)
+from pkm_studies.tables.gap import ActingTable, ConditionsTable, GapTable
+from pkm_studies.tables.gap_design import PLAN, GapDesignTable, RunCondition
+from pkm_studies.tables.grids import Axis, GridTable, KappaTable, Span
+from pkm_studies.tables.limits import ConeTable, LimitsTable
+from pkm_studies.tables.machine import (
+    NOT_KNOWN,
+    AdjustTable,
+    BoundsTable,
+    ControllerTable,
+    MachineTable,
+    SetupTable,
+    ToleranceTable,
+)
+from pkm_studies.tables.plan import MeasuredTable, PlanTable
+from pkm_studies.tables.poses import CircleTable, CubeTable

@@ -1,0 +1,183 @@
+"""Runs Python files that a study or a command names, once the user allowed them.
+
+Data never runs code by itself. A file runs where the user said so (`--allow-code`),
+where he said so before and the file is unchanged, or where the study and the file lie
+in folders that he trusts. It lies in the folder of the study that names it, or below.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import hashlib
+import sys
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from types import ModuleType
+
+from pkm_studies.base import InputError, Place, shorten
+from pkm_studies.user_code import permissions
+
+SUFFIX = ".py"
+#: bytes of the largest file that is run
+LIMIT = 4_000_000
+#: characters of an error that are shown
+LONGEST_REASON = 120
+
+
+class Consent(enum.Enum):
+    """Whether the Python files that a reference names may run.
+
+    NEVER     no: it stands in a stored result
+    RECORDED  those that the user allowed before, and those in folders he trusts
+    GIVEN     yes: the user says so with this call, which is remembered
+    """
+
+    NEVER = enum.auto()
+    RECORDED = enum.auto()
+    GIVEN = enum.auto()
+
+
+def consent(*, allow_code: bool) -> Consent:
+    """The consent of a call with `--allow-code`, or without."""
+    return Consent.GIVEN if allow_code else Consent.RECORDED
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Origin:
+    """Where a reference stands.
+
+    folder   that its paths are relative to
+    consent  to run the files that it names
+    typed    whether the user typed it: then the file may lie anywhere
+    """
+
+    folder: Path = Path()
+    consent: Consent = Consent.RECORDED
+    typed: bool = False
+
+    @classmethod
+    def command(cls, consent: Consent) -> Origin:
+        """Of a reference that the user typed as an argument of a command."""
+        return cls(Path(), consent, typed=True)
+
+
+def is_file(reference: str) -> bool:
+    """Whether a reference names a Python file: `mine.py` or `mine.py:attribute`."""
+    return file_name(reference).endswith(SUFFIX)
+
+
+def file_name(reference: str) -> str:
+    """What stands before the attribute; a drive of Windows has a colon as well."""
+    if reference.endswith(SUFFIX):
+        return reference
+    return reference.rpartition(":")[0]
+
+
+def run_file(name: str, origin: Origin, place: Place) -> ModuleType:
+    """The module of a Python file, which runs once a process.
+
+    Raises InputError where it may not run, is missing, or fails.
+    """
+    path = _permitted_path(name, origin, place)
+    source = _source(path, place)
+    digest = hashlib.sha256(source).hexdigest()
+    _check_consent(path, digest, origin, place)
+    # a name of its own, so that two files called machine.py do not meet
+    where = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
+    module_name = f"pkm_user_{path.stem}_{where[:8]}_{digest[:8]}"
+    if module_name in sys.modules:
+        return sys.modules[module_name]
+    module = ModuleType(module_name)
+    module.__file__ = str(path)
+    sys.modules[module_name] = module
+    try:
+        # The bytes of the digest: neither a cached .pyc nor a file changed since.
+        exec(compile(source, str(path), "exec"), vars(module))
+    except (Exception, SystemExit) as error:
+        del sys.modules[module_name]
+        raise _failure(error, name, place) from error
+    except BaseException:
+        del sys.modules[module_name]
+        raise
+    return module
+
+
+def _permitted_path(name: str, origin: Origin, place: Place) -> Path:
+    """The path of a file that lies where files may run."""
+    if origin.consent is Consent.NEVER:
+        raise place.error(
+            "a stored result runs no Python file", "give the study: --study STUDY", name
+        )
+    path = origin.folder / name
+    if origin.typed:
+        return path
+    absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
+    inside = path.resolve().is_relative_to(origin.folder.resolve())
+    # a file that both ends of a shared folder trust may lie beside the study's folder
+    if absolute or not (inside or permissions.is_trusted(origin.folder, path)):
+        raise place.error(
+            "this file does not lie in the folder of the study that names it",
+            "put it there and name it from there; a study runs no other Python file",
+            name,
+        )
+    return path
+
+
+def _source(path: Path, place: Place) -> bytes:
+    if not path.is_file():
+        raise place.error(
+            "there is no such file", "paths are relative to the study file", str(path)
+        )
+    size = path.stat().st_size
+    if size > LIMIT:
+        raise place.error(
+            f"{size / 1e6:.1f} MB are too many for a Python file",
+            "check that this is the right file",
+            str(path),
+        )
+    return path.read_bytes()
+
+
+def _check_consent(path: Path, digest: str, origin: Origin, place: Place) -> None:
+    if origin.consent is Consent.GIVEN:
+        permissions.allow(path, digest)
+        return
+    if permissions.is_allowed(digest):
+        return
+    folder = path.parent if origin.typed else origin.folder
+    if permissions.is_trusted(folder, path):
+        return
+    raise place.error(
+        f"Python code runs once you allow it: SHA-256 {digest} of {path.name}",
+        "read the file; then add --allow-code to the command (allow_code=True in"
+        f" Python), or trust its folder: {permissions.FIELD} in"
+        f" {permissions.settings_file()}",
+        str(path),
+    )
+
+
+def _failure(error: BaseException, name: str, place: Place) -> InputError:
+    """What the file raised, as bad input."""
+    if isinstance(error, InputError):
+        return error
+    moved = str(getattr(error, "name", "")).startswith(("oed.", "pkm_models."))
+    if isinstance(error, ModuleNotFoundError) and moved:
+        return place.error(
+            f"it imports {error.name}, which is not there in this version",
+            "import names such as Machine, Parameter, Instrument and Effect from oed"
+            " itself: from oed import Machine; what machines share is in"
+            " pkm_models.parts",
+            name,
+        )
+    if isinstance(error, ModuleNotFoundError):
+        return place.error(
+            f"it imports the module {error.name}, which was not found",
+            "install it, or put it on PYTHONPATH",
+            name,
+        )
+    return place.error(
+        f"importing it failed with {type(error).__name__}:"
+        f" {shorten(str(error), LONGEST_REASON)}",
+        "mend the file, or run it alone with Python to see where",
+        name,
+    )
