@@ -5,7 +5,7 @@
 
 Draws mutations over the rooms by their lines of code: a sign, a factor, an index, the
 order of two arguments, a comparison, an extremum, a negation or a default changes. The
-tests in tests/kernel/<room> run against each, in a temporary copy of the tree. A mutant
+tests in tests/oed/<room> run against each, in a temporary copy of the tree. A mutant
 is killed by a failure or by the time limit; those that survive are printed.
 """
 

@@ -15,9 +15,9 @@ from pathlib import Path
 from benchmarks.mutants.draw import Mutant
 from benchmarks.mutants.mutations import applied
 
-TESTS = Path("tests") / "kernel"
+TESTS = Path("tests") / "oed"
 #: where the packages of a tree lie; before the installed ones
-PACKAGES = (".", "models", "studies", "reports", "tests")
+PACKAGES = (".", "models", "studies", "reports", "tests", "tests/fixtures")
 IGNORED = shutil.ignore_patterns(".*", "__pycache__", "out")
 #: seconds that a mutant may take: so many times the unchanged tests, and a margin
 SLOWER, MARGIN = 4.0, 20.0

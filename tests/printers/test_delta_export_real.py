@@ -7,8 +7,8 @@ from pathlib import Path
 import compensation_sample as sample
 import numpy as np
 import pytest
+from delta_sessions import Session, fitted, heights_of, measurement, sessions
 from oracles.firmware.klipper import Klipper, example
-from test_delta_real import Session, fitted, heights_of, measurement, sessions
 
 from oed.measurement.measurement import Measurement
 from pkm_models.machines.linear_delta import machine

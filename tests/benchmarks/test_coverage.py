@@ -1,0 +1,264 @@
+"""Coverage on readings of the oracles: a small campaign of `benchmarks.coverage`."""
+
+import importlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from oed.accuracy import prediction
+from oed.accuracy.maps import driven_errors
+from oed.estimation.identification import identify
+from oed.measurement.reading_structure import reading_structure
+from oed.noise.prior import noise_prior
+from oed.posterior import laplace
+from pkm_studies.commands import main
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = ("a3_30", "a3_60", "a3_circles", "planar", "delta", "hexapod")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def benchmarks() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT)
+        yield
+
+
+def module(name: str) -> ModuleType:
+    return importlib.import_module(f"benchmarks.coverage.{name}")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_oracle_and_toolkit_read_the_same_machine(name: str) -> None:
+    """Readings, and pose errors after a compensation that is off, to rounding."""
+    bench = module("configurations").configuration(name)
+    m = bench.measurement
+    rng = np.random.default_rng(3)
+    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
+    readings = m.readings(bench.series, truth)
+    assert np.abs(bench.read(truth) - readings).max() < 1e-12
+    keep = len(m.machine.parameters)
+    believed = m.nominal[:keep] + 0.9 * (truth - m.nominal)[:keep]
+    errors = driven_errors(
+        m.kinematics, bench.command, truth[:keep], "home", believed=believed
+    )
+    exact = bench.errors(believed, truth[:keep])
+    assert np.abs(exact).max() > 1e-5
+    assert np.abs(errors - exact).max() < 1e-9
+
+
+def test_laws_of_the_noise_are_as_stated() -> None:
+    noise = module("noise")
+    chain = np.repeat(np.arange(4000), 15)
+    sigma, shared = np.full(len(chain), 2.0), np.zeros(len(chain))
+    layout = noise.Layout(chain, sigma, shared)
+    rng = np.random.default_rng(1)
+    errors = {
+        law: noise.draw(law, layout, rng).reshape(-1, 15) / 2.0 for law in noise.LAWS
+    }
+    assert errors["white"].var() == pytest.approx(1.0, abs=0.03)
+    assert errors["t4"].var() == pytest.approx(1.0, abs=0.1)
+    assert (np.abs(errors["t4"]) > 4.0).mean() == pytest.approx(0.0048, abs=0.001)
+    between = errors["offsets"].mean(axis=1).var()
+    assert between == pytest.approx(4.0 + 1.0 / 15.0, rel=0.1)
+    follows = (errors["ar1"][:, 1:] * errors["ar1"][:, :-1]).mean()
+    assert follows == pytest.approx(0.9, abs=0.03)
+    assert errors["ar1"].var() == pytest.approx(1.0, abs=0.05)
+    assert (np.abs(errors["outliers"]) > 5.0).mean() == pytest.approx(0.02, abs=0.003)
+    shared += 3.0
+    common = noise.draw("white", noise.Layout(chain, sigma, shared), rng)
+    level = common.reshape(-1, 15).mean(axis=1).var()
+    assert level == pytest.approx(9.0 + 4.0 / 15.0, rel=0.1)
+
+
+def test_draws_follow_the_lost_directions() -> None:
+    """Their readings are those of their coordinates; mean and spread are the fit's."""
+    bench = module("configurations").configuration("a3_30")
+    m = bench.measurement
+    rng = np.random.default_rng(5)
+    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
+    y = bench.read(truth) + 0.5e-6 * rng.standard_normal(30)
+    estimate = identify(m, bench.series, y, estimate_noise=True)
+    z = laplace.draw_coordinates(estimate, rng, 40_000)
+    posterior = estimate.noise_posterior
+    assert posterior is not None
+    sd = np.sqrt(np.diag(posterior.covariance))
+    assert np.abs((z.mean(axis=0) - posterior.mean) / sd).max() < 0.1
+    assert z.std(axis=0) == pytest.approx(sd, rel=0.15)
+    theta = laplace.draw_parameters(m, bench.series, y, estimate, z[:50], rng)
+    straight = m.readings(bench.series, estimate.coordinates.to_theta(z[:50]))
+    moved = np.abs(theta - estimate.coordinates.to_theta(z[:50])).max(axis=0)
+    assert moved.max() > 1e-3
+    assert np.abs(m.readings(bench.series, theta) - straight).max() < 1e-8
+
+
+def test_intervals_hold_where_runs_are_off() -> None:
+    """Of the delta with offsets of 2 sigma, which intervals of the stated noise miss."""
+    one_machine = module("measure").one_machine
+    bench = module("configurations").configuration("delta")
+    estimated = [one_machine(bench, "offsets", k, 1) for k in range(8)]
+    stated = [
+        one_machine(bench, "offsets", k, 1, estimate_noise=False) for k in range(8)
+    ]
+    assert np.mean([o.combinations for o in estimated]) > 0.85
+    assert np.mean([o.bands for o in estimated]) > 0.85
+    assert 0.4 < np.mean([o.nees for o in estimated]) < 2.0
+    assert np.mean([o.combinations for o in stated]) < 0.85
+    assert np.mean([o.nees for o in stated]) > 3.0
+
+
+def test_a_stated_seat_is_of_the_same_machines_and_no_part_of_the_law() -> None:
+    configuration = module("configurations").configuration
+    one_machine = module("measure").one_machine
+    stated, free = configuration("a3_30_stated"), configuration("a3_30")
+    truth = free.measurement.nominal + 1e-4
+    assert stated.read(truth) == pytest.approx(free.read(truth), abs=0.0)
+    # the machine and the errors are drawn by the name
+    assert stated.name == free.name
+    m = stated.measurement
+    structure = reading_structure(m, stated.series, m.nominal)
+    assert "seating" not in noise_prior(structure).names
+    outcomes = [one_machine(bench, "white", 0, 1) for bench in (stated, free)]
+    assert outcomes[0].nees > outcomes[1].nees
+
+
+def run_campaign(name: str, tmp_path: Path, changes: dict[str, str]) -> Path:
+    """The shipped campaign of this name, reduced; the folder of its cases."""
+    text = (ROOT / "benchmarks" / f"{name}.campaign.toml").read_text(encoding="utf-8")
+    for field, values in changes.items():
+        line = rf"^{field} = .*$"
+        text, count = re.subn(line, f"{field} = {values}", text, flags=re.MULTILINE)
+        assert count == 1
+    path = tmp_path / f"{name}.campaign.toml"
+    functions = "from benchmarks.coverage.case import *\n"
+    (tmp_path / "case.py").write_text(functions, encoding="utf-8")
+    path.write_text(text.replace("coverage/case.py:", "case.py:"), encoding="utf-8")
+    options = ["--out", str(tmp_path / name), "--workers", "1", "--quiet"]
+    assert main(["campaign", str(path), *options]) == 0
+    return tmp_path / name
+
+
+def test_the_campaign_of_intervals_writes_the_page_s_table(tmp_path: Path) -> None:
+    few = {"seeds": "2", "configuration": '["planar"]', "law": '["white"]'}
+    folder = run_campaign("coverage", tmp_path, few)
+    cases = pd.read_parquet(folder / "cases.parquet")
+    bench = module("configurations").configuration("planar")
+    for number, row in enumerate(cases.to_dict("records")):
+        outcome = module("measure").one_machine(bench, "white", number, 1)
+        assert outcome.as_json().items() <= row.items()
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# Coverage\n\n<!-- begin coverage table -->\nold\n<!-- end coverage table -->\n"
+        "\nafter\n",
+        encoding="utf-8",
+    )
+    options = ["intervals", "--out", str(folder), "--page", str(page)]
+    module("__main__").main(options)
+    text = page.read_text(encoding="utf-8")
+    assert "old" not in text
+    assert "| planar | white | 2 |" in text
+    assert text.endswith("\nafter\n")
+    summary = pd.read_csv(folder / "summary.csv").iloc[0]
+    inside = [[mark == "1" for mark in marks] for marks in cases["combinations"]]
+    assert summary["combinations mean"] == pytest.approx(np.mean(inside))
+
+
+def test_a_cell_knows_what_misses() -> None:
+    summarise = module("cell").summarise
+    good = {"combinations": "1" * 20, "bands": "11", "nees": 1.0}
+    bad = {"combinations": "0" + "1" * 19, "bands": "10", "nees": 1.0}
+    figures = summarise([good] * 50 + [bad] * 50)
+    assert figures.combinations.mean == pytest.approx(0.975)
+    assert not figures.combinations.mean_holds
+    assert figures.combinations.worst == pytest.approx(0.5)
+    assert not figures.combinations.worst_holds
+    assert figures.bands.mean == pytest.approx(0.75)
+    assert figures.nees_holds
+    assert figures.combinations.lowest == pytest.approx(0.87)
+
+
+def test_what_compensation_leaves_is_predicted_exactly() -> None:
+    """Against the oracle; to first order, x and y of the A3 are micrometres off."""
+    bench = module("configurations").configuration("a3_30")
+    m = bench.measurement
+    rng = np.random.default_rng(4)
+    identified = (m.tolerance * rng.standard_normal(len(m.nominal)))[:24]
+    exact = bench.errors(identified, identified)
+    known = driven_errors(
+        m.kinematics, bench.command, identified, "home", believed=identified
+    )
+    maps = prediction.error_maps(m.kinematics, bench.command, "home")
+    nothing = np.zeros((24, 24))
+    figures = {
+        "exact": prediction.predict(
+            maps, nothing, nothing, rng, mean=identified, known=known
+        ),
+        "linear": prediction.predict(maps, nothing, nothing, rng, mean=identified),
+    }
+    off = {n: np.abs(f.sd_after - np.abs(exact)) for n, f in figures.items()}
+    assert off["exact"].max() < 1e-9
+    assert off["linear"][:, :2].max() > 5e-6
+    rms = np.sqrt(np.mean(exact[:, 0] ** 2))
+    assert figures["exact"].after["x"].rms == pytest.approx(rms, rel=1e-6)
+    largest = np.abs(exact[:, 0]).max()
+    assert figures["exact"].after["x"].largest == pytest.approx(largest, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["white", "t4", "offsets", "ar1", "all", "outliers"])
+def test_intervals_hold_under_every_law(law: str) -> None:
+    """Sixty machines; limits are those of the page, less four standard errors."""
+    one_machine = module("measure").one_machine
+    bench = module("configurations").configuration("planar")
+    outcomes = [one_machine(bench, law, k, 2) for k in range(60)]
+    shares = np.array([o.combinations.mean() for o in outcomes])
+    error = shares.std(ddof=1) / np.sqrt(60)
+    assert shares.mean() > 0.93 - 4.0 * error
+    bands = np.array([o.bands.mean() for o in outcomes])
+    assert bands.mean() > 0.93 - 4.0 * bands.std(ddof=1) / np.sqrt(60)
+    assert np.mean([o.nees for o in outcomes]) < 1.6
+
+
+def test_ranks_of_uniform_values_pass_and_of_narrow_ones_fail() -> None:
+    calibration = module("ranks").calibration
+    rng = np.random.default_rng(8)
+    uniform = rng.integers(0, 100, (200, 6))
+    assert calibration("abcdef", uniform, 1).joint > 0.01
+    narrow = uniform.copy()
+    narrow[:, 2] = 30 + narrow[:, 2] * 2 // 5
+    assert calibration("abcdef", narrow, 1).joint < 1e-4
+    assert calibration("abcdef", uniform, 1).counts.sum() == 1200
+
+
+def test_the_campaign_of_ranks_prints_its_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = {"seeds": "3", "configuration": '["planar", "delta"]'}
+    folder = run_campaign("ranks", tmp_path, few)
+    capsys.readouterr()
+    module("__main__").main(["ranks", "--out", str(folder)])
+    printed = capsys.readouterr().out
+    # Six combinations, and seven coordinates of the law: three scales, share, reach, level
+    # and course.
+    assert "| planar | 3 | 13 |" in printed
+    bench = module("configurations").configuration("delta")
+    expected = module("ranks").one_machine(bench, 2, 1, "laplace")
+    row = pd.read_parquet(folder / "cases.parquet").iloc[5]
+    assert {name: int(row[name]) for name in expected} == expected
+    summary = pd.read_csv(folder / "summary.csv")
+    assert summary["quantities"].to_list() == [13, len(expected)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["a3_30", "delta"])
+def test_ranks_are_uniform(name: str) -> None:
+    bench = module("configurations").configuration(name)
+    ranks = module("ranks")
+    rows = [ranks.one_machine(bench, number, 7, "laplace") for number in range(100)]
+    values = np.array([list(row.values()) for row in rows])
+    assert ranks.calibration([*rows[0]], values, 7).joint > 0.01

@@ -1,0 +1,33 @@
+"""Long traces: memory and answers of whole diagnoses, in processes of their own."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARK = Path(__file__).resolve().parents[2] / "benchmarks" / "long_traces.py"
+#: most memory of a process, MiB, with Python and all libraries
+MOST = 2048.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["estimated", "known"])
+@pytest.mark.parametrize("readings", [5000, 20000])
+@pytest.mark.parametrize(("case", "answer"), [("gap", "backlash"), ("none", "no gap")])
+def test_a_diagnosis_of_long_traces_fits_into_memory(
+    readings: int, law: str, case: str, answer: str
+) -> None:
+    command = [sys.executable, str(BENCHMARK), "--readings", str(readings)]
+    done = subprocess.run(
+        [*command, "--law", law, "--row", case],
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    row = done.stdout.strip().strip("|").split("|")
+    memory, said = float(row[3]), row[4].strip()
+    assert memory < MOST
+    assert said.startswith(answer)

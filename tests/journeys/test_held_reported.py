@@ -1,0 +1,98 @@
+"""A held value that the readings contradict reaches result.json, report and terminal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kernel.printer_bed import SIGMA, bed, heights
+from pkm_studies.commands import main
+
+STUDY = """
+schema = 1
+name = "lean"
+
+[machine]
+model = "linear_delta"
+fixed = ["angle3", "arm1", "arm2", "arm3"]
+
+[[setup]]
+name = "probe"
+instrument = "height_probe"
+tolerance = { offset_mm = 0.0 }
+
+[noise]
+height_um = 4
+
+[[prior.tolerance]]
+parameters = ["radius", "endstop*"]
+sigma_mm = 2.0
+
+[[prior.tolerance]]
+parameters = ["angle*"]
+sigma_deg = 0.5
+
+[identify]
+effects = "none"
+
+[posterior]
+enabled = false
+
+[report]
+pdf = false
+"""
+
+
+@pytest.mark.usefixtures("no_search_for_mistakes")
+@pytest.mark.parametrize("lean", [0.0, -4e-3])
+def test_a_lean_of_the_bed_is_reported(
+    lean: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, table = tmp_path / "lean.study.toml", tmp_path / "r.csv"
+    study.write_text(STUDY, encoding="utf-8")
+    command = bed(25)
+    y = heights(command, tilt_x=lean)
+    y += SIGMA * np.random.default_rng(3).standard_normal(25)
+    rows = ["setup,run,order,x_mm,y_mm,z_mm,height_mm"]
+    for k, (place, height) in enumerate(zip(command, y, strict=True)):
+        x, across, z = 1e3 * place
+        rows.append(
+            f"probe,bed,{k + 1},{x:.6f},{across:.6f},{z:.1f},{1e3 * height:.6f}"
+        )
+    table.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    out = tmp_path / "out"
+    code = main(["identify", str(study), "--readings", str(table), "--out", str(out)])
+    assert code == 0
+    result = json.loads((out / "result.json").read_text(encoding="utf-8"))
+    held = result["estimate"]["held"]
+    printed = " ".join(capsys.readouterr().out.split())
+    page = (out / "report.html").read_text(encoding="utf-8")
+    said = "tilt_x is held at 0 mrad, which the readings contradict"
+    assert (said in printed, said in page) == (lean != 0.0, lean != 0.0)
+    assert [one["parameters"] for one in held] == [["probe.tilt_x"]] * (lean != 0.0)
+    assert main(["compensate", str(out), "--to", "csv"]) == 0
+    written = capsys.readouterr().out
+    assert (said in written) == (lean != 0.0)
+    assert ("do not hold this" in written) == (lean != 0.0)
+    if held:
+        assert held[0]["estimate"] == pytest.approx(1e3 * lean, abs=3.0 * held[0]["sd"])
+
+
+def test_belts_that_shrink_to_nothing_are_no_finding(tmp_path: Path) -> None:
+    """Scales of all belts at -1 close any loop, with the anchors at one place."""
+    folder = Path(__file__).resolve().parents[3] / "shared" / "inputs" / "four_belts"
+    if not folder.is_dir():
+        pytest.skip("the folder shared/inputs/four_belts is not beside the project")
+    readings = str(folder / "run2.readings.csv")
+    study = str(folder / "belts.study.toml")
+    main(["identify", study, "--readings", readings, "--out", str(tmp_path / "o")])
+    result = json.loads((tmp_path / "o/result.json").read_text(encoding="utf-8"))
+    named = [one["parameters"] for one in result["estimate"]["held"]]
+    assert [f"scale{k}" for k in (1, 2, 3, 4)] not in named
+    # goodness is of the delivered parameters: residuals in um, the stated noise is 100 um
+    chi2 = float(np.sum((np.array(result["estimate"]["residuals"]) / 100.0) ** 2))
+    assert result["goodness"]["chi2"] == pytest.approx(chi2, rel=1e-6)
+    assert result["estimate"]["chi2"] == result["goodness"]["chi2"]

@@ -1,0 +1,126 @@
+"""The estimated noise law reaches result.json, the report and the terminal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import bad_fit_sample
+import bar_readings
+import numpy as np
+import pytest
+import sample
+from scipy import stats
+
+from oed.noise.law import reach_words
+from pkm_studies.commands import main
+
+ESTIMATE = ("length_um = 0.5", "length_um = 0.5\nestimate = true")
+ESTIMATED = sample.changed(bad_fit_sample.STUDY, ESTIMATE)
+WITHOUT_REPORT = sample.changed(bad_fit_sample.WITHOUT_REPORT, ESTIMATE)
+
+
+def fit(folder: Path, readings: bar_readings.Readings, study: str) -> dict:
+    """The section `goodness` of an identification."""
+    path, table = bad_fit_sample.write(folder, readings)
+    path.write_text(study, encoding="utf-8")
+    out = str(folder / "fit")
+    main(["identify", str(path), "--readings", str(table), "--out", out])
+    text = (folder / "fit/result.json").read_text(encoding="utf-8")
+    return json.loads(text)["goodness"]
+
+
+@pytest.mark.usefixtures("no_search_for_mistakes")
+def test_noise_above_the_stated_one_is_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Readings scatter by 1.25 um, stated are 0.5 um."""
+    goodness = fit(tmp_path, bar_readings.a3_readings(1, noise=1.25e-6), ESTIMATED)
+    names = ["cup.length", "long_tool.length"]
+    for name in names:
+        record = goodness["noise"][f"reading {name}"]
+        assert (record["unit"], record["stated"]) == ("um", 0.5)
+        assert record["departs"]
+        assert abs(record["value"] - 1.25) < 3.0 * record["sd"]
+        assert 0.05 < record["sd"] < 0.5
+    sentence = "The noise departs from the stated one: single readings of cup.length"
+    out = capsys.readouterr().out
+    assert [line for line in out.splitlines() if line.startswith(sentence)]
+    page = (tmp_path / "fit/report.html").read_text(encoding="utf-8")
+    assert "The noise law as estimated from the readings" in page
+    assert sentence in page
+
+
+@pytest.mark.usefixtures("no_search_for_mistakes")
+def test_runs_that_shift_are_reported(tmp_path: Path) -> None:
+    """Circles shifted by 4 um: an error of the run, not of single readings."""
+    readings = bar_readings.a3_readings(2)
+    shift = np.repeat([4e-6, -4e-6, 3e-6, -3e-6], bar_readings.POINTS)
+    noise = fit(tmp_path, readings.with_y(readings.y + shift), WITHOUT_REPORT)["noise"]
+    shared = noise["run cup.length"]
+    assert shared["value"] > noise["reading cup.length"]["value"]
+    assert 0.0 < noise["reach"]["value"] <= bar_readings.POINTS
+
+
+@pytest.mark.usefixtures("no_search_for_mistakes")
+def test_goodness_is_of_the_delivered_parameters_and_each_p_of_its_own_noise(
+    tmp_path: Path,
+) -> None:
+    """Circles shifted by 2 and 3 um: not by the stated noise of 0.5 um, but by a law of runs."""
+    readings = bar_readings.a3_readings(2)
+    shift = np.repeat([3e-6, -3e-6, 2e-6, -2e-6], bar_readings.POINTS)
+    goodness = fit(tmp_path, readings.with_y(readings.y + shift), ESTIMATED)
+    text = (tmp_path / "fit/result.json").read_text(encoding="utf-8")
+    estimate = json.loads(text)["estimate"]
+    chi2 = float(np.sum((np.array(estimate["residuals"]) / 0.5) ** 2))  # um
+    assert goodness["chi2"] == pytest.approx(chi2, rel=1e-9)
+    assert (estimate["chi2"], estimate["dof"]) == (goodness["chi2"], goodness["dof"])
+    p = stats.chi2.sf(chi2, goodness["dof"])
+    assert p < 1e-12
+    assert goodness["p_high"] < 1e-9
+    assert goodness["law_p_high"] > 0.01
+    ratio = np.sqrt(chi2 / goodness["dof"])
+    assert any(f"{ratio:.1f} times the stated" in w for w in estimate["warnings"])
+    page = (tmp_path / "fit/report.html").read_text(encoding="utf-8")
+    assert "more than the stated noise explains" in page
+    assert "as the stated noise predicts" not in page
+    assert "By the noise law as estimated" in page
+
+
+@pytest.mark.usefixtures("no_search_for_mistakes")
+def test_noise_as_stated_departs_from_nothing(tmp_path: Path) -> None:
+    goodness = fit(tmp_path, bar_readings.a3_readings(0), WITHOUT_REPORT)
+    assert not goodness["noise_words"]
+    assert not any(record["departs"] for record in goodness["noise"].values())
+    assert 1e-3 < goodness["p_low"] < 1.0 - 1e-3
+    assert goodness["p_low"] + goodness["p_high"] == pytest.approx(1.0)
+
+
+def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path: Path) -> None:
+    study = (
+        sample.STUDY + "\n[readings]\nsimulate = true\n[posterior]\nenabled = false\n"
+    )
+    path = tmp_path / "s.study.toml"
+    path.write_text(study, encoding="utf-8")
+    assert main(["run", str(path), "--quiet", "--out", str(tmp_path / "out")]) == 0
+    result = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
+    goodness = result["goodness"]
+    assert goodness["chi2"] == pytest.approx(result["estimate"]["chi2"])
+    assert goodness["dof"] == pytest.approx(result["estimate"]["dof"])
+    assert not goodness["noise"]
+
+
+@pytest.mark.parametrize(
+    ("reach", "longest", "words"),
+    [
+        (22145.0, 27, "over whole runs of up to 27 readings"),
+        (20.0, 27, "over whole runs of up to 27 readings"),
+        (5.2, 27, "over about 5 readings"),
+        (0.3, 27, "to the next reading"),
+        (300.0, float("inf"), "over about 300 readings"),
+    ],
+)
+def test_a_reach_is_what_the_runs_can_show(
+    reach: float, longest: float, words: str
+) -> None:
+    assert reach_words(reach, longest) == words

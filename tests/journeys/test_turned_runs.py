@@ -1,0 +1,63 @@
+"""A run driven the other way than its rows say is the first line on the terminal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bad_fit_sample import STUDY
+
+from kernel import a3_plans, warm_head
+from pkm_studies.commands import main
+
+ONE_SETUP = STUDY.partition('[[setup]]\nname = "long_tool"')
+TEXT = ONE_SETUP[0] + "[noise]" + ONE_SETUP[2].partition("[noise]")[2]
+
+
+def write(folder: Path, runs: list[str]) -> tuple[Path, Path]:
+    """Study and readings of an A3 head with play; some runs' rows are turned."""
+    m = a3_plans.measurement()
+    rng = np.random.default_rng(26)
+    series, rows = warm_head.planned(m)
+    truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
+    y = warm_head.read(series, rows, truth, rng)
+    z, psi, theta = series.reading_commands().T
+    table = warm_head.turned(rows, runs).drop(columns=["temp_leg1", "temp_leg3"])
+    table = table.rename(columns={"time": "time_s", "temp_leg2": "temp_leg2_C"})
+    table["z_mm"], table["psi_deg"] = 1e3 * z, np.rad2deg(psi)
+    table["theta_deg"], table["length_mm"] = np.rad2deg(theta), 1e3 * y
+    study, readings = folder / "loud.study.toml", folder / "r.csv"
+    study.write_text(TEXT, encoding="utf-8")
+    table.to_csv(readings, index=False)
+    return study, readings
+
+
+@pytest.mark.slow
+def test_a_turned_run_is_the_first_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, readings = write(tmp_path, ["80-1"])
+    options = ["--with", "backlash,leg_thermal", "--out", str(tmp_path / "out")]
+    command = ["identify", str(study), "--readings", str(readings), *options]
+    assert main(command) == 1
+    printed = capsys.readouterr()
+    lines = printed.out.splitlines()
+    first = lines[lines.index("report") + 1]
+    assert first.startswith("The readings look mistaken: run 80-1 was driven the other")
+    assert "the fit is bad" in printed.err
+    result = json.loads((tmp_path / "out/result.json").read_text(encoding="utf-8"))
+    assert result["goodness"]["mistakes"][0]["what"] == "direction reversed: 80-1"
+    assert any("80-1" in w for w in result["corrected"]["warnings"])
+
+
+@pytest.mark.usefixtures("no_search_for_mistakes")
+def test_check_names_runs_whose_order_and_direction_contradict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study, readings = write(tmp_path, ["80-1"])
+    assert main(["check", str(study), str(readings)]) == 1
+    out = capsys.readouterr().out
+    wanted = "The runs 80-0 and 80-1 pass the same poses in the same order, but have"
+    assert wanted in out

@@ -1,1 +1,0 @@
-"""Tests of arrays, units, text and files."""

@@ -1,1 +1,0 @@
-"""Tests of designs and their certificates."""

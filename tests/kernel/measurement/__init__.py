@@ -1,1 +1,0 @@
-"""Tests of readings and their slopes."""

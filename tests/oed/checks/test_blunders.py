@@ -1,0 +1,120 @@
+"""Checks of readings against the table of blunders, and against correct sessions."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from pathlib import Path
+
+import blunder_machines as machines
+import numpy as np
+import pytest
+from blunder_table import BLUNDERS
+from blunder_tables import LAWS
+from blunders import SIGMA, Blunder
+
+from oed.checks import Severity
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "reference" / "blunders.md"
+#: blunders that the default suite executes, of each kind; the nightly one executes all,
+#: and tests/oed/checks undoes each kind of mistake
+QUICK = {
+    "columns of one line exchanged",
+    "one reading off by 50 sigma",
+    "computed, not measured",
+    "one run sorted",
+    "one set-up's readings in both",
+    "legs turned by one",
+    "sign of x",
+    "one gauge in two lines' channels, halved",
+    "dead length of 0.5 mm",
+    "a clock of 12 hours",
+    "two set-ups at the same times",
+}
+CASES = [
+    pytest.param(b, marks=() if b.name in QUICK else pytest.mark.slow, id=b.name)
+    for b in BLUNDERS
+]
+
+
+@pytest.mark.parametrize("blunder", CASES)
+def test_blunder(blunder: Blunder) -> None:
+    law = "smoothed" if blunder.name == "smoothed readings" else "white"
+    rows = machines.readings(blunder.machine, 0, law)
+    checked = machines.check(blunder.machine, blunder.make(rows))
+    sentences = [f.sentence for f in checked.findings]
+    if not blunder.sentence:
+        assert not sentences
+        return
+    assert blunder.is_named(sentences), sentences
+    named = {row for finding in checked.findings for row in finding.rows}
+    assert set(blunder.rows) <= named
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["run offsets", "t4", "ar1"])
+def test_blunders_are_named_under_other_noise(law: str) -> None:
+    """In nine of ten; a far reading may drown in heavy tails."""
+    missed = []
+    for blunder in BLUNDERS:
+        if not blunder.sentence or blunder.name == "smoothed readings":
+            continue
+        rows = machines.readings(blunder.machine, 1, law)
+        checked = machines.check(blunder.machine, blunder.make(rows))
+        sentences = [f.sentence for f in checked.findings]
+        if not blunder.is_named(sentences):
+            missed.append((blunder.name, sentences[:1]))
+    assert len(missed) <= 0.1 * len(BLUNDERS), missed
+
+
+#: laws of noise in turn, one for each machine
+IN_TURN = dict(zip(machines.MACHINES, itertools.cycle(LAWS), strict=False))
+SESSIONS = [
+    *((machine, law, range(1)) for machine, law in IN_TURN.items()),
+    *(
+        pytest.param(machine, law, range(10, 50), marks=pytest.mark.slow)
+        for machine, law in itertools.product(machines.MACHINES, LAWS)
+    ),
+]
+
+
+@pytest.mark.parametrize(("machine", "law", "seeds"), SESSIONS)
+def test_no_false_alarm(machine: str, law: str, seeds: range) -> None:
+    """Of heavy tails, a remark may name a far reading; it is no alarm."""
+    for seed in seeds:
+        checked = machines.check(machine, machines.readings(machine, seed, law))
+        alarms = [f for f in checked.findings if f.severity < Severity.REMARK]
+        assert not alarms, (seed, [f.sentence for f in alarms])
+        assert law == "t4" or not checked.findings
+
+
+def test_the_page_lists_every_blunder() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \| (.+?) \| (.+?) \| (.+?) \|", text, re.MULTILINE)
+    assert [int(number) for number, *_ in rows] == list(range(1, len(BLUNDERS) + 1))
+    assert [name for _, name, _, _ in rows] == [b.name for b in BLUNDERS]
+    assert [machine for *_, machine, _ in rows] == [b.machine for b in BLUNDERS]
+    shown = [sentence for *_, sentence in rows]
+    assert shown == [b.sentence or "nothing: it cannot be seen" for b in BLUNDERS]
+
+
+def test_an_outlier_leaves_the_other_readings() -> None:
+    """The pull of a reading is its error over what the others predict it to."""
+    rows = machines.readings("a3", 3)
+    rows.loc[17, "length_mm"] += 50 * SIGMA
+    checked = machines.check("a3", rows)
+    assert checked.set_aside == (17,)
+    assert checked.outliers is not None
+    assert checked.outliers.gross[0].error == pytest.approx(25e-6, abs=3e-6)
+    assert not np.isin(17, checked.outliers.solution.session.values["row"] - 2)
+
+
+def test_misfits_that_are_no_noise_are_not_blamed_on_it() -> None:
+    """Readings of another machine: 600 times the noise and more."""
+    rng = np.random.default_rng(5)
+    rows = machines.readings("delta", 0)
+    heights = rows["setup"] == "probe"
+    rows.loc[heights, "height_mm"] += rng.uniform(-20.0, 20.0, heights.sum())
+    checked = machines.check("delta", rows)
+    assert checked.bad_fit
+    assert all("understated" not in f.sentence for f in checked.findings)

@@ -1,0 +1,94 @@
+"""Tolerances that are stated ten times too small: seen, taken larger, and said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import bad_fit_sample
+import bar_readings
+import numpy as np
+import pytest
+import sample
+
+from oed import Measurement, mount
+from oed.estimation import identify
+from oed.estimation.tolerances import tolerance_factor, with_tolerances
+from oed.measurement import draw_parameters, draw_readings
+from pkm_models.instruments.pose_tracker import position
+from pkm_models.machines.a3_head import machine as head
+from pkm_models.machines.planar_2dof import machine
+from pkm_studies.commands import main
+
+
+def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:
+    """Result and study of an independent head whose tolerances are stated with a factor."""
+    folder.mkdir()
+    lines = [
+        f'[[prior.tolerance]]\nparameters = ["{p.name}"]\n'
+        + (
+            f"sigma_rad = {factor * p.tolerance:.9g}\n"
+            if p.unit == "rad"
+            else f"sigma_mm = {factor * p.tolerance * 1e3:.9g}\n"
+        )
+        for p in head.parameters
+        if p.tolerance > 0.0 and p.name not in head.frame
+    ]
+    text = sample.changed(
+        bad_fit_sample.WITHOUT_REPORT,
+        ("[posterior]", "".join(lines) + "\n[posterior]"),
+    )
+    study, readings = bad_fit_sample.write(folder, bar_readings.a3_readings(3), text)
+    out = folder / "out"
+    main(["identify", str(study), "--readings", str(readings), "--out", str(out)])
+    return json.loads((out / "result.json").read_text()), text
+
+
+@pytest.mark.usefixtures("no_search_for_mistakes")
+def test_the_fit_is_that_of_tolerances_as_they_are(tmp_path: Path) -> None:
+    right, _ = identified(tmp_path / "right", 1.0)
+    small, _ = identified(tmp_path / "small", 0.1)
+    assert any("times as far from nominal" in w for w in small["warnings"])
+    assert not any("as far from nominal" in w for w in right["warnings"])
+    assert not small["goodness"]["bad_fit"]
+    for name, p in right["estimate"]["parameters"].items():
+        other = small["estimate"]["parameters"][name]
+        if p["prior_sd"] > 0.0:
+            assert abs(other["value"] - p["value"]) < 0.5 * p["sd"] + 1e-9
+    for name, c in right["prediction"]["components"].items():
+        after = small["prediction"]["components"][name]["after"]["rms"]
+        assert after == pytest.approx(c["after"]["rms"], rel=0.2)
+
+
+def planar() -> tuple[Measurement, list[Any]]:
+    measurement = Measurement(machine, [mount(position, "tracker")])
+    across, up = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    command = np.column_stack([across.ravel(), up.ravel()])
+    return measurement, [measurement.series("tracker", command)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_tolerances_that_are_right_are_kept(seed: int) -> None:
+    measurement, series = planar()
+    rng = np.random.default_rng(seed)
+    truth = draw_parameters(measurement, rng)
+    y = draw_readings(measurement, series, truth, rng)
+    estimate = identify(measurement, series, y)
+    assert not tolerance_factor(measurement, series, estimate).is_sure
+    small = with_tolerances(measurement, 0.1)
+    judged = tolerance_factor(small, series, identify(small, series, y))
+    assert judged.is_sure
+    assert 5.0 < judged.factor < 20.0
+
+
+def test_an_effect_is_no_wrong_tolerance() -> None:
+    """A smooth error of 20 times the noise that no parameters explain."""
+    measurement, series = planar()
+    rng = np.random.default_rng(5)
+    truth = draw_parameters(measurement, rng)
+    y = draw_readings(measurement, series, truth, rng)
+    wave = np.sin(np.linspace(0.0, 25.0, len(y)))
+    y = y + 20.0 * measurement.sigma(series) * wave
+    estimate = identify(measurement, series, y)
+    assert not tolerance_factor(measurement, series, estimate).is_sure

@@ -1,0 +1,229 @@
+"""The public face: what `import oed` offers, and results that show themselves."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import sample
+
+import oed
+
+#: what the small study leaves to a default that takes longer
+SMALL = """
+[readings]
+simulate = true
+[posterior]
+enabled = false
+[prediction]
+z_mm = 1146.0
+psi_deg = [0.0, 120.0]
+theta_deg = 20.0
+"""
+README = Path(__file__).resolve().parents[3] / "README.md"
+
+
+@pytest.fixture(scope="module")
+def readings():
+    """Readings of a virtual machine at the poses of a shipped study."""
+    return oed.simulate(oed.load_study("planar_step_calibration"))
+
+
+@pytest.fixture(scope="module")
+def estimate(readings):
+    return oed.identify(readings)
+
+
+def test_every_public_name_is_there() -> None:
+    assert 20 <= len(oed.__all__) <= 30
+    for name in oed.__all__:
+        assert getattr(oed, name) is not None
+        assert name in dir(oed)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'fit_everything'"):
+        oed.fit_everything  # noqa: B018
+
+
+def test_importing_the_face_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, oed; print(sorted({'casadi', 'pandas', 'scipy'} & {*sys.modules}))"
+    )
+    printed = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert printed.stdout.strip() == "[]"
+
+
+def test_the_stub_names_the_same(tmp_path: Path) -> None:
+    stub = Path(oed.__file__).with_suffix(".pyi").read_text(encoding="utf-8")
+    assert {*re.findall(r"import \w+ as (\w+)", stub), "__version__"} == {*oed.__all__}
+
+
+@pytest.mark.parametrize(
+    "study", ["small", pytest.param("a3_ball_bar", marks=pytest.mark.slow)]
+)
+def test_the_ten_lines_of_the_readme_run(study, tmp_path, monkeypatch) -> None:
+    """By day with a small study in place of the shipped one."""
+    text = README.read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(import oed\n.*?)```", text, re.DOTALL)
+    assert '"a3_ball_bar"' in code
+    if study == "small":
+        (tmp_path / "small.study.toml").write_text(sample.STUDY + SMALL, "utf-8")
+        code = code.replace('"a3_ball_bar"', '"small.study.toml"')
+    lines = [line for line in code.splitlines() if line.strip()]
+    assert len(lines) <= 10
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(compile(code, "README.md", "exec"), names)
+    least = {"small": 0.94, "a3_ball_bar": 0.95}[study]  # certified, by the example
+    assert names["design"].section.efficiency > least
+    assert names["accuracy"].to_pandas().loc["z", "after_rms"] > 0.0
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_a_view_shows_itself_as_html(estimate) -> None:
+    page = estimate._repr_html_()
+    assert "<table" in page
+    assert "rms residual" in page
+    assert estimate.title in repr(estimate)
+
+
+def test_warnings_are_shown_and_escaped(estimate) -> None:
+    warned = type(estimate)(estimate.state.with_warnings("sd < 1 mm"))
+    assert "sd &lt; 1 mm" in warned._repr_html_()
+
+
+def test_tables_hold_what_the_section_says(readings, estimate) -> None:
+    table = estimate.to_pandas()
+    for name, parameter in estimate.section.parameters.items():
+        assert table.loc[name, "value"] == parameter.value
+        assert table.loc[name, "sd"] == parameter.sd
+    assert len(readings.to_pandas()) >= estimate.section.readings / 2
+    assert estimate.to_xarray().sizes["index"] == len(table)
+
+
+def test_a_study_is_built_from_tables() -> None:
+    study = oed.build_study(
+        {
+            "name": "gauge",
+            "machine": {"model": "planar_2dof"},
+            "setup": [{"name": "rm4", "instrument": "rm4"}],
+            "readings": {"simulate": True},
+            "design": {
+                "reference": [
+                    {
+                        "name": "lines",
+                        "setup": "rm4",
+                        "runs_by": "y",
+                        "y_mm": [-1500.0, 0.0, 1500.0],
+                        "z_mm": [0.0, 300.0, 600.0],
+                    }
+                ]
+            },
+        }
+    )
+    estimate = oed.identify(oed.simulate(study))
+    assert estimate.section.readings == 6
+    assert 'model = "planar_2dof"' in study.text
+
+
+def test_a_wrong_table_names_field_value_and_remedy() -> None:
+    with pytest.raises(oed.InputError, match="machine"):
+        oed.build_study({"name": "gauge", "machine": {"modell": "planar_2dof"}})
+    with pytest.raises(oed.InputError, match="no TOML form"):
+        oed.build_study({"name": "gauge", "machine": None})
+
+
+def test_what_a_study_lacks_is_said() -> None:
+    study = oed.load_study("planar_step_calibration")
+    with pytest.raises(oed.InputError, match="no candidates"):
+        oed.choose_design(study)
+    with pytest.raises(oed.InputError, match="lists no measurement"):
+        oed.plan(study)
+
+
+def test_readings_of_a_file_are_those_of_the_command(readings, tmp_path) -> None:
+    path = tmp_path / "mine.readings.csv"
+    readings.to_pandas().to_csv(path, index=False)
+    again = oed.read_readings(readings.state.study, path).to_pandas()
+    place = ["setup", "run", "order"]
+    written, read = (
+        table.set_index(place).sort_index() for table in (readings.to_pandas(), again)
+    )
+    pd.testing.assert_frame_equal(read[written.columns], written, check_dtype=False)
+
+
+def test_the_studies_names_are_entry_points() -> None:
+    from importlib.metadata import entry_points
+
+    offered = {point.name for point in entry_points(group=oed.ENTRY_POINTS)}
+    assert offered == {*oed._STUDIES}
+
+
+def test_a_name_that_no_package_offers_says_what_to_install(monkeypatch) -> None:
+    monkeypatch.setattr(oed, "ENTRY_POINTS", "oed.nothing")
+    with pytest.raises(AttributeError, match="pip install pkm-oed"):
+        oed.__getattr__("load_study")
+
+
+def test_an_estimate_is_arrays(estimate) -> None:
+    reported = estimate.section.parameters  # of the machine; those of set-ups follow
+    count = len(reported)
+    assert estimate.names[:count] == tuple(reported)
+    scale = {"mm": 1e-3, "um": 1e-6, "mrad": 1e-3, "deg": np.pi / 180}
+    units = np.array([scale[row.unit] for row in reported.values()])
+    values = np.array([row.value for row in reported.values()])
+    sd = np.array([row.sd for row in reported.values()])
+    assert estimate.theta[:count] == pytest.approx(values * units, rel=1e-9)
+    assert estimate.sd[:count] == pytest.approx(sd * units, rel=1e-9)
+    assert np.diag(estimate.covariance) == pytest.approx(estimate.sd**2)
+
+
+def test_a_fit_begins_where_it_is_told_to(readings, estimate) -> None:
+    name = estimate.names[0]
+    tolerance = readings.state.measurement.tolerance[0]
+    begin = {name: estimate.theta[0] + tolerance}
+    again = oed.identify(readings, start=begin)
+    assert again.theta == pytest.approx(estimate.theta, abs=1e-6 * tolerance)
+    assert again.state.estimate.residuals_before != pytest.approx(
+        estimate.state.estimate.residuals_before
+    )
+    with pytest.raises(ValueError, match="'leg' is no parameter; they are"):
+        oed.identify(readings, start={"leg": 1.0})
+
+
+def test_options_of_a_fit_are_those_of_the_study(readings, estimate) -> None:
+    estimated = oed.identify(readings, estimate_noise=True)
+    assert estimate.state.estimate.noise_posterior is None
+    assert estimated.state.estimate.noise_posterior is not None
+    first = [estimate.names[0]]
+    staged = oed.identify(readings, stages=[first, ["*"]])
+    assert [list(s.patterns) for s in staged.state.estimate.stages] == [first, ["*"]]
+    assert staged.theta == pytest.approx(estimate.theta)
+
+
+def test_effects_may_be_asked_for(readings, estimate) -> None:
+    assert estimate.state.mixture is None
+    asked = oed.identify(readings, effects="encoder_scale")
+    assert asked.state.mixture is not None
+    named = {name for a in asked.state.mixture.answers for name in a.effects}
+    assert named <= {"encoder_scale", "unknown"}
+    assert oed.identify(readings, effects="none").state.mixture is None
+    with pytest.raises(oed.InputError, match="no such effect"):
+        oed.identify(readings, effects=["wind"])
+
+
+def test_a_posterior_goes_to_arviz(estimate) -> None:
+    posterior = oed.sample(estimate)
+    tree = posterior.to_arviz()
+    draws = tree["posterior"]["theta"]
+    assert list(draws["parameter"].values) == list(posterior.names)
+    mean = draws.mean(["chain", "draw"]).values
+    assert posterior.theta == pytest.approx(mean)
+    assert np.abs(posterior.theta - estimate.theta).max() < estimate.sd.max()
+    assert posterior.sd == pytest.approx(draws.std(["chain", "draw"]).values, rel=0.01)

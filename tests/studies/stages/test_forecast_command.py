@@ -1,0 +1,377 @@
+"""`oed forecast`: nodes to measure, their table at work on the oracle, what is refused."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles import forecast_data, planar_geometry
+from scipy.interpolate import RegularGridInterpolator
+
+from pkm_studies.commands import main
+from pkm_studies.resolve.resolved import resolve
+from pkm_studies.results import load_result
+from pkm_studies.stages.forecast.task import forecast_task
+from pkm_studies.stages.plan.earlier import stored_knowledge
+from pkm_studies.study import load
+
+STUDIES = Path(__file__).parents[3] / "studies"
+PLAN = """
+schema = 1
+name = "gantry"
+[machine]
+model = "planar_2dof"
+[[setup]]
+name = "rm5"
+instrument = "rm5"
+[noise]
+rm5 = { dy_um = 1.0, dz_um = 3.0 }
+[prediction]
+y_mm = { from = -1500.0, to = 1500.0, count = 11 }
+z_mm = { from = 0.0, to = 1500.0, count = 6 }
+[report]
+pdf = false
+[forecast]
+expected = { y_um = 40.0, z_um = 40.0 }
+nodes = 28
+"""
+#: the same where its report is not the matter
+QUIET = PLAN.replace("pdf = false", "html = false\npdf = false")
+
+
+def study(folder: Path, text: str = PLAN) -> Path:
+    path = folder / "gantry.study.toml"
+    path.write_text(text)
+    return path
+
+
+def run(*arguments: object) -> int:
+    return main([str(a) for a in arguments])
+
+
+def section(folder: Path) -> dict[str, Any]:
+    result: dict[str, Any] = json.loads((folder / "result.json").read_text())
+    forecast: dict[str, Any] = result["forecast"]
+    return forecast
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    lines = [line for line in path.read_text().splitlines() if not line.startswith("#")]
+    return list(csv.DictReader(lines))
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("forecast")
+    assert run("forecast", study(folder), "--out", folder / "out") == 0
+    return folder
+
+
+def filled(folder: Path, name: str, sigma: np.ndarray, header: str = "") -> Path:
+    """The sheet as the oracle's gantry fills it in."""
+    sheet = rows(folder / "out" / "forecast_nodes.csv")
+    command = np.array([[float(r["y_mm"]), float(r["z_mm"])] for r in sheet]) * 1e-3
+    errors = forecast_data.planar().errors(command)
+    errors = errors + sigma * np.random.default_rng(3).standard_normal(errors.shape)
+    columns = ["y_mm", "z_mm", "error_y_um", "error_z_um"]
+    path = folder / name
+    units = np.array([1e-3, 1e-3, 1e-6, 1e-6])
+    forecast_data.write(path, columns, command, errors, units)
+    return path
+
+
+def test_the_plan_is_a_sheet_to_fill_in(planned: Path) -> None:
+    sheet = rows(planned / "out" / "forecast_nodes.csv")
+    assert len(sheet) == 28
+    assert list(sheet[0]) == ["y_mm", "z_mm", "error_y_um", "error_z_um"]
+    assert {r["error_y_um"] + r["error_z_um"] for r in sheet} == {""}
+    text = (planned / "out" / "forecast_nodes.csv").read_text()
+    assert "# error_y_um: y of the tool point, actual less wanted" in text
+    forecast = section(planned / "out")
+    assert forecast["minutes"] == pytest.approx(80.0 + 28 * 40.0 / 60.0)
+    planned_rms = [c["planned"] for c in forecast["components"].values()]
+    assert all(3.0 < rms < 6.0 for rms in planned_rms)
+    page = (planned / "out" / "report.html").read_text()
+    assert "Forecast compensation" in page
+    assert "not measured yet" in page
+
+
+def table_joints(path: Path) -> RegularGridInterpolator:
+    """Corrections of the joints, m, over commands, m, as a controller interpolates them."""
+    table = rows(path)
+    y, z = (np.unique([float(r[n]) for r in table]) for n in ("y_mm", "z_mm"))
+    names = ("correction_q1_mm", "correction_q2_mm")
+    values = np.array([[float(r[n]) for n in names] for r in table])
+    return RegularGridInterpolator((y, z), values.reshape(len(y), len(z), 2))
+
+
+def test_the_table_brings_a_hundredth(
+    planned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nodes = filled(planned, "nodes.csv", forecast_data.SIGMA)
+    out = planned / "out"
+    assert run("forecast", study(planned), "--out", out, "--readings", nodes) == 0
+    assert "the table is predicted to leave" in capsys.readouterr().out
+    gantry = forecast_data.planar()
+    lines = np.array(
+        [(y, z) for z in np.arange(6) * 300.0 for y in np.arange(-1500, 1501, 50.0)]
+    )
+    added = 1e-3 * table_joints(out / "forecast_table.csv")(lines)
+    command = np.vstack([lines * 1e-3, [[0.0, 0.0]]])
+    joints = gantry.joints(command)
+    at_home = 1e-3 * table_joints(out / "forecast_table.csv")([[0.0, 0.0]])
+    error = gantry.gantry.pose(joints + np.vstack([added, at_home])) - command
+    left = (error[:-1] - error[-1]) * 1e6
+    assert np.abs(gantry.errors(lines * 1e-3)).max() > 60e-6
+    assert np.abs(left).max() < 10.0
+    forecast = section(out)
+    for k, c in enumerate(forecast["components"].values()):
+        rms = np.sqrt(np.mean(left[:, k] ** 2))
+        assert 0.5 * c["low"] < rms < 1.2 * c["high"]
+        assert c["low"] < c["predicted"] < c["high"]
+        assert 0.4 < c["left_out"] / c["left_out_predicted"] < 1.5
+    page = (out / "report.html").read_text()
+    assert "Left out: errors of nodes less their prediction" in page
+    # the nominal controller sends the corrected command to the corrected joints
+    for row in rows(out / "forecast_table.csv")[::7]:
+        v = {name: float(value) * 1e-3 for name, value in row.items()}
+        command = np.array([v["y_mm"], v["z_mm"]])
+        sent = np.array([v["corrected_y_mm"], v["corrected_z_mm"]])
+        change = planar_geometry.inverse(sent) - planar_geometry.inverse(command)
+        expected = [v["correction_q1_mm"], v["correction_q2_mm"]]
+        assert change == pytest.approx(expected, abs=5e-9)
+
+
+def test_a_wrong_reading_is_named_and_stated_noise_counts(
+    planned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nodes = filled(planned, "wrong.csv", forecast_data.SIGMA)
+    lines = nodes.read_text().splitlines()
+    y, z, error, other = lines[5].split(",")
+    lines[5] = f"{y},{z},{float(error) + 60.0},{other}"
+    nodes.write_text("\n".join(lines))
+    out = planned / "out"
+    assert (
+        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
+    )
+    said = capsys.readouterr().out
+    assert f"y_mm = {float(y):g}, z_mm = {float(z):g}" in said
+    assert "measure it again" in said
+    noisy = "\n".join(
+        [lines[0] + ",sigma_y_um"]
+        + [line + (",200" if k == 4 else ",") for k, line in enumerate(lines[1:])]
+    )
+    nodes.write_text(noisy)
+    assert (
+        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
+    )
+    assert "measure it again" not in capsys.readouterr().out
+
+
+def test_errors_in_another_unit_are_doubted(
+    planned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Millimetres under a header in micrometres."""
+    nodes = filled(planned, "wrong_unit.csv", forecast_data.SIGMA)
+    header, *lines = nodes.read_text().splitlines()
+    cells = [line.split(",") for line in lines]
+    small = [[y, z, *(f"{1e-3 * float(e):.6f}" for e in rest)] for y, z, *rest in cells]
+    nodes.write_text("\n".join([header, *(",".join(row) for row in small)]))
+    out = planned / "out_small"
+    assert (
+        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
+    )
+    assert "check the unit of the file" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: t.replace("0,1200,", "0,9200,", 1), "out of the machine's range"),
+        (lambda t: t.replace("error_y_um", "error_y_cm"), "no such column"),
+        (lambda t: "\n".join(t.splitlines()[:4]), "3 nodes are too few"),
+        (lambda t: t.replace("0,1200,", "0,1200,x", 1), "not a finite number"),
+    ],
+)
+def test_bad_nodes_are_refused(
+    planned: Path, capsys: pytest.CaptureFixture[str], change: Any, words: str
+) -> None:
+    nodes = filled(planned, "bad.csv", forecast_data.SIGMA)
+    text = nodes.read_text()
+    assert "0,1200," in text
+    nodes.write_text(change(text))
+    before = (planned / "out" / "result.json").read_bytes()
+    arguments = ("--out", planned / "out", "--readings", nodes)
+    assert run("forecast", study(planned), *arguments) == 2
+    assert words in capsys.readouterr().err
+    assert (planned / "out" / "result.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("expected = { y_um = 40.0, z_um = 40.0 }", "expected = {}", "it is empty"),
+        ("nodes = 28", 'setup = "rm9"', "no such set-up"),
+        ("nodes = 28", "sigma = { x_um = 1.0 }", "unknown field"),
+        ("[prediction]", '[prediction]\nreference = "best_fit"', "cannot align"),
+        (PLAN[PLAN.index("[forecast]") :], "", "does not say what calibration leaves"),
+    ],
+)
+def test_studies_without_what_it_needs_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, words: str
+) -> None:
+    assert old in PLAN
+    path = study(tmp_path, PLAN.replace(old, new))
+    assert run("forecast", path, "--out", tmp_path / "out") == 2
+    assert words in capsys.readouterr().err
+
+
+def test_an_empty_sheet_is_refused(
+    planned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nodes = planned / "out" / "forecast_nodes.csv"
+    path = study(planned)
+    assert run("forecast", path, "--out", planned / "out", "--readings", nodes) == 2
+    assert "no error was measured" in capsys.readouterr().err
+
+
+def test_a_component_that_was_not_read_is_named(
+    planned: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nodes = filled(planned, "y_only.csv", forecast_data.SIGMA)
+    header, *lines = nodes.read_text().splitlines()
+    cut = [line.rsplit(",", 1)[0] + "," for line in lines]
+    nodes.write_text("\n".join([header, *cut]) + "\n")
+    out = planned / "y_only"
+    assert (
+        run("forecast", study(planned, QUIET), "--out", out, "--readings", nodes) == 0
+    )
+    assert "z: not measured" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("reference", "count"), [("home", 1), ("absolute", 0)])
+def test_only_errors_against_home_leave_home_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], reference: str, count: int
+) -> None:
+    stated = f'[prediction]\nreference = "{reference}"'
+    path = study(tmp_path, QUIET.replace("[prediction]", stated))
+    assert run("forecast", path, "--out", tmp_path / "out") == 0
+    assert capsys.readouterr().out.count("adds nothing at home") == count
+
+
+CALIBRATED = """
+[readings]
+simulate = true
+[readings.truth]
+D_mm = 3584.6
+l1_mm = 3349.6
+l2_mm = 3350.3
+beta1_mrad = 0.3
+[posterior]
+enabled = false
+[[design.reference]]
+name = "lines"
+setup = "rm4"
+y_mm = [-1500.0, 0.0, 1500.0]
+z_mm = { from = 0.0, to = 1500.0, count = 6 }
+runs_by = "y"
+[[design.reference]]
+name = "lines"
+setup = "rm5"
+y_mm = { from = -1500.0, to = 1500.0, count = 11 }
+z_mm = [0.0, 750.0, 1500.0]
+runs_by = "z"
+"""
+
+
+def test_an_estimate_in_the_folder_is_the_mean_of_the_field(tmp_path: Path) -> None:
+    """Eight nodes of a machine with the nominal numbers, whose errors are 0.3 mm."""
+    setup = """[[setup]]
+name = "rm4"
+instrument = "rm4"
+[[setup]]
+name = "rm5" """
+    text = PLAN.replace('[[setup]]\nname = "rm5"', setup).replace(
+        "[noise]\n", "[noise]\nrm4 = { dy_um = 3.0 }\n"
+    )
+    text = text.replace("pdf = false", "pdf = false\nhtml = false")
+    text = (
+        text.replace("nodes = 28", 'nodes = 8\ncompensated = false\nsetup = "rm5"')
+        + CALIBRATED
+    )
+    out, path = tmp_path / "out", study(tmp_path, text)
+    truth = planar_geometry.NOMINAL + 1e-3 * np.array([0.6, 0, 0, -0.4, 0.3, 0.3, 0])
+    assert run("run", path, "--out", out, "--quiet") == 0
+    assert section(out)["readings"] == 0
+    sheet = rows(out / "forecast_nodes.csv")
+    command = np.array([[float(r["y_mm"]), float(r["z_mm"])] for r in sheet]) * 1e-3
+
+    def errors(at: np.ndarray) -> np.ndarray:
+        both = np.vstack([at, [[0.0, 0.0]]])
+        error = planar_geometry.forward(planar_geometry.inverse(both), truth) - both
+        return error[:-1] - error[-1]
+
+    nodes, columns = (
+        tmp_path / "nodes.csv",
+        ["y_mm", "z_mm", "error_y_um", "error_z_um"],
+    )
+    units = np.array([1e-3, 1e-3, 1e-6, 1e-6])
+    forecast_data.write(nodes, columns, command, errors(command), units)
+    assert run("forecast", path, "--out", out, "--readings", nodes) == 0
+    result = json.loads((out / "result.json").read_text())
+    assert result["estimate"]["parameters"]["D"]["value"] == pytest.approx(
+        3584.6, abs=1
+    )
+    lines = np.array([(y, z) for z in (100.0, 800.0) for y in (-1300, -700, 200, 1400)])
+    added = 1e-3 * table_joints(out / "forecast_table.csv")(lines)
+    joints = planar_geometry.inverse(lines * 1e-3) + added
+    home = planar_geometry.forward(planar_geometry.inverse(np.zeros(2)), truth)
+    left = planar_geometry.forward(joints, truth) - lines * 1e-3 - home
+    assert np.abs(errors(lines * 1e-3)).max() > 200e-6
+    assert np.abs(left).max() < 12e-6
+    # a controller that holds the estimate leaves nothing that parameters explain
+    predicted = {}
+    for name, line in (("nominal", ""), ("held", 'controller = "out"\n')):
+        held = tmp_path / f"{name}.study.toml"
+        held.write_text(text.replace("[machine]\n", f"[machine]\n{line}", 1))
+        resolved = resolve(load(held), readings=[])
+        knowledge = stored_knowledge(resolved, load_result(out), out)
+        task = forecast_task(resolved, knowledge, np.random.default_rng(0))
+        predicted[name] = np.abs(task.predicted_errors(lines * 1e-3)).max()
+    assert predicted["nominal"] > 200e-6
+    assert predicted["held"] < 1e-6
+
+
+def test_shipped_nodes_are_what_the_oracle_reads() -> None:
+    arcsec = np.radians(1.0 / 3600.0)
+    cases = (
+        (
+            "planar_forecast",
+            forecast_data.planar().errors,
+            (["y_mm", "z_mm"], [1e-3, 1e-3]),
+            (["error_y_um", "error_z_um"], [1e-6, 1e-6]),
+            forecast_data.SIGMA,
+        ),
+        (
+            "a3_forecast",
+            forecast_data.a3().errors,
+            (["z_mm", "psi_deg", "theta_deg"], [1e-3, *np.radians([1, 1])]),
+            (
+                ["error_z_um", "error_psi_arcsec", "error_theta_arcsec"],
+                [1e-6, arcsec, arcsec],
+            ),
+            forecast_data.A3_SIGMA,
+        ),
+    )
+    for name, errors, (commands, units), (columns, fine), sigma in cases:
+        for kind in ("nodes", "check"):
+            table = rows(STUDIES / f"{name}.{kind}.csv")
+            command = np.array([[float(r[n]) for n in commands] for r in table]) * units
+            read = np.array([[float(r[n]) for n in columns] for r in table]) * fine
+            noise = (read - errors(command)) / sigma
+            assert np.abs(noise).max() < 4.0
+            assert 0.8 < noise.std() < 1.2
