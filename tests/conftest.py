@@ -3,7 +3,7 @@
 import gc
 import importlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+#: real measurements and inputs of users, beside the project
+SHARED = ROOT.parent / "shared"
 
 # Functions are compiled by the tests of compiled functions alone: a result does not wait for
 # a compiler, nor depend on what ran before it.
@@ -24,6 +26,18 @@ gc.set_threshold(100_000, 20, 50)
 def pytest_collection_finish() -> None:
     """Nothing that is loaded now becomes garbage."""
     gc.freeze()
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter,
+) -> Generator[None]:
+    """Tests that need real data say so in one line at the end, where it is absent."""
+    yield
+    skipped = terminalreporter.stats.get("skipped", [])
+    number = sum(SHARED.name in str(report.longrepr) for report in skipped)
+    if number and not SHARED.is_dir():
+        terminalreporter.write_line(f"{number} tests skipped: ../shared is absent")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -89,7 +103,7 @@ def no_search_for_mistakes(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """Real measurements, kept beside the project and not in it."""
-    folder = ROOT.parent / "shared" / "data"
+    folder = SHARED / "data"
     if not folder.is_dir():
         pytest.skip(
             "the folder shared/data with real measurements is not beside the project"
