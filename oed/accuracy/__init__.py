@@ -1,6 +1,21 @@
-"""Errors over the workspace after compensation: prediction, budget, acceptance."""
+"""Errors over the workspace after compensation: prediction, budget, acceptance.
 
-from oed.accuracy.maps import ErrorMaps, error_maps
-from oed.accuracy.prediction import Prediction, predict
+ErrorMaps      slopes of pose errors over parameters, at commands
+Prediction     errors over a workspace, after compensation
+budget_model   readings and their shared errors, for a budget
+driven_errors  exact errors of pose components at commands
+error_maps     the maps of a workspace
+predict        the errors that a posterior predicts
+"""
 
-__all__ = ["ErrorMaps", "Prediction", "error_maps", "predict"]
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from oed.accuracy.budget import budget_model
+    from oed.accuracy.maps import ErrorMaps, driven_errors, error_maps
+    from oed.accuracy.prediction import Prediction, predict
+else:
+    # imported when first used: a module of the room may need little of it
+    __getattr__ = door(__name__)

@@ -1,5 +1,40 @@
-"""What readings determine: rank, combinations, information, remedies."""
+"""What readings determine: rank, combinations, information, remedies.
 
-from oed.identifiability.identifiability import Identifiability, analyse
+Assessment            what a set of readings determines
+Identifiability       rank, combinations and what is lost
+Scaling               columns in SI, as lengths, or in units of tolerances
+analyse               the identifiability that slopes of readings have
+assess                the same for series of a measurement
+column_scale          the factor by which each column of H is multiplied
+lost_motions          rigid motions that no reading determines
+parameter_covariance  the same in SI
+posterior_covariance  covariance by readings and prior, in units of tolerances
+prior_information     information of the prior, in units of tolerances
+recoveries            trials that recover lost directions, in phrases
+scaled                slopes of readings, whitened and scaled
+whiten                rows by the noise of their readings
+"""
 
-__all__ = ["Identifiability", "analyse"]
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from oed.identifiability.assessment import Assessment, assess, recoveries
+    from oed.identifiability.identifiability import (
+        Identifiability,
+        analyse,
+        lost_motions,
+    )
+    from oed.identifiability.information import (
+        Scaling,
+        column_scale,
+        parameter_covariance,
+        posterior_covariance,
+        prior_information,
+        scaled,
+        whiten,
+    )
+else:
+    # imported when first used: a module of the room may need little of it
+    __getattr__ = door(__name__)
