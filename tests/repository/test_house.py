@@ -121,6 +121,19 @@ def test_machine_paths_are_recognised(text: str) -> None:
     assert MACHINE_PATH.search(text)
 
 
+@pytest.mark.parametrize("name", ["oed", "pkm_models", "pkm_studies", "pkm_reports"])
+def test_tests_lie_by_the_rooms_of_a_package(name: str) -> None:
+    folder = ROOT / "tests" / name.removeprefix("pkm_")
+    rooms = {path.stem for path in PACKAGES[name].iterdir()}
+    tested = {path.parent.relative_to(folder) for path in folder.rglob("test_*.py")}
+    assert tested
+    assert {str(path.parts[0]) for path in tested if path.parts} <= rooms
+
+
+def test_no_test_lies_beside_the_folders() -> None:
+    assert not list((ROOT / "tests").glob("test_*.py"))
+
+
 def test_every_module_has_a_docstring(committed: list[Path]) -> None:
     modules = [path for path in committed if path.suffix == ".py"]
     bare = [
