@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 MOST_NAMES = 15
 #: the tables of a study file are records: as many as the file has
 RECORDS = {"pkm_studies.tables.*"}
