@@ -21,7 +21,7 @@ from pkm_studies.base import Place
 from pkm_studies.commands import main
 from pkm_studies.user_code import Origin
 
-MY_MACHINE = Path(__file__).parents[3] / "docs" / "tutorial" / "my_machine.py"
+MY_MACHINE = Path(__file__).parents[4] / "docs" / "tutorial" / "my_machine.py"
 DRAWING = "BASE, PLATE, CRANK, ROD = 0.350, 0.100, 0.200, "
 JOINTS = (("q1",), ("q2",), ("q3",))
 
