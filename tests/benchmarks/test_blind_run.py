@@ -95,8 +95,8 @@ def diagnosed(blind, problem):
     """A diagnosis without a search: no gap."""
 
     from kernel.laws import noise_law
-    from oed.gap.data.diagnosis import Diagnosis
-    from oed.result.gap import AnswerRecord, ClosureRecord, PlaceRecord
+    from oed.gap import Diagnosis
+    from oed.result import AnswerRecord, ClosureRecord, PlaceRecord
 
     answers = (
         AnswerRecord((), 0.9),

@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from oed.accuracy import prediction
-from oed.accuracy.maps import driven_errors
-from oed.estimation.identification import identify
+from oed.accuracy import driven_errors, error_maps, predict
+from oed.estimation import identify
 from oed.measurement.reading_structure import reading_structure
-from oed.noise.prior import noise_prior
+from oed.noise import noise_prior
 from oed.posterior import laplace
 from pkm_studies.commands import main
 
@@ -192,13 +191,11 @@ def test_what_compensation_leaves_is_predicted_exactly() -> None:
     known = driven_errors(
         m.kinematics, bench.command, identified, "home", believed=identified
     )
-    maps = prediction.error_maps(m.kinematics, bench.command, "home")
+    maps = error_maps(m.kinematics, bench.command, "home")
     nothing = np.zeros((24, 24))
     figures = {
-        "exact": prediction.predict(
-            maps, nothing, nothing, rng, mean=identified, known=known
-        ),
-        "linear": prediction.predict(maps, nothing, nothing, rng, mean=identified),
+        "exact": predict(maps, nothing, nothing, rng, mean=identified, known=known),
+        "linear": predict(maps, nothing, nothing, rng, mean=identified),
     }
     off = {n: np.abs(f.sd_after - np.abs(exact)) for n, f in figures.items()}
     assert off["exact"].max() < 1e-9

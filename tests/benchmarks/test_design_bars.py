@@ -18,8 +18,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from oed.design import exchange, relaxation
-from oed.identifiability import information
+from oed import identifiability
+from oed.design import choose, relaxation
 from pkm_studies import study
 from pkm_studies.resolve.resolved import resolve
 
@@ -86,7 +86,7 @@ def ceiling(blocks: np.ndarray, weights: np.ndarray, size: int) -> float:
 def test_problem_a_by_d() -> None:
     """30 of 2000 x 21: plan, bound, and how tight the bound is as a relaxation."""
     rows = rows_a()
-    choice = exchange.choose(rows, 30, np.random.default_rng(1), rounds=100)
+    choice = choose(rows, 30, np.random.default_rng(1), rounds=100)
     reached = log_det(rows[choice.indices], np.ones(30))
     assert len(set(choice.indices.tolist())) == 30
     assert choice.value == pytest.approx(reached, abs=1e-9)
@@ -101,7 +101,7 @@ def test_problem_a_by_d() -> None:
 
 def test_problem_a_by_e() -> None:
     rows = rows_a()
-    choice = exchange.choose(rows, 30, np.random.default_rng(1), "E", rounds=20)
+    choice = choose(rows, 30, np.random.default_rng(1), "E", rounds=20)
     least = float(np.linalg.eigvalsh(rows[choice.indices].T @ rows[choice.indices])[0])
     assert len(set(choice.indices.tolist())) == 30
     assert choice.value == pytest.approx(least, rel=1e-9)
@@ -133,7 +133,7 @@ def test_problem_c(instance: int, efficiency: float) -> None:
     """
     blocks = benchmark("hexapod").blocks(instance)
     assert blocks.shape == (2000, 6, 42)
-    choice = exchange.choose(blocks, 10, np.random.default_rng(1), rounds=20)
+    choice = choose(blocks, 10, np.random.default_rng(1), rounds=20)
     reached = log_det(blocks[choice.indices], np.ones(10))
     assert len(set(choice.indices.tolist())) == 10
     assert choice.directions == 42
@@ -177,16 +177,18 @@ def test_a3_designs_are_best_in_their_own_criterion() -> None:
         study.load(ROOT / "studies" / "a3_ball_bar.study.toml"), readings=()
     )
     m = resolved.measurement
-    rows = information.scaled(m, resolved.candidates, m.nominal, "length")[:, m.free]
+    rows = identifiability.scaled(m, resolved.candidates, m.nominal, "length")[
+        :, m.free
+    ]
     assert len(rows) == 1512
     choices = {
-        name: exchange.choose(rows, 30, np.random.default_rng(1), name, rounds=rounds)
+        name: choose(rows, 30, np.random.default_rng(1), name, rounds=rounds)
         for name, rounds in {"D": 60, "E": 5, "kappa": 5}.items()
     }
     plans = {name: of_a3(rows[choice.indices]) for name, choice in choices.items()}
     paper = next(p for p in resolved.reference_plans if p.name == "paper 2 x 15")
     plans["paper"] = of_a3(
-        information.scaled(m, paper.series, m.nominal, "length")[:, m.free]
+        identifiability.scaled(m, paper.series, m.nominal, "length")[:, m.free]
     )
     for name, choice in choices.items():
         assert choice.directions == 18

@@ -10,8 +10,8 @@ from benchmarks.second import cases as second
 from benchmarks.third import __main__ as command
 from benchmarks.third import cases, faults, physics, table
 from benchmarks.third.machines import MACHINES, change, session
-from oed.gap.data.problem import GapProblem
-from oed.model.effect import Effect
+from oed.gap import GapProblem
+from oed.model import Effect
 
 COULOMB, BRISTLE = 30.0, 1e6  # N, N/m
 

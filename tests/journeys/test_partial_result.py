@@ -9,7 +9,7 @@ from unittest import mock
 import pytest
 from few_poses import SIMULATED
 
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 from pkm_studies import pipeline
 from pkm_studies.commands import main
 

@@ -17,8 +17,8 @@ import numpy as np
 import sample
 import uvicorn
 
-from oed.base.arrays import Array
-from oed.measurement import simulation
+from oed.base import Array
+from oed.measurement import draw_parameters
 from pkm_page import serving as page
 from pkm_page.guard import Guard, hosts_of
 from pkm_page.machine_page import MachinePage
@@ -118,7 +118,7 @@ class Operator:
         self.session = opened.session
         self.rng = np.random.default_rng(seed)
         machine = self.session.measurement
-        self.truth: Array = simulation.draw_parameters(machine, self.rng)
+        self.truth: Array = draw_parameters(machine, self.rng)
 
     def display(self) -> list[str]:
         """What the instrument shows at the present pose, mm, four decimals."""

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 import report_fixture
 
-from oed.result import acceptance
+from oed.result import AcceptanceSection, PromiseRecord
 from page.page_server import Client, served
 from pkm_page import serving
 from pkm_page.new_study import FieldError, NewStudy, StudyForm
@@ -111,10 +111,10 @@ def test_results_of_a_folder_are_cards(tmp_path: Path) -> None:
 
 def test_an_acceptance_test_is_judged(tmp_path: Path) -> None:
     """Against the rms by hand: 3 and 4 um are 3.54 um; what is no such file is not stored."""
-    demand = acceptance.PromiseRecord(
+    demand = PromiseRecord(
         promised=3.0, limit=3.6, unit="um", uncertainty=0.6, power=0.9
     )
-    planned = acceptance.AcceptanceSection(
+    planned = AcceptanceSection(
         poses=[{"z_mm": 1100.0}, {"z_mm": 1200.0}],
         components={"z": demand},
         reference="absolute",

@@ -12,11 +12,11 @@ from oracles import delta_trilateration as delta
 from oracles.firmware import marlin, rrf
 from oracles.firmware.geometry import Firmware
 from oracles.firmware.klipper import Klipper, example
+from shipped_models import delta as delta_family
+from shipped_models import linear_delta
 
 from oed.compensate import compensated_joints
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import delta as delta_family
-from pkm_models.machines import linear_delta
+from oed.mechanism import Kinematics
 
 Run = Callable[..., tuple[int, str, str]]
 #: an identified delta: radius, arms, angles, endstops

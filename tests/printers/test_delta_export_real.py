@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from delta_sessions import Session, fitted, heights_of, measurement, sessions
 from oracles.firmware.klipper import Klipper, example
+from shipped_models import linear_delta
 
-from oed.measurement.measurement import Measurement
-from pkm_models.machines.linear_delta import machine
+from oed.measurement import Measurement
 from pkm_studies.commands import main
+
+machine = linear_delta.machine
 
 __all__ = ["measurement", "sessions"]  # fixtures
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import oed
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism import Kinematics
 from pkm_studies.base import InputError
 from pkm_studies.importers import import_files
 from pkm_studies.resolve.machine import study_machine

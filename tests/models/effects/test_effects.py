@@ -21,7 +21,7 @@ from effects_sample import (
 )
 
 from kernel.cases import CASES
-from oed.gap.data.signature import exact_readings, signature, untestable
+from oed.gap import exact_readings, signature, untestable
 from pkm_studies import catalogue
 from pkm_studies import study as studies
 from pkm_studies.base import InputError

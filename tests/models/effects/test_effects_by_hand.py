@@ -10,8 +10,8 @@ import pytest
 from effects_sample import columns, effect_of, session, small
 
 from kernel.cases import CASES
-from oed.gap.data.state import states
-from oed.measurement.measurement import Measurement
+from oed.gap import states
+from oed.measurement import Measurement
 from pkm_models.effects import terms
 
 

@@ -9,7 +9,7 @@ from effects_sample import columns, effect_of, session, small
 from scipy.spatial.transform import Rotation
 
 from kernel.cases import CASES
-from oed.gap.data.signature import exact_readings
+from oed.gap import exact_readings
 from pkm_models.effects import terms
 
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from effects_sample import columns, effect_of, session
 from scipy import optimize
-
-from pkm_models.machines import five_bar, hexapod_rus
+from shipped_models import five_bar, hexapod_rus
 
 ROTARY = (five_bar.machine, hexapod_rus.machine)
 

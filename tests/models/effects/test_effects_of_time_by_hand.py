@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 from effects_sample import HOURS, ROUND, columns, effect_of, session, small
 
-from oed.gap.data.signature import exact_readings, signature
-from oed.gap.data.state import states
+from oed.gap import exact_readings, signature, states
 from pkm_models.effects import terms
 
 

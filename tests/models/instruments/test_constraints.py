@@ -22,13 +22,12 @@ from constraint_machines import (
     sensor_slopes,
     turned,
 )
+from shipped_models import hexapod
 
-from oed.identifiability.assessment import assess, recoveries
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement, Series
-from oed.model.instrument import Setup, mount
+from oed.identifiability import assess, recoveries
+from oed.measurement import Measurement, Series, commands_at_fixed_reading
+from oed.model import Setup, mount
 from pkm_models.instruments import camera, passive_joint, seat, touch_plane
-from pkm_models.machines import hexapod
 
 #: the joints of the legs, in the machine's order
 JOINTS = [f"{kind}{i}" for i in (1, 2, 3) for kind in ("swing", "side")]

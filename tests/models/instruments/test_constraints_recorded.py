@@ -21,16 +21,14 @@ from constraint_machines import (
     turned,
 )
 from scipy.optimize import brentq
+from shipped_models import hexapod
 
-from oed.dataset import csv_input, csv_output
-from oed.dataset.data import from_series
-from oed.dataset.readings_file import ReadingsError
-from oed.estimation.identification import identify
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Setup, mount
+from oed.dataset import ReadingsError, from_series, load, to_csv
+from oed.estimation import identify
+from oed.measurement import Measurement
+from oed.mechanism import Kinematics
+from oed.model import Setup, mount
 from pkm_models.instruments import passive_joint, seat, touch_plane
-from pkm_models.machines import hexapod
 from pkm_reports.page.sheet import _table
 from pkm_studies.commands import main
 from pkm_studies.stages.design.section import planned_readings
@@ -154,7 +152,7 @@ def planned() -> tuple[Measurement, str]:
         measurement.series("sensors", GRID[:2]),
     ]
     y = np.full(len(series[0]) + 6 * len(series[1]), np.nan)
-    return measurement, csv_output.to_csv(from_series(series, y, measurement))
+    return measurement, to_csv(from_series(series, y, measurement))
 
 
 def test_the_sheet_of_a_constraint_asks_for_the_joints(tmp_path: Path) -> None:
@@ -166,7 +164,7 @@ def test_the_sheet_of_a_constraint_asks_for_the_joints(tmp_path: Path) -> None:
     sheet = tmp_path / "sheet.csv"
     sheet.write_text(text)
     with pytest.raises(ReadingsError, match="no reading was taken"):
-        csv_input.load(sheet, measurement)
+        load(sheet, measurement)
     # two of the poses were measured
     q = 1e3 * lengths(locked_poses(0)[:2], CMM.nominal)
     for row, values in zip(rows[:2], q, strict=True):
@@ -174,7 +172,7 @@ def test_the_sheet_of_a_constraint_asks_for_the_joints(tmp_path: Path) -> None:
             row[k] = f"{value:.9f}"
     lines = [",".join(row) for row in [header, *rows]]
     sheet.write_text("\n".join(lines) + "\n")
-    data = csv_input.load(sheet, measurement)
+    data = load(sheet, measurement)
     assert data.setups == ("lock1",)
     assert data.y.tolist() == [0.0, 0.0]
     assert 1e3 * data.series[0].q == pytest.approx(q, abs=1e-8)
@@ -186,8 +184,8 @@ def test_simulated_constraints_come_back_as_they_were(tmp_path: Path) -> None:
     series = measurement.series("lock1", locked_poses(0))
     y = 1e-4 * np.arange(1.0, 10.0)
     sheet = tmp_path / "simulated.csv"
-    sheet.write_text(csv_output.to_csv(from_series([series], y, measurement)), "utf-8")
-    again = csv_input.load(sheet, measurement)
+    sheet.write_text(to_csv(from_series([series], y, measurement)), "utf-8")
+    again = load(sheet, measurement)
     assert again.y == pytest.approx(y, abs=1e-12)
 
 

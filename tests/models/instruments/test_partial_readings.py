@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sample import refused, resolved
+from shipped_models import a3_head, cables_planar, delta
 
-from oed.measurement.measurement import Measurement
-from oed.measurement.reading_noise import reading_covariances
-from oed.model.instrument import mount
+from oed.measurement import Measurement, reading_covariances
+from oed.model import mount
 from pkm_models.instruments import height_probe, laser_ball_bar, planar_position
-from pkm_models.machines import a3_head, cables_planar, delta
 
 ARM = """\
 schema = 1

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from oracles import planar_cables
 from scipy import optimize
+from shipped_models import cables_planar, cables_spatial
 
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import identify
-from oed.measurement.measurement import Measurement
-from oed.measurement.reading_noise import reading_covariances
-from oed.model.instrument import mount
-from oed.model.machine import Machine
+from oed.estimation import Estimate, identify
+from oed.measurement import Measurement, reading_covariances
+from oed.model import Machine, mount
 from pkm_models.instruments import redundancy
-from pkm_models.machines import cables_planar, cables_spatial
 
 #: m, of one drum
 DRUM = 0.3e-3

@@ -10,11 +10,10 @@ from reference import tian_2016 as paper
 
 from kernel import a3_plans
 from kernel.a3_machines import Realised, against_home, measured, realise
-from oed.accuracy import prediction
-from oed.accuracy.prediction import Prediction
-from oed.design import exchange
-from oed.estimation.identification import Estimate, identify
-from oed.measurement.measurement import Measurement, Series
+from oed.accuracy import Prediction, error_maps, predict
+from oed.design import Choice, choose
+from oed.estimation import Estimate, identify
+from oed.measurement import Measurement, Series
 
 #: virtual machines of a test; the slow tests take the larger number
 MACHINES = pytest.mark.parametrize(
@@ -40,8 +39,8 @@ def candidates(taught: Measurement, grid: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def d_optimal(candidates: np.ndarray) -> exchange.Choice:
-    return exchange.choose(candidates, 30, np.random.default_rng(0), rounds=20)
+def d_optimal(candidates: np.ndarray) -> Choice:
+    return choose(candidates, 30, np.random.default_rng(0), rounds=20)
 
 
 # -- published numbers -----------------------------------------------------------------
@@ -128,7 +127,7 @@ def test_kappa_of_the_free_cup() -> None:
 
 
 def test_the_d_optimal_30_readings(
-    taught: Measurement, candidates: np.ndarray, d_optimal: exchange.Choice
+    taught: Measurement, candidates: np.ndarray, d_optimal: Choice
 ) -> None:
     s = np.linalg.svd(
         a3_plans.rows(taught, [a3_plans.circles(taught, 15)]), compute_uv=False
@@ -143,7 +142,7 @@ def test_the_d_optimal_30_readings(
 
 
 def test_the_d_value_does_not_depend_on_how_the_cup_is_known(
-    d_optimal: exchange.Choice,
+    d_optimal: Choice,
 ) -> None:
     """A taught cup and a free one give the same log det, whatever the columns mean."""
     free = a3_plans.measurement(taught=False)
@@ -156,9 +155,9 @@ def test_the_d_value_does_not_depend_on_how_the_cup_is_known(
 
 
 def test_the_e_exchange_beats_the_d_design_in_its_own_measure(
-    candidates: np.ndarray, d_optimal: exchange.Choice
+    candidates: np.ndarray, d_optimal: Choice
 ) -> None:
-    by_e = exchange.choose(candidates, 30, np.random.default_rng(0), "E", rounds=10)
+    by_e = choose(candidates, 30, np.random.default_rng(0), "E", rounds=10)
     least = np.linalg.svd(candidates[d_optimal.indices], compute_uv=False)[17] ** 2
     assert by_e.value > 1.2 * least
     assert by_e.value == pytest.approx(
@@ -181,7 +180,7 @@ def ratios(realised: Realised, predicted: Prediction) -> dict[str, dict[str, flo
 
 
 @pytest.fixture(scope="module")
-def plan(taught: Measurement, grid: np.ndarray, d_optimal: exchange.Choice) -> Series:
+def plan(taught: Measurement, grid: np.ndarray, d_optimal: Choice) -> Series:
     return taught.series("cup", grid[d_optimal.indices])
 
 
@@ -193,8 +192,8 @@ def planned(m: Measurement, series: Series) -> Prediction:
     covariance[np.ix_(m.free, m.free)] = np.linalg.inv(
         np.eye(len(scale)) + h.T @ h
     ) * np.outer(scale, scale)
-    maps = prediction.error_maps(m.kinematics, a3_plans.workspace(), "home")
-    return prediction.predict(
+    maps = error_maps(m.kinematics, a3_plans.workspace(), "home")
+    return predict(
         maps,
         np.diag(m.tolerance[:24] ** 2),
         covariance[:24, :24],
@@ -204,9 +203,9 @@ def planned(m: Measurement, series: Series) -> Prediction:
 
 def from_estimate(m: Measurement, estimate: Estimate) -> Prediction:
     """Prediction once a machine is identified."""
-    maps = prediction.error_maps(m.kinematics, a3_plans.workspace(), "home")
+    maps = error_maps(m.kinematics, a3_plans.workspace(), "home")
     prior = np.diag(m.tolerance[:24] ** 2)
-    return prediction.predict(
+    return predict(
         maps,
         prior,
         estimate.covariance[:24, :24],
@@ -300,7 +299,7 @@ def rough_then_fine(
 
 @pytest.mark.parametrize("machines", [4, pytest.param(40, marks=pytest.mark.slow)])
 def test_a_home_error_of_8_mm_converges(
-    grid: np.ndarray, d_optimal: exchange.Choice, taught: Measurement, machines: int
+    grid: np.ndarray, d_optimal: Choice, taught: Measurement, machines: int
 ) -> None:
     """Machines of Table 3 with home errors of 8 mm more, of either sign.
 
@@ -338,7 +337,7 @@ def test_a_home_error_of_8_mm_converges(
 
 
 def test_rough_rounds_that_trust_the_stated_noise_converge_too(
-    grid: np.ndarray, d_optimal: exchange.Choice, taught: Measurement
+    grid: np.ndarray, d_optimal: Choice, taught: Measurement
 ) -> None:
     """Half a micrometre of noise against a millimetre that the model cannot explain.
 

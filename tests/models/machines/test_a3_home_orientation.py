@@ -8,8 +8,8 @@ import pytest
 from oracles import a3_geometry as a3
 
 from kernel import a3_plans
-from oed.estimation.identification import identify
-from oed.measurement.measurement import Series
+from oed.estimation import identify
+from oed.measurement import Series
 
 TILT = "rotation of the platform joints about the TCP, {} axis"
 

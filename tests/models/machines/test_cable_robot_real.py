@@ -15,14 +15,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from oracles import cable_geometry as oracle
+from shipped_models import camera, redundancy
 
-from oed.base.arrays import Array
-from oed.estimation import identification
-from oed.estimation.identification import Estimate
-from oed.measurement.measurement import Measurement, Series
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import mount
-from pkm_models.instruments import camera, redundancy
+from oed.base import Array
+from oed.estimation import Estimate, identify
+from oed.measurement import Measurement, Series
+from oed.mechanism import Kinematics
+from oed.model import mount
 from pkm_models.machines import a3_head, cable_robot
 
 MM = 1e-3
@@ -162,7 +161,7 @@ def fit(data: tuple[Array, Array], anchors: float = 0.050, line: float = 1e-3) -
         m.series_from_joints("lines", q),
     ]
     y = np.concatenate([known.ravel() * MM, np.zeros(KNOWN)])
-    estimate = identification.identify(m, series, y)
+    estimate = identify(m, series, y)
     p = in_mm(estimate.theta)
     start = np.tile([0.0, 0.0, 300.0], (len(motor) - KNOWN, 1))
     return Fit(

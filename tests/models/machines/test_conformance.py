@@ -9,8 +9,8 @@ from reference import parameter_names
 
 from kernel.cases import CASES, PAIRS, Case, reading_series
 from oed.base import units
-from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.machine import Coordinate
+from oed.mechanism import AssemblyError, Kinematics
+from oed.model import Coordinate
 
 STEP = 2e-4  # m, rad or 1: finite differences
 

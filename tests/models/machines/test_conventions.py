@@ -19,10 +19,9 @@ from constraint_machines import swing1
 from scipy.spatial.transform import Rotation
 
 from oed.base import units
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Instrument, mount
-from oed.model.machine import Machine
+from oed.measurement import Measurement
+from oed.mechanism import Kinematics
+from oed.model import Instrument, Machine, mount
 from pkm_models.machines import (
     a3_head,
     hexapod,

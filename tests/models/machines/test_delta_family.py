@@ -9,7 +9,7 @@ import pytest
 from oracles import delta_trilateration
 from sample import refused, resolved
 
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.mechanism import AssemblyError, Kinematics
 from pkm_models.machines import delta, linear_delta
 from pkm_studies.resolve.machine import unreachable
 

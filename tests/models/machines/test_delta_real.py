@@ -18,10 +18,10 @@ from delta_sessions import (
 from oracles import delta_trilateration as delta
 from reference import delta_v400 as published
 
-from oed.estimation.identification import identify
-from oed.identifiability import identifiability
-from oed.measurement.measurement import Measurement, Series
-from oed.posterior import posterior
+from oed.estimation import identify
+from oed.identifiability import Identifiability, analyse
+from oed.measurement import Measurement, Series
+from oed.posterior import sample
 from pkm_studies import study
 from pkm_studies.resolve import resolved as resolve
 
@@ -134,15 +134,11 @@ def test_heights_alone_cannot_tell_the_arms(
     """
     m, session = measurement, sessions["S04"]
 
-    def verdict(
-        series: list[Series], *unknowns: str
-    ) -> identifiability.Identifiability:
+    def verdict(series: list[Series], *unknowns: str) -> Identifiability:
         names = [n for n in m.names[:10] if n != "angle3"] + list(unknowns)
         columns = [m.names.index(n) for n in names]
         scale = 1 / m.length_factors[columns]
-        return identifiability.analyse(
-            m.jacobian(series, m.nominal)[:, columns] * scale, names, scale
-        )
+        return analyse(m.jacobian(series, m.nominal)[:, columns] * scale, names, scale)
 
     alone = verdict([heights_of(m, session)], "S04_probe.offset")
     assert (alone.rank, len(alone.names)) == (7, 10)
@@ -189,7 +185,7 @@ def test_the_sampled_arms_are_as_wide(
     series = [heights_of(measurement, session), distances_of(measurement, session)]
     y = np.concatenate([session.heights, session.distances])
     estimate = fitted(measurement, session)
-    drawn = posterior.sample(measurement, series, y, estimate, np.random.default_rng(1))
+    drawn = sample(measurement, series, y, estimate, np.random.default_rng(1))
     arms = [measurement.names.index(arm) for arm in ARMS]
     assert drawn.ess[arms].min() >= 1000
     assert drawn.pooled.std(axis=0)[arms] == pytest.approx(estimate.sd[arms], rel=0.15)

@@ -12,8 +12,8 @@ import pytest
 from oracles import machine_shapes, wrist_shapes
 from sample import refused, resolved
 
-from oed.accuracy.maps import error_maps
-from oed.mechanism.kinematics import AssemblyError, Kinematics
+from oed.accuracy import error_maps
+from oed.mechanism import AssemblyError, Kinematics
 from oed.model.machine import Family
 
 #: relative to the machine's size

@@ -4,14 +4,13 @@ tracker loses.
 
 import numpy as np
 from oracles import hexapod_geometry as oracle
+from shipped_models import pose_tracker
 
-from oed.base.arrays import Array
-from oed.identifiability import identifiability
-from oed.identifiability.assessment import Assessment, assess
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Setup, mount
-from pkm_models.instruments import pose_tracker
+from oed.base import Array
+from oed.identifiability import Assessment, assess, lost_motions
+from oed.measurement import Measurement
+from oed.mechanism import Kinematics
+from oed.model import Setup, mount
 from pkm_models.machines import hexaglide
 
 MACHINE = hexaglide.machine
@@ -90,9 +89,7 @@ def test_positions_in_a_known_frame_lose_the_platforms_three_rotations(
         mount(pose_tracker.position, "point", tolerances=known), commands(rng, 60)
     )
     assert seen.identifiability.rank == 39
-    motions, rest = identifiability.lost_motions(
-        seen.identifiability, MACHINE, seen.scale
-    )
+    motions, rest = lost_motions(seen.identifiability, MACHINE, seen.scale)
     assert motions == [
         f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"
     ]
@@ -107,9 +104,7 @@ def test_a_free_frame_hides_what_leaves_the_guides_along_x(
     """
     seen = look(mount(pose_tracker.instrument, "pose"), commands(rng, 60))
     assert (len(seen.names), seen.identifiability.rank) == (48, 44)
-    motions, rest = identifiability.lost_motions(
-        seen.identifiability, MACHINE, seen.scale
-    )
+    motions, rest = lost_motions(seen.identifiability, MACHINE, seen.scale)
     told = ["translation of the carriages along " + n for n in "xyz"]
     told.append("rotation of the carriages about the base's origin, x axis")
     assert [m.split(" together")[0] for m in motions] == told

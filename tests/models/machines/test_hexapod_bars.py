@@ -7,16 +7,14 @@ import re
 import numpy as np
 import pytest
 from oracles import hexapod_geometry as oracle
+from shipped_models import ball_bar, pose_tracker
 
-from oed.base.arrays import Array
-from oed.identifiability import explain, identifiability
-from oed.identifiability.assessment import Assessment, assess
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Setup, mount
+from oed.base import Array
+from oed.identifiability import Assessment, assess, explain, lost_motions
+from oed.measurement import Measurement, commands_at_fixed_reading
+from oed.mechanism import Kinematics
+from oed.model import Setup, mount
 from oed.result import IdentifiabilityFinding
-from pkm_models.instruments import ball_bar, pose_tracker
 from pkm_models.machines import hexapod
 
 MACHINE = hexapod.machine
@@ -148,9 +146,7 @@ def test_positions_alone_lose_the_platforms_three_rotations(
         [mount(pose_tracker.position, "point", tolerances=KNOWN)], [commands(rng, 60)]
     )
     assert seen.identifiability.rank == 39
-    motions, rest = identifiability.lost_motions(
-        seen.identifiability, MACHINE, seen.scale
-    )
+    motions, rest = lost_motions(seen.identifiability, MACHINE, seen.scale)
     assert motions == [
         f"rotation of the platform joints about the tool point, {n} axis" for n in "xyz"
     ]
@@ -163,9 +159,7 @@ def test_a_free_frame_hides_the_base(rng: np.random.Generator) -> None:
     """
     seen = look([mount(pose_tracker.instrument, "pose")], [commands(rng, 60)])
     assert (len(seen.names), seen.identifiability.rank) == (48, 42)
-    motions, rest = identifiability.lost_motions(
-        seen.identifiability, MACHINE, seen.scale
-    )
+    motions, rest = lost_motions(seen.identifiability, MACHINE, seen.scale)
     assert len(motions) == 6
     assert len(rest) == 0
     assert all(

@@ -5,16 +5,15 @@ what readings can see.
 import numpy as np
 import pytest
 from oracles import micro_cmm_geometry as oracle
+from shipped_models import ball_plate, camera
 
-from oed.accuracy import prediction
-from oed.base.arrays import Array
-from oed.estimation import identification
-from oed.identifiability.assessment import assess
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Setup, mount
-from pkm_models.instruments import ball_plate, camera
+from oed.accuracy import error_maps
+from oed.base import Array
+from oed.estimation import identify
+from oed.identifiability import assess
+from oed.measurement import Measurement, draw_parameters, draw_readings
+from oed.mechanism import Kinematics
+from oed.model import Setup, mount
 from pkm_models.machines import micro_cmm
 
 MACHINE = micro_cmm.machine
@@ -229,9 +228,9 @@ def test_a_ball_plate_by_hand() -> None:
 def test_planted_errors_come_back_in_what_is_seen(rng: np.random.Generator) -> None:
     m = measurement(mount(camera.known_frame, "position", sigma=[0.2e-6] * 3))
     series = [m.series("position", grid(4, 3))]
-    truth = simulation.draw_parameters(m, rng)
-    y = simulation.draw_readings(m, series, truth, rng)
-    found = identification.identify(m, series, y)
+    truth = draw_parameters(m, rng)
+    y = draw_readings(m, series, truth, rng)
+    found = identify(m, series, y)
     verdict = assess(m, series).identifiability
     off = verdict.combinations @ (found.theta - truth)
     sd = np.sqrt(
@@ -245,9 +244,9 @@ def test_a_machine_turned_as_a_whole_is_accurate_after_the_best_fit() -> None:
     """It never turns its platform, so that its points alone are aligned: frame and
     platform turned together.
     """
-    maps = prediction.error_maps(KINEMATICS, grid(3, 2), "best_fit")
+    maps = error_maps(KINEMATICS, grid(3, 2), "best_fit")
     turned = np.zeros(15)
     turned[6:12] = 1e-3
-    home = prediction.error_maps(KINEMATICS, grid(3, 2), "home")
+    home = error_maps(KINEMATICS, grid(3, 2), "home")
     assert np.abs(home.raw @ turned).max() > 30e-6
     assert np.abs(maps.raw @ turned).max() < 1e-15

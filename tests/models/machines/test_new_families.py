@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from oracles import new_families
 
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
+from oed.mechanism import Kinematics
+from oed.model import Machine
 
 Run = Callable[..., tuple[int, str, str]]
 NAMES = tuple(new_families.CLOSURES)

@@ -7,13 +7,12 @@ Lengths are in mm against angles scaled by 1 m throughout, which is the toolkit'
 import numpy as np
 import pytest
 from oracles import planar_geometry as oracle
+from shipped_models import relative
 
 from oed.design import criteria
-from oed.identifiability import identifiability, information
-from oed.identifiability.identifiability import Identifiability
-from oed.measurement.measurement import Measurement, Series
-from oed.model.instrument import Setup, mount
-from pkm_models.instruments import relative
+from oed.identifiability import Identifiability, analyse, posterior_covariance, scaled
+from oed.measurement import Measurement, Series
+from oed.model import Setup, mount
 from pkm_models.machines.planar_2dof import machine
 
 RM = {k: getattr(relative, f"rm{k}") for k in range(1, 6)}
@@ -44,8 +43,8 @@ def together(*numbers: int) -> tuple[Measurement, list[Series]]:
 
 
 def verdict(m: Measurement, series: list[Series]) -> Identifiability:
-    h = information.scaled(m, series, m.nominal, "length")[:, m.free]
-    return identifiability.analyse(
+    h = scaled(m, series, m.nominal, "length")[:, m.free]
+    return analyse(
         h,
         [n for n, f in zip(m.names, m.free, strict=True) if f],
         1 / m.length_factors[m.free],
@@ -157,8 +156,8 @@ def test_differences_carry_the_information_of_the_readings_themselves() -> None:
         m, series = measured(number)
         pose, line = oracle.lines(number)
         tolerance, k = m.tolerance[:7], NAMES.index(name)
-        honest = information.posterior_covariance(
-            information.scaled(m, [series], m.nominal, "tolerance")[:, :7]
+        honest = posterior_covariance(
+            scaled(m, [series], m.nominal, "tolerance")[:, :7]
         )
         rows = oracle.rows(pose)[:, 0] * tolerance / RM[number].channels[0].sigma
         zero = line[:, None] == np.arange(3)
@@ -167,7 +166,7 @@ def test_differences_carry_the_information_of_the_readings_themselves() -> None:
             np.linalg.inv(np.eye(7) + centred.T @ centred), rel=1e-6, abs=1e-12
         )
         h = m.jacobian([series], m.nominal)[:, :7] * tolerance
-        naive = information.posterior_covariance(h / m.sigma([series])[:, None])
+        naive = posterior_covariance(h / m.sigma([series])[:, None])
         assert np.sqrt(honest[k, k] / naive[k, k]) == pytest.approx(ratio, abs=1e-3)
 
 
@@ -307,9 +306,9 @@ def _two_sided(number: int, poses: list[tuple[float, float]]) -> np.ndarray:
     """H of an RM at poses, as lengths: a line for each y of RM 4, one for RM 5."""
     m = Measurement(machine, [mount(RM[number], "rm")])
     run = [str(y) for y, _ in poses] if number == 4 else ["1"] * len(poses)
-    return information.scaled(
-        m, [m.series("rm", np.array(poses), run=run)], m.nominal, "length"
-    )[:, :7]
+    return scaled(m, [m.series("rm", np.array(poses), run=run)], m.nominal, "length")[
+        :, :7
+    ]
 
 
 def _one(number: int) -> tuple[Measurement, list[Series]]:
@@ -331,11 +330,8 @@ def test_rm2_is_excluded_and_rm4_is_selected() -> None:
 
     RM 3 sees what RM 4 sees, and more, 7.9 times as weakly.
     """
-    index = {
-        k: amplification(information.scaled(*_args(k), "length")[:, :7], 18)
-        for k in (2, 4)
-    }
-    index[3] = amplification(information.scaled(*_args(3), "length")[:, :7], 33)
+    index = {k: amplification(scaled(*_args(k), "length")[:, :7], 18) for k in (2, 4)}
+    index[3] = amplification(scaled(*_args(3), "length")[:, :7], 33)
     assert index[4] / index[2] == pytest.approx(2.27, abs=0.02)
     assert index[4] > index[2]
     assert index[4] > index[3]
@@ -350,7 +346,7 @@ def test_rm5_is_the_strongest_for_the_four_of_step_two() -> None:
         for k in (1, 3, 5)
     }
     kernel = {
-        k: amplification(information.scaled(*_args(k), "length")[:, [0, 1, 3, 4]], 33)
+        k: amplification(scaled(*_args(k), "length")[:, [0, 1, 3, 4]], 33)
         for k in (1, 3, 5)
     }
     assert kernel == pytest.approx(index)

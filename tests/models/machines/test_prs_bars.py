@@ -20,15 +20,13 @@ from prs_sample import (
     poses,
     random_commands,
 )
+from shipped_models import laser_ball_bar, pose_tracker
 
-from oed.estimation import identification
-from oed.identifiability import explain
-from oed.identifiability.assessment import Assessment, assess
-from oed.measurement.measurement import Measurement, Series
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import Instrument, mount
-from oed.model.machine import Machine
-from pkm_models.instruments import laser_ball_bar, pose_tracker
+from oed.estimation import identify
+from oed.identifiability import Assessment, assess, explain
+from oed.measurement import Measurement, Series
+from oed.mechanism import Kinematics
+from oed.model import Instrument, Machine, mount
 
 NAMES = tuple(
     f"{kind.format(i)}"
@@ -316,7 +314,7 @@ def test_table_4_comes_back_in_every_identifiable_combination(
         m, series, y = planted(seed, tolerances)
         combinations = assess(m, [series]).identifiability.combinations
         free = np.flatnonzero(m.free)
-        estimate = identification.identify(m, [series], y)
+        estimate = identify(m, [series], y)
         truth = np.r_[PAPER.ravel(), np.zeros(6)]
         errors = combinations @ (estimate.theta - truth)[free]
         covariance = estimate.covariance[np.ix_(free, free)]

@@ -15,7 +15,7 @@ from oed.accuracy.acceptance import (
     smooth_functions,
     state_limits,
 )
-from oed.result.acceptance import PromiseRecord
+from oed.result import PromiseRecord
 
 POSES, PARAMETERS = 80, 12
 

@@ -7,8 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 from oracles import planar_geometry as planar
+from shipped_models import planar_2dof, relative
 
 from kernel import a3_plans, budget_machines
+from oed import identifiability
 from oed.accuracy import prediction
 from oed.accuracy.budget import (
     BudgetModel,
@@ -21,15 +23,11 @@ from oed.accuracy.budget import (
 from oed.accuracy.budget.lines import shares
 from oed.accuracy.maps import maps_by_reference
 from oed.compensate import compensated_joints
-from oed.estimation.identification import identify
-from oed.identifiability import information
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
+from oed.estimation import identify
+from oed.measurement import Measurement, Series, draw_parameters
 from oed.measurement.reading_structure import reading_structure
-from oed.model.instrument import mount
-from oed.noise.process import Laws
-from pkm_models.instruments import relative
-from pkm_models.machines import planar_2dof
+from oed.model import mount
+from oed.noise import Laws
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +59,10 @@ def test_the_parts_add_up_to_the_posterior_covariance(
     plan: tuple[Measurement, Series], model: BudgetModel
 ) -> None:
     m, series = plan
-    h = information.scaled(m, [series], m.nominal, "tolerance")
-    wanted = information.posterior_covariance(h) * np.outer(m.tolerance, m.tolerance)
+    h = identifiability.scaled(m, [series], m.nominal, "tolerance")
+    wanted = identifiability.posterior_covariance(h) * np.outer(
+        m.tolerance, m.tolerance
+    )
     scale = np.abs(wanted[:24, :24]).max()
     assert model.covariance() == pytest.approx(wanted[:24, :24], abs=1e-6 * scale)
     parts = model.parts()
@@ -162,7 +162,7 @@ def test_variance_over_machines_is_that_about_each_of_them(
     got = variance_over_machines(
         m, [series], command, ("home", "best_fit"), np.random.default_rng(4)
     )
-    truth = simulation.draw_parameters(m, np.random.default_rng(4), 1)[0]
+    truth = draw_parameters(m, np.random.default_rng(4), 1)[0]
     shifted = [
         dataclasses.replace(p, nominal=float(value))
         for p, value in zip(m.machine.parameters, truth, strict=False)

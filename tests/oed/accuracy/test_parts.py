@@ -7,17 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import stats
+from shipped_models import a3_head, planar_2dof, relative
 
 from oed.accuracy import maps
 from oed.accuracy.acceptance import Promise, state_limits
 from oed.accuracy.budget.lines import variance_over_machines
 from oed.accuracy.budget.model import budget_model
 from oed.accuracy.maps import driven_errors
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import Kinematics
-from oed.model.instrument import mount
-from pkm_models.instruments import relative
-from pkm_models.machines import a3_head, planar_2dof
+from oed.measurement import Measurement
+from oed.mechanism import Kinematics
+from oed.model import mount
 
 COMMAND = np.array([[1.1, 0.3, 0.2], [1.2, -2.0, 0.5], [1.25, 1.1, 0.05]])
 

@@ -7,13 +7,12 @@ import pytest
 from oracles import a3_geometry as a3
 from reference import tian_2016 as paper
 from scipy.spatial.transform import Rotation
+from shipped_models import a3_head, linear_delta
 
 from kernel import a3_plans
-from oed import compensate
+from oed import compensate, identifiability
 from oed.accuracy import prediction
-from oed.identifiability import information
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, linear_delta
+from oed.mechanism import Kinematics
 
 ARCSEC = 180 * 3600 / np.pi
 A3 = Kinematics(a3_head.machine)
@@ -29,11 +28,11 @@ def passage() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )
     m = a3_plans.measurement(taught=False, of=machine)
     series = a3_plans.circles(m, 15)
-    h = information.scaled(m, [series], m.nominal, "tolerance")
+    h = identifiability.scaled(m, [series], m.nominal, "tolerance")
     return (
         h,
         m.tolerance,
-        information.posterior_covariance(h) * np.outer(m.tolerance, m.tolerance),
+        identifiability.posterior_covariance(h) * np.outer(m.tolerance, m.tolerance),
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from shipped_models import a3_head, ball_bar
 
 from oed import Measurement, mount
 from oed.accuracy.maps import (
@@ -15,9 +16,10 @@ from oed.accuracy.maps import (
     driven_errors,
     error_maps,
 )
-from oed.mechanism.pose_errors import pose_error
-from pkm_models.instruments.ball_bar import instrument
-from pkm_models.machines.a3_head import machine
+from oed.mechanism import pose_error
+
+instrument = ball_bar.instrument
+machine = a3_head.machine
 
 COMMAND = np.array(
     [[1.10, 0.0, 0.2], [1.15, 2.1, 0.4], [1.20, 4.2, 0.5], [1.13, 5.0, 0.1]]

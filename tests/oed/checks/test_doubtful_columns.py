@@ -13,9 +13,9 @@ from oed.checks import conditions, copies
 from oed.checks.candidates import candidates
 from oed.checks.mistakes import Given, amounts, noise, tools
 from oed.checks.screening import Screening
+from oed.dataset import ReadingsError
 from oed.dataset.notations import notations
-from oed.dataset.readings_file import ReadingsError
-from oed.model.machine import Coordinate
+from oed.model import Coordinate
 
 DEG = np.pi / 180.0
 

@@ -7,23 +7,20 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import stats
+from shipped_models import a3_head, ball_bar, laser_ball_bar, prs_spindle
 
 from kernel.dense_noise import dense_covariance
 from oed import checks
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks import evidence, screening
 from oed.checks.fit import fit, fit_amounts
 from oed.checks.mistakes import Given, trials
 from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.measurement.reading_structure import reading_structure
-from oed.model.instrument import mount
-from oed.noise import prior
+from oed.model import mount
+from oed.noise import Laws, ReadingStructure, prior
 from oed.noise.law_noise import noise_under
-from oed.noise.process import Laws
-from oed.noise.structure import ReadingStructure
-from pkm_models.instruments import ball_bar, laser_ball_bar
-from pkm_models.machines import a3_head, prs_spindle
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 ONE = Laws(

@@ -7,8 +7,7 @@ import pytest
 from kernel.dense_noise import dense_covariance
 from oed.checks.session import CheckedLaw
 from oed.measurement.reading_structure import reading_structure
-from oed.noise.process import Laws
-from oed.noise.structure import LEVEL
+from oed.noise import LEVEL, Laws
 
 
 def law_of(scale: dict[str, float], level: float = 0.0) -> CheckedLaw:

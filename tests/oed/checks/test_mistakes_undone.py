@@ -16,7 +16,7 @@ import pytest
 from blunder_table import BLUNDERS
 from blunders import Blunder
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.checks.mistakes import (
     Given,
     amounts,
@@ -32,7 +32,7 @@ from oed.checks.mistakes import (
     values,
 )
 from oed.checks.mistakes.trial import MistakeTrial
-from oed.mechanism.inverse import InverseKinematics
+from oed.mechanism import InverseKinematics
 
 BY_NAME = {blunder.name: blunder for blunder in BLUNDERS}
 #: mistakes without amounts, or with those, SI, that were made

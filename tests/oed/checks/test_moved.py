@@ -4,6 +4,7 @@ import blunder_machines as machines
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
+from shipped_models import a3_head
 
 from oed.checks.mistakes import Given
 from oed.checks.mistakes.driven import (
@@ -25,9 +26,8 @@ from oed.checks.mistakes.moved import (
     with_moved,
 )
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Series
-from oed.mechanism.kinematics import AssemblyError
-from pkm_models.machines import a3_head
+from oed.measurement import Series
+from oed.mechanism import AssemblyError
 
 MACHINE = a3_head.machine
 

@@ -15,9 +15,9 @@ import pytest
 from kernel import a3_plans
 from kernel.a3_machines import NOISE, against_home, exact, measured
 from oed import checks
-from oed.accuracy import prediction
-from oed.estimation.identification import identify
-from oed.measurement.measurement import Measurement, Series
+from oed.accuracy import error_maps
+from oed.estimation import identify
+from oed.measurement import Measurement, Series
 
 POINTS = 30
 COMPENSATED = ("z", "psi", "theta")
@@ -120,7 +120,7 @@ def test_realised_accuracy_is_the_predicted_one(
     """Mean squares over 100 machines and the workspace."""
     m, _ = plan()
     command = a3_plans.workspace()
-    maps = prediction.error_maps(m.kinematics, command, "home")
+    maps = error_maps(m.kinematics, command, "home")
     members = [maps.names.index(name) for name in COMPENSATED]
     realised, predicted, named = [], [], 0
     for seed in range(100):

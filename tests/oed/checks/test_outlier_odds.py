@@ -9,7 +9,7 @@ from scipy import integrate, stats
 from oed.checks import outlier_odds
 from oed.checks.far_reading import LeaveOneOut
 from oed.checks.outlier_odds import GROSS, LOCATED, PROVEN, OutlierOdds
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
 READINGS, UNKNOWNS = 30, 5
 

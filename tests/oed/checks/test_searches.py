@@ -22,7 +22,7 @@ from oed.checks.ranges import predict_ranges
 from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 from oed.checks.times import between, clock, within
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
 SIGMA = 0.5e-6
 NOBODY = np.empty(0, dtype=np.intp)

@@ -7,15 +7,14 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
+from shipped_models import planar_2dof, pose_tracker
 
 from oed import checks
 from oed.checks.findings import Severity
 from oed.checks.session import SessionReadings
 from oed.checks.times import wrong_times
 from oed.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments import pose_tracker
-from pkm_models.machines import planar_2dof
+from oed.model import mount
 
 PATHS = {
     "low": np.column_stack([np.linspace(-1.0, 1.0, 5), np.full(5, 0.3)]),

@@ -13,7 +13,7 @@ from oracles import a3_geometry as a3
 from oracles import delta_trilateration as trilateration
 
 from oed.checks import judgement
-from oed.estimation.identification import identify
+from oed.estimation import identify
 from pkm_studies.commands import main
 
 MIRROR = np.array([-1.0, 1.0, 1.0])

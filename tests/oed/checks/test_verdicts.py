@@ -12,7 +12,7 @@ from oed.checks.findings import rounded
 from oed.checks.fit import fit
 from oed.checks.goodness import goodness, goodness_of, goodness_of_estimate
 from oed.checks.mistakes import Given
-from oed.estimation.identification import identify
+from oed.estimation import identify
 
 SIGMA = 0.5e-3  # mm, of the bar
 

@@ -16,17 +16,15 @@ import pytest
 from oracles import adjusted_machines as oracle
 from oracles import prs_geometry
 from scipy.optimize import least_squares
+from shipped_models import a3_head, pose_tracker, prs_spindle
 
 from oed.compensate.adjustment import AdjustableMachine, AdjustmentPlan
 from oed.estimation.identification import fit_machines
-from oed.identifiability.information import parameter_covariance
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import Kinematics
+from oed.identifiability import parameter_covariance
+from oed.measurement import Measurement
+from oed.mechanism import Kinematics
+from oed.model import Machine, mount
 from oed.model.adjustment import Adjustment
-from oed.model.instrument import mount
-from oed.model.machine import Machine
-from pkm_models.instruments import pose_tracker
-from pkm_models.machines import a3_head, prs_spindle
 
 STEP, TILT_STEP = 0.02e-3, 0.1e-3  # m, rad
 SIGMA = np.array([10e-6] * 3 + [np.deg2rad(5.0 / 3600.0)] * 3)

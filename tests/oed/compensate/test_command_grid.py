@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from shipped_models import a3_head, hexapod
 
 from oed.compensate import InterpolationTable
 from oed.compensate.command_grid import (
@@ -14,8 +15,7 @@ from oed.compensate.command_grid import (
     fewest_commands,
     joint_motion,
 )
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, hexapod
+from oed.mechanism import Kinematics
 
 #: rms of u (1 - u) / 2 over an interval: what a parabola of curvature 1 loses
 PARABOLA = 1.0 / math.sqrt(120.0)

@@ -7,11 +7,11 @@ import pytest
 from oracles import a3_geometry as a3
 from oracles import delta_trilateration as delta
 from scipy.spatial.transform import Rotation
+from shipped_models import a3_head, linear_delta
 
 from kernel.cases import CASES
 from oed import compensate
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, linear_delta
+from oed.mechanism import Kinematics
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
 SPREAD = np.r_[np.full(21, 1e-3), np.full(3, 10e-3)]

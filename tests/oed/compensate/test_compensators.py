@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
+from shipped_models import a3_head, hexapod, planar_2dof
 
 from oed import compensate
 from oed.compensate import InterpolationTable
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, hexapod, planar_2dof
+from oed.mechanism import Kinematics
 
 A3, PLANAR = Kinematics(a3_head.machine), Kinematics(planar_2dof.machine)
 TABLE3 = a3.errors(**{k: a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")})

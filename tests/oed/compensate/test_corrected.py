@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from scipy.interpolate import RegularGridInterpolator
+from shipped_models import backlash, leg_thermal
 
 from kernel import a3_plans
 from kernel.warm_head import (
@@ -31,9 +32,8 @@ from oed.compensate.effects.fit import (
 )
 from oed.compensate.effects.tables import tabled_effects
 from oed.compensate.effects.workspace import predict_corrected
-from oed.estimation.identification import Estimate, identify
-from oed.measurement.measurement import Measurement
-from pkm_models.effects import backlash, leg_thermal
+from oed.estimation import Estimate, identify
+from oed.measurement import Measurement
 from pkm_studies.stages.corrected.tables import effect_tables
 
 

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from shipped_models import planar_2dof, pose_tracker
 
 from oed.compensate.effects.effect_measurement import MeasurementWithEffects
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
+from oed.measurement import Measurement
+from oed.model import mount
 from oed.model.series import TakenReadings
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines import planar_2dof
+
+position = pose_tracker.position
 
 SIZES = np.array([2e-6, 5e-6])
 BASE = Measurement(planar_2dof.machine, [mount(position, "tracker")])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import special
 from scipy.stats import multivariate_normal
+from shipped_models import planar_2dof
 
 from oed.compensate.error_field import (
     TREND_SIZE,
@@ -17,8 +18,7 @@ from oed.compensate.error_field import (
     joint_size,
 )
 from oed.compensate.joint_errors import ErrorRows, JointErrors
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import planar_2dof
+from oed.mechanism import Kinematics
 
 PLANAR = Kinematics(planar_2dof.machine)
 LOW, HIGH = np.array([-1.2, 0.0]), np.array([1.2, 1.5])

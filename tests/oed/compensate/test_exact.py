@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from oracles import planar_cables, planar_geometry
+from shipped_models import a3_head, cables_planar, cables_spatial, planar_2dof
 
 from oed.compensate import component_errors
 from oed.compensate.exact import (
@@ -13,9 +14,7 @@ from oed.compensate.exact import (
     joint_corrections,
     undriven_components,
 )
-from oed.mechanism.inverse import AssemblyError
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, cables_planar, cables_spatial, planar_2dof
+from oed.mechanism import AssemblyError, Kinematics
 
 PLANAR = Kinematics(planar_2dof.machine)
 COMMAND = np.array([[0.0, 0.0], [1.0, 0.5], [-1.3, 1.4]])

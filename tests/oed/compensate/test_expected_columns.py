@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from shipped_models import backlash, bar_length, encoder_scale, screw_cyclic
 
 from kernel.planar_session import ruler_session
 from oed.compensate.effects.effect_maps import SessionStates
@@ -10,10 +11,8 @@ from oed.compensate.effects.expected_columns import (
     ExpectedColumns,
     expected_columns,
 )
-from oed.gap.data.problem import GapProblem
-from oed.gap.data.state import DOWN
-from oed.measurement.measurement import Measurement
-from pkm_models.effects import backlash, bar_length, encoder_scale, screw_cyclic
+from oed.gap import DOWN, GapProblem
+from oed.measurement import Measurement
 
 EFFECTS = [e.effect for e in (backlash, encoder_scale, screw_cyclic, bar_length)]
 

@@ -5,16 +5,16 @@ import pytest
 from oracles import a3_geometry as a3
 from oracles import planar_geometry
 from scipy.interpolate import RegularGridInterpolator
+from shipped_models import a3_head, planar_2dof
 
-from oed.accuracy.maps import driven_errors
+from oed.accuracy import driven_errors
 from oed.compensate.command_grid import CommandGrid, GridAxis
 from oed.compensate.export_errors import (
     interpolation_errors,
     joint_errors,
 )
 from oed.compensate.further_axes import further_axes
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, planar_2dof
+from oed.mechanism import Kinematics
 
 PLANAR = Kinematics(planar_2dof.machine)
 HOME = planar_2dof.machine.home_command

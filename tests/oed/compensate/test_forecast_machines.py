@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from oracles import forecast_data, forecast_machines
 from oracles.forecast_machines import A3, DELTA, PLANAR, PRS, Kind, Yielding
+from shipped_models import a3_head, hexapod_ups, linear_delta, planar_2dof, prs_spindle
 
 from oed.compensate import GridAxis, InterpolationTable, joint_motion
 from oed.compensate.error_field import (
@@ -22,15 +23,8 @@ from oed.compensate.error_field import (
 )
 from oed.compensate.forecast import Forecast, forecast_table
 from oed.compensate.joint_errors import JointErrors
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
-from pkm_models.machines import (
-    a3_head,
-    hexapod_ups,
-    linear_delta,
-    planar_2dof,
-    prs_spindle,
-)
+from oed.mechanism import Kinematics
+from oed.model import Machine
 
 #: noise of a length and of an angle, m and rad; expected joint errors, m
 LENGTH, ANGLE, EXPECTED = 2e-6, 5e-6, 50e-6

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from shipped_models import backlash
 
 from kernel import gap_problem
 from oed.compensate.effects.forms import choose_forms, form_evidence
-from oed.gap.data.problem import GapProblem
-from oed.model.size_prior import EFFECT_SIZES
-from pkm_models.effects import backlash
+from oed.gap import GapProblem
+from oed.model import EFFECT_SIZES
 
 PLAY = np.array([3.0, -2.0, 4.0])
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from scipy.spatial.transform import Rotation
+from shipped_models import a3_head, planar_2dof
 
 from kernel.cases import CASES
 from oed.compensate.exact import compensated_joints
 from oed.compensate.further_axes import TURN, further_axes
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, planar_2dof
+from oed.mechanism import Kinematics
 
 A3 = Kinematics(a3_head.machine)
 TRUTH = a3.errors(*(a3.TABLE3[k] for k in ("dq", "db", "da0", "beta")))

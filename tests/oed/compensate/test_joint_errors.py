@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from oracles import a3_geometry, planar_geometry
+from shipped_models import a3_head, planar_2dof
 
 from oed.compensate.joint_errors import JointErrors
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, planar_2dof
+from oed.mechanism import Kinematics
 
 PLANAR, HEAD = Kinematics(planar_2dof.machine), Kinematics(a3_head.machine)
 COMMAND = np.array([[0.2, 0.1], [-1.1, 0.9], [1.3, 1.2]])

@@ -8,15 +8,14 @@ distribution.
 import numpy as np
 import pytest
 from scipy import optimize, special, stats
+from shipped_models import backlash
 
 from kernel.answer_mixture import EFFECTS, Case, case, readings
 from oed.compensate.effects.answer_fits import AnswerFits
 from oed.compensate.effects.mixture import AnswerMixture, AnswerPosterior
-from oed.estimation import identify
-from oed.estimation.estimate import Estimate
-from oed.gap.data.diagnosis import AnswerContent
-from oed.result.gap import AnswerRecord
-from pkm_models.effects import backlash
+from oed.estimation import Estimate, identify
+from oed.gap import AnswerContent
+from oed.result import AnswerRecord
 
 __all__ = ["case"]  # fixtures
 

@@ -8,6 +8,7 @@ import design_sample
 import numpy as np
 import pytest
 import sample
+from shipped_models import planar_2dof, pose_tracker
 
 from oed import Measurement, mount
 from oed.compensate.effects.course_columns import CourseColumns, over_courses
@@ -19,9 +20,7 @@ from oed.compensate.effects.remaining_error import (
     relative,
     remaining_error,
 )
-from oed.model.effect import Column, Effect
-from pkm_models.instruments import pose_tracker
-from pkm_models.machines.planar_2dof import machine
+from oed.model import Column, Effect
 from pkm_reports.blocks import Table
 from pkm_reports.sections.recording import blocks
 from pkm_studies.resolve.gap import GapRequest
@@ -29,6 +28,8 @@ from pkm_studies.resolve.planned_effects import planned_courses
 from pkm_studies.stages.design.select import select_design
 from pkm_studies.stages.headline import recording_sentences
 from pkm_studies.tables import ConditionsTable
+
+machine = planar_2dof.machine
 
 PLAY = 8e-6
 STUDY = """

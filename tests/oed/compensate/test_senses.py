@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
+from shipped_models import backlash, leg_thermal
 
 from kernel import a3_plans, warm_head
 from kernel.warm_head import turned
@@ -18,9 +19,8 @@ from oed.compensate.effects.fit import (
     estimate_with_effects,
 )
 from oed.compensate.effects.senses import find_turned_runs
-from oed.estimation.identification import identify
-from oed.measurement.measurement import Measurement, Series
-from pkm_models.effects import backlash, leg_thermal
+from oed.estimation import identify
+from oed.measurement import Measurement, Series
 
 EFFECTS = [leg_thermal.effect, backlash.effect]
 

@@ -9,17 +9,20 @@ import itertools
 import numpy as np
 import pandas as pd
 import pytest
+from shipped_models import encoder_scale, hexapod, pose_tracker
 
 from oed import Measurement, mount
-from oed.accuracy.maps import driven_errors
+from oed.accuracy import driven_errors
 from oed.compensate.effects.effect_maps import SessionStates, workspace_state
 from oed.compensate.effects.expected_columns import expected_columns
-from oed.gap.data.problem import GapProblem, assemble
-from oed.gap.data.state import DOWN
-from oed.mechanism.pose_errors import NO_TOOL
-from pkm_models.effects import encoder_scale
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines.hexapod import ABOVE, HEIGHT, PLATFORM, machine
+from oed.gap import DOWN, GapProblem, assemble
+from oed.mechanism import NO_TOOL
+
+position = pose_tracker.position
+ABOVE = hexapod.ABOVE
+HEIGHT = hexapod.HEIGHT
+PLATFORM = hexapod.PLATFORM
+machine = hexapod.machine
 
 FEED = 0.025
 NESTS = {"one": (0.15, 0.0, 0.03), "two": (-0.08, 0.13, 0.03)}

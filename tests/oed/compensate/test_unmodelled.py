@@ -3,20 +3,18 @@
 import numpy as np
 import pytest
 from oracles import a3_geometry as a3
+from shipped_models import gravity, leg_thermal, servo_lag
 
 from kernel import a3_plans
 from kernel.warm_head import NOISE, PER_KELVIN, WARM_LEG, planned
 from oed import compensate
-from oed.accuracy import prediction
-from oed.accuracy.budget import budget_model
+from oed.accuracy import budget_model, error_maps
 from oed.compensate.effects.effect_maps import SessionStates, workspace_state
 from oed.compensate.effects.unmodelled import expected_effects
-from oed.estimation.identification import identify
-from oed.gap.data.problem import assemble
-from oed.gap.data.state import DOWN
-from oed.model.effect import State
+from oed.estimation import identify
+from oed.gap import DOWN, assemble
+from oed.model import State
 from oed.model.expected_size import with_expected_size
-from pkm_models.effects import gravity, leg_thermal, servo_lag
 
 
 def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -> None:
@@ -26,7 +24,7 @@ def test_a_warm_leg_errs_as_expected_where_calibration_takes_it_for_geometry() -
     problem = assemble(m, (series,), rows)
     model = budget_model(m, problem.series, m.nominal)
     command = a3_plans.workspace()[::9]
-    maps = prediction.error_maps(m.kinematics, command, "absolute")
+    maps = error_maps(m.kinematics, command, "absolute")
     session = SessionStates(m, rows, problem.states, DOWN)
     first = expected_effects(
         problem,
@@ -76,7 +74,7 @@ def test_a_warm_leg_that_is_fitted_and_corrected_leaves_what_the_posterior_leave
     series, rows = planned(m)
     problem = assemble(m, (series,), rows)
     command = a3_plans.workspace()[::17]
-    maps = prediction.error_maps(m.kinematics, command, "absolute")
+    maps = error_maps(m.kinematics, command, "absolute")
     session = SessionStates(m, rows, problem.states, DOWN)
     all_of_it = expected_effects(
         problem,
@@ -149,7 +147,7 @@ def test_effects_that_need_what_no_plan_states_are_left_out() -> None:
     series, rows = planned(m)
     problem = assemble(m, (series,), rows)
     model = budget_model(m, problem.series, m.nominal)
-    maps = prediction.error_maps(m.kinematics, a3_plans.workspace()[::30])
+    maps = error_maps(m.kinematics, a3_plans.workspace()[::30])
     session = SessionStates(m, rows, problem.states, DOWN)
     expected = expected_effects(
         problem,
@@ -168,7 +166,7 @@ def test_nothing_is_expected_of_effects_that_need_what_no_plan_states() -> None:
     m = a3_plans.measurement()
     series, rows = planned(m)
     problem = assemble(m, (series,), rows)
-    maps = prediction.error_maps(m.kinematics, a3_plans.workspace()[::30])
+    maps = error_maps(m.kinematics, a3_plans.workspace()[::30])
     session = SessionStates(m, rows, problem.states, DOWN)
     expected = expected_effects(
         problem,

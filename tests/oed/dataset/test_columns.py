@@ -9,8 +9,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from shipped_models import (
+    a3_head,
+    ball_bar,
+    cables_planar,
+    planar_2dof,
+    pose_tracker,
+    relative,
+)
 
-from oed.base.units import UnitError
+from oed.base import UnitError
 from oed.dataset import (
     checks,
     columns,
@@ -24,10 +32,8 @@ from oed.dataset import (
 from oed.dataset.csv_input import with_stretch
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table_checks import check_rows
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments import ball_bar, pose_tracker, relative
-from pkm_models.machines import a3_head, cables_planar, planar_2dof
+from oed.measurement import Measurement
+from oed.model import mount
 
 HEADER = ["setup", "run", "order", "z_mm", "direction", "length_mm"]
 

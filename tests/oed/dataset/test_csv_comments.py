@@ -8,7 +8,7 @@ import pytest
 import sample
 
 from oed import dataset
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from oed import dataset
 from oed.base import units
 from oed.dataset import Dataset, ReadingsError, columns
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 
 
 @pytest.fixture(scope="module")

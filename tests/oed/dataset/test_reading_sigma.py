@@ -6,16 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from shipped_models import laser_ball_bar, linear_delta, pose_tracker
 
 from oed import Measurement, dataset, mount
 from oed.dataset import ReadingsError
-from oed.estimation import identification
-from oed.gap.data import problem
+from oed.estimation import identify
+from oed.gap import prepare
 from oed.measurement.reading_structure import reading_structure
-from oed.posterior import laplace
-from pkm_models.instruments.laser_ball_bar import position as laser
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines.linear_delta import machine
+from oed.posterior import draw_approximation
+
+laser = laser_ball_bar.position
+position = pose_tracker.position
+machine = linear_delta.machine
 
 SIGMA_UM = np.array([5.0, 5.0, 20.0])
 PLACES = [(x, y, z) for x in (-60, 0, 60) for y in (-60, 0, 60) for z in (40, 120)]
@@ -75,9 +77,7 @@ def test_the_fit_is_weighted_least_squares(
     data = loaded(text, measurement, tmp_path)
     sd = stated(text)
     np.testing.assert_allclose(measurement.sigma(data.series), sd, rtol=1e-12)
-    estimate = identification.identify(
-        measurement, data.series, data.y, estimate_noise=False
-    )
+    estimate = identify(measurement, data.series, data.y, estimate_noise=False)
     free = measurement.free
     tolerance = measurement.tolerance[free]
 
@@ -106,10 +106,10 @@ def test_every_step_takes_the_noise_of_the_readings(
     assert np.sqrt(structure.variances.sum(axis=1)[2]) == pytest.approx(
         np.sqrt(np.mean(sd[2::3] ** 2))
     )
-    diagnosed = problem.prepare(measurement, data.series, data.y, data.covariates)
+    diagnosed = prepare(measurement, data.series, data.y, data.covariates)
     np.testing.assert_allclose(diagnosed.sigma, sd, rtol=1e-12)
-    estimate = identification.identify(measurement, data.series, data.y)
-    draws = laplace.draw_approximation(
+    estimate = identify(measurement, data.series, data.y)
+    draws = draw_approximation(
         measurement, data.series, data.y, estimate, np.random.default_rng(1)
     )
     spread = np.sqrt(np.diag(estimate.covariance))[measurement.free]

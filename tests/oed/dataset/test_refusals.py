@@ -14,7 +14,7 @@ from dataset_files import loaded, refused
 from oed import dataset
 from oed.base import csv_text
 from oed.dataset import ReadingsError, table
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 
 
 @pytest.fixture(scope="module")

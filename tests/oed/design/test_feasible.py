@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from oracles import planar_geometry as planar
+from shipped_models import a3_head, calliper, height_probe, planar_2dof, relative
 
 from kernel import a3_plans
 from kernel.bar_series import CUP, LENGTH, bar, places, planar_series, tips
 from kernel.cases import CASES
 from oed.design import feasible
 from oed.design.feasible import DirectionCone, ReadingLimits
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments import calliper, height_probe, relative
-from pkm_models.machines import a3_head, planar_2dof
+from oed.measurement import Measurement
+from oed.model import mount
 
 
 def test_joint_travel_is_reported_joint_by_joint(rng: np.random.Generator) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from oracles import planar_geometry as planar
 from scipy.optimize import minimize
+from shipped_models import planar_2dof
 
 from kernel import a3_plans
 from kernel.bar_series import CUP, bar, planar_series, tips
@@ -16,8 +17,7 @@ from oed.design import feasible
 from oed.design.clearance import Clearance, Surroundings, cup_place
 from oed.design.feasible import ReadingLimits
 from oed.design.segments import Capsule, point_distance, segment_distance, sphere
-from oed.measurement.measurement import Measurement
-from pkm_models.machines import planar_2dof
+from oed.measurement import Measurement
 
 
 @pytest.mark.parametrize("others", [(), ("length",)])

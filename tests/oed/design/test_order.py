@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import planar_geometry as planar
+from shipped_models import height_probe, planar_2dof
 
 from kernel.orders import along, plane, problem, shortest
 from oed.design import move_times, order
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import Protocol, mount
-from pkm_models.instruments import height_probe
-from pkm_models.machines import planar_2dof
+from oed.measurement import Measurement
+from oed.model import Protocol, mount
 
 
 def nearest_neighbours(distance: np.ndarray) -> float:

@@ -5,11 +5,11 @@ from itertools import combinations, pairwise, product
 
 import numpy as np
 import pytest
+from shipped_models import ball_bar, calliper
 
 from kernel.orders import plane, problem, shortest
 from oed.design import move_times, order, schedule
-from oed.model.instrument import mount
-from pkm_models.instruments import ball_bar, calliper
+from oed.model import mount
 
 
 def replay(

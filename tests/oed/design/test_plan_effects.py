@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped_models import planar_2dof, pose_tracker
 
 from oed import Measurement, mount
 from oed.accuracy import error_maps
@@ -15,13 +16,13 @@ from oed.design.stages.option import Option, build_option
 from oed.design.stages.search import search_plan
 from oed.design.stages.stage.prediction import predict_stage
 from oed.measurement import Series
-from pkm_models.instruments import pose_tracker
-from pkm_models.machines.planar_2dof import machine
 from pkm_studies.base import InputError, Silent
 from pkm_studies.resolve.resolved import resolve
 from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.streams import plan_streams
 from pkm_studies.study import load
+
+machine = planar_2dof.machine
 
 SIGMA, EFFECTS = 5e-6, 4
 PLANAR = Path(__file__).parents[3] / "studies" / "planar_plan.study.toml"

@@ -7,9 +7,10 @@ import time
 import numpy as np
 import pytest
 from oracles import planar_geometry as oracle
+from shipped_models import a3_head, ball_bar, planar_2dof, pose_tracker, relative
 
 from kernel.plan_catalogues import searched, stage_after
-from oed.accuracy import prediction
+from oed.accuracy import error_maps
 from oed.design.stages.goal import Goal, workspace_goal
 from oed.design.stages.option import Option, build_option
 from oed.design.stages.search import PlanSearchResult
@@ -18,14 +19,14 @@ from oed.design.stages.stage.prediction import PlanStage
 from oed.design.stages.virtual_machines import propagation
 from oed.design.stages.virtual_machines.propagation import PlanRealisation, propagate
 from oed.design.stages.virtual_machines.refit import refit_machines
-from oed.estimation.identification import identify
-from oed.measurement import simulation
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from oed.model.machine import Machine
-from pkm_models.instruments import ball_bar, pose_tracker, relative
-from pkm_models.machines import a3_head, planar_2dof
+from oed.estimation import identify
+from oed.measurement import (
+    Measurement,
+    commands_at_fixed_reading,
+    draw_parameters,
+    draw_readings,
+)
+from oed.model import Machine, mount
 
 #: cups (height, distance from the axis) in m, tools and bars in m
 CUPS = ((1.126, 0.0), (1.126, 0.1), (1.306, 0.1), (1.286, 0.0))
@@ -124,7 +125,7 @@ def tracker(machine: Machine, name: str, sigma: float, mounting: float) -> Optio
 def relative_accuracy(machine: Machine, command: np.ndarray) -> Goal:
     """All components, relative to their accuracy before."""
     measurement = Measurement(machine, [])
-    maps = prediction.error_maps(measurement.kinematics, command, "home")
+    maps = error_maps(measurement.kinematics, command, "home")
     return workspace_goal(measurement, maps, {})
 
 
@@ -347,9 +348,7 @@ def test_refits_are_the_fits_of_identify() -> None:
     option = planar(660.0).best.stages[0].option
     m, rng = option.measurement, np.random.default_rng(4)
     for _ in range(3):
-        y = simulation.draw_readings(
-            m, option.series, simulation.draw_parameters(m, rng), rng
-        )
+        y = draw_readings(m, option.series, draw_parameters(m, rng), rng)
         every = np.ones((1, len(y)), dtype=bool)
         (fast,) = refit_machines(m, option.series, y[None], every, m.nominal[None])
         slow = identify(m, option.series, y)

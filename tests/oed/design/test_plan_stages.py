@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kernel.plan_catalogues import linear_option, searched, stage_after
-from oed.base.linear_algebra import symmetric_root
+from oed.base import symmetric_root
 from oed.design.criterion.protocol import pairwise_traces
 from oed.design.row_exchange import LEAST_SHARE, RowExchange
 from oed.design.stages.goal import Goal

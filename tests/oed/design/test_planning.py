@@ -11,19 +11,20 @@ import casadi as ca
 import numpy as np
 import pytest
 from oracles import planar_geometry as oracle
+from shipped_models import planar_2dof, relative
 
 from kernel import plan_catalogues as catalogues
 from kernel.plan_catalogues import capture, searched, stage_after
+from oed import Component
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option, build_option
 from oed.design.stages.stage import prediction as stage_module
 from oed.design.stages.stage import travel
 from oed.design.stages.stage.prediction import profiled_information
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import Channel, Cost, Instrument, mount
-from oed.model.machine import Component, Coordinate, Machine, Parameter
-from pkm_models.instruments import relative
-from pkm_models.machines.planar_2dof import machine
+from oed.measurement import Measurement
+from oed.model import Channel, Coordinate, Cost, Instrument, Machine, Parameter, mount
+
+machine = planar_2dof.machine
 
 TILT = 1e-3
 TOLERANCE = np.array([p.tolerance for p in machine.parameters])

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
+from shipped_models import ball_bar, pose_tracker
 
 from kernel import a3_plans
 from kernel.cases import CASES, reading_series
+from oed import identifiability
 from oed.design import polish, reading_slopes, symbolic_criterion
-from oed.identifiability import information
-from oed.measurement.measurement import Measurement, Series
-from oed.model.instrument import mount
-from pkm_models.instruments import ball_bar, pose_tracker
+from oed.measurement import Measurement, Series
+from oed.model import mount
 
 PAIRS = [
     ("a3_head", "ball_bar"),
@@ -30,7 +30,7 @@ PAIRS = [
 @pytest.mark.parametrize(("machine", "setup"), PAIRS)
 @pytest.mark.parametrize("scaling", ["si", "length", "tolerance"])
 def test_rows_are_slopes_of_the_readings(
-    machine: str, setup: str, scaling: information.Scaling
+    machine: str, setup: str, scaling: identifiability.Scaling
 ) -> None:
     """At random commands, against differences of the exact readings over each
     parameter.
@@ -51,7 +51,7 @@ def test_rows_are_slopes_of_the_readings(
     )
     y = m.readings([series], thetas)
     differences = (y[: len(m.nominal)] - y[len(m.nominal) :]).T / (2 * step)
-    expected = differences * information.column_scale(m, scaling)
+    expected = differences * identifiability.column_scale(m, scaling)
     if scaling == "tolerance":
         expected = m.noise([series]).whiten(expected)
         # whitening is known up to a rotation of a reading's channels: products are not
@@ -75,7 +75,7 @@ def _away_from_home(m: Measurement, series: Series, setup: str, machine: str) ->
 
 
 def _symbolic(
-    m: Measurement, series: Series, scaling: information.Scaling
+    m: Measurement, series: Series, scaling: identifiability.Scaling
 ) -> np.ndarray:
     setup = m.setups[series.setup]
     one = reading_slopes.symbolic_reading(m, setup, scaling, np.eye(len(m.parameters)))
@@ -215,7 +215,7 @@ def test_planar_with_a_tracker(criterion: symbolic_criterion.SymbolicCriterion) 
         m, [m.series("tracker", command)], criterion, prior=np.eye(n), clearance=0.2
     )
     assert result.value_after > result.value_before
-    rows = information.scaled(m, result.series, m.nominal, "tolerance")[:, m.free]
+    rows = identifiability.scaled(m, result.series, m.nominal, "tolerance")[:, m.free]
     assert result.value_after == pytest.approx(
         criterion.value(np.eye(n) + rows.T @ rows), abs=1e-9
     )

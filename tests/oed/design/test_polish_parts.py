@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from oracles import planar_geometry
+from shipped_models import planar_2dof, pose_tracker
 
 from kernel import a3_plans
 from oed.design.polish import polish_readings
@@ -22,10 +23,10 @@ from oed.design.reading_plan import (
     tool_shift,
 )
 from oed.design.reading_slopes import symbolic_pose, symbolic_reading
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines import planar_2dof
+from oed.measurement import Measurement
+from oed.model import mount
+
+position = pose_tracker.position
 
 PLANAR = Measurement(planar_2dof.machine, [mount(position, "tracker")])
 COMMAND = np.array([[0.0, 0.5], [1.0, 0.4], [-0.8, 1.1], [0.4, 1.2], [-0.3, 0.1]])

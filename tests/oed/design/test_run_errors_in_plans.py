@@ -15,12 +15,11 @@ from oracles import a3_geometry as a3
 from reference import tian_2016 as paper
 
 from kernel import a3_plans
-from oed import checks
-from oed.accuracy import prediction
-from oed.base import units
+from oed import checks, identifiability
+from oed.accuracy import ErrorMaps, error_maps
+from oed.base import from_si
 from oed.checks import copies
-from oed.identifiability import information
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 
 NOISE, RUN = 0.5e-6, 1.0e-6
 #: circles of each plan: readings, strokes, how often
@@ -39,17 +38,17 @@ def plan(m: Measurement, name: str) -> Series:
     return m.series("cup", command, [f"c{k // points}" for k in range(len(command))])
 
 
-def theta_sd(maps: prediction.ErrorMaps, covariance: np.ndarray) -> float:
+def theta_sd(maps: ErrorMaps, covariance: np.ndarray) -> float:
     """Root mean square over the workspace, arcsec, after compensation."""
     row = maps.raw[:, maps.names.index("theta")]
     variance = np.einsum("np,pq,nq->n", row, covariance[:24, :24], row)
-    return float(units.from_si(np.sqrt(variance.mean()), "arcsec"))
+    return float(from_si(np.sqrt(variance.mean()), "arcsec"))
 
 
 @pytest.mark.parametrize("name", list(PLANS))
 def test_theta_of_both_plans(name: str) -> None:
     m = a3_plans.measurement()
-    maps = prediction.error_maps(m.kinematics, a3_plans.workspace(), "home")
+    maps = error_maps(m.kinematics, a3_plans.workspace(), "home")
     series = plan(m, name)
     z, psi, theta = series.reading_commands().T
     cup = np.array([0.0, 0.0, paper.TEACH_Z])
@@ -73,9 +72,9 @@ def toolkit(m: Measurement, series: Series, run_error: float) -> np.ndarray:
     )
     instrument = dataclasses.replace(setup.instrument, channels=(channel,))
     noisy = m.with_setups([dataclasses.replace(setup, instrument=instrument)])
-    h = information.scaled(noisy, [series], noisy.nominal, "tolerance")
+    h = identifiability.scaled(noisy, [series], noisy.nominal, "tolerance")
     scale = np.outer(m.tolerance, m.tolerance)
-    return information.posterior_covariance(h) * scale
+    return identifiability.posterior_covariance(h) * scale
 
 
 def test_a_study_states_the_error_of_a_run_and_the_step_of_a_display() -> None:

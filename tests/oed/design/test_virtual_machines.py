@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from oracles import planar_geometry
+from shipped_models import planar_2dof, pose_tracker
 
 from kernel import plan_catalogues as catalogues
 from oed.design.stages.option import Option, build_option
@@ -15,10 +16,10 @@ from oed.design.stages.virtual_machines.propagation import propagate
 from oed.design.stages.virtual_machines.readings import prepare_stages
 from oed.design.stages.virtual_machines.refit import refit_machines
 from oed.design.stages.virtual_machines.workspace import HALF_WIDTH, WorkspaceErrors
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines import planar_2dof
+from oed.measurement import Measurement
+from oed.model import mount
+
+position = pose_tracker.position
 
 SETUP = mount(position, "tracker")
 M = Measurement(planar_2dof.machine, [SETUP])

@@ -2,15 +2,16 @@
 
 import numpy as np
 import pytest
+from shipped_models import linear_delta, pose_tracker
 
 from oed.estimation import identification
 from oed.estimation.fit_stages import ReadingsFit
 from oed.estimation.identification import IdentificationError, identify
-from oed.measurement.measurement import Measurement
-from oed.mechanism.inverse import AssemblyError
-from oed.model.instrument import mount
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines import linear_delta
+from oed.measurement import Measurement
+from oed.mechanism import AssemblyError
+from oed.model import mount
+
+position = pose_tracker.position
 
 
 def test_a_step_to_parameters_that_do_not_close_is_halved() -> None:

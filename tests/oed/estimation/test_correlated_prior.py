@@ -9,18 +9,16 @@ import pandas as pd
 import pytest
 
 from kernel import a3_plans
-from oed import checks
-from oed.accuracy.budget import budget_model
+from oed import checks, identifiability
+from oed.accuracy import budget_model
 from oed.checks import fit as check_fit
 from oed.estimation import identification
 from oed.estimation.identification import identify
 from oed.estimation.run_prediction import predict_runs
-from oed.gap.data.problem import assemble
-from oed.identifiability import information
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
-from oed.model.machine import CommonTolerance
-from oed.posterior import posterior
+from oed.gap import assemble
+from oed.measurement import Measurement, Series, draw_parameters, draw_readings
+from oed.model import CommonTolerance
+from oed.posterior import sample
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +70,8 @@ def conjugate(
 @pytest.fixture(scope="module")
 def y(correlated: Measurement, series: Series) -> np.ndarray:
     rng = np.random.default_rng(2)
-    truth = simulation.draw_parameters(correlated, rng)
-    return simulation.draw_readings(correlated, [series], truth, rng)
+    truth = draw_parameters(correlated, rng)
+    return draw_readings(correlated, [series], truth, rng)
 
 
 def test_the_fit_is_that_of_the_closed_form(
@@ -101,7 +99,7 @@ def _independent(m: Measurement) -> Measurement:
 
 def test_machines_are_drawn_with_the_correlation(correlated: Measurement) -> None:
     m = correlated
-    drawn = simulation.draw_parameters(m, np.random.default_rng(3), 20_000)
+    drawn = draw_parameters(m, np.random.default_rng(3), 20_000)
     free, scale = m.free, m.tolerance[m.free]
     standard = (drawn - m.nominal)[:, free] / scale
     expected = prior(m)[np.ix_(free, free)] / np.outer(scale, scale)
@@ -123,9 +121,9 @@ def test_designs_and_budgets_add_the_prior_precision(
         ]
         return float(np.abs(difference / np.outer(sd[free], sd[free])).max())
 
-    assert off(information.parameter_covariance(m, [series], m.nominal)) < 1e-4
-    rows = information.scaled(m, [series], m.nominal, "tolerance")[:, m.free]
-    total = information.prior_information(m) + rows.T @ rows
+    assert off(identifiability.parameter_covariance(m, [series], m.nominal)) < 1e-4
+    rows = identifiability.scaled(m, [series], m.nominal, "tolerance")[:, m.free]
+    total = identifiability.prior_information(m) + rows.T @ rows
     design = np.zeros_like(covariance)
     scale = m.tolerance[m.free]
     design[np.ix_(m.free, m.free)] = np.linalg.inv(total) * np.outer(scale, scale)
@@ -167,7 +165,7 @@ def test_the_sampler_has_the_correlation(
 ) -> None:
     m = correlated
     estimate = identify(m, [series], y)
-    drawn = posterior.sample(
+    drawn = sample(
         m, [series], y, estimate, np.random.default_rng(4), ess=1500.0
     ).pooled
     spread = np.cov(drawn.T)

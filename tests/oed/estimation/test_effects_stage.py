@@ -9,13 +9,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from shipped_models import backlash, encoder_scale
 
 from kernel.planar_session import ruler_session
 from oed.compensate.effects.expected_columns import expected_columns
 from oed.estimation import identify
 from oed.estimation.discrepancy import LARGE, SMALL, SampledEffects
 from oed.estimation.estimate import Estimate
-from pkm_models.effects import backlash, encoder_scale
 
 EFFECTS = [backlash.effect, encoder_scale.effect]
 SAG = 60e-6  # m: some twenty times the noise

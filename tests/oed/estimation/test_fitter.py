@@ -8,7 +8,7 @@ import pytest
 from scipy import optimize
 
 from oed.estimation.fitter import Minima, _Steps, minimise
-from oed.mechanism.kinematics import AssemblyError
+from oed.mechanism import AssemblyError
 
 
 @dataclasses.dataclass

@@ -12,7 +12,7 @@ import pytest
 import sample
 from scipy import integrate, stats
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.estimation.fleet import (
     FleetPrior,
     MachineInformation,

@@ -7,17 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import stats
+from shipped_models import height_probe, linear_delta, planar_2dof, pose_tracker
 
 from kernel.printer_bed import ARM, SIGMA, bed, heights
 from oed import Measurement, mount
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.estimation import identify
 from oed.estimation.held_parameters import contradicted_parameters
 from oed.measurement import draw_parameters, draw_readings
 from oed.model.series import Series
-from oed.result.fit import HeldParameter
-from pkm_models.instruments import height_probe, pose_tracker
-from pkm_models.machines import linear_delta, planar_2dof
+from oed.result import HeldParameter
 
 TOLERANCES = {"radius": 2e-3, "arm": 3e-3, "angle": 0.01, "endstop": 2e-3}
 

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from scipy import stats
+from shipped_models import ball_bar, calliper, height_probe, linear_delta
 
 from kernel import a3_plans
 from kernel.cases import CASES
 from oed.estimation.coordinates import identifiable_coordinates
 from oed.estimation.identification import Estimate, IdentificationError, identify
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
-from oed.model.instrument import mount
-from pkm_models.instruments import ball_bar, calliper, height_probe
-from pkm_models.machines import linear_delta
+from oed.measurement import Measurement, Series, draw_parameters, draw_readings
+from oed.model import mount
 
 NOISE = 0.5e-6
 
@@ -190,8 +188,8 @@ def test_estimates_scatter_as_their_covariance_says(printer: tuple) -> None:
     m, series = printer
     rng = np.random.default_rng(6)
     misses = []
-    for truth in simulation.draw_parameters(m, rng, 200):
-        found = identify(m, series, simulation.draw_readings(m, series, truth, rng))
+    for truth in draw_parameters(m, rng, 200):
+        found = identify(m, series, draw_readings(m, series, truth, rng))
         misses.append(((found.theta - truth) / np.where(m.free, found.sd, 1.0))[m.free])
     assert np.std(misses, axis=0) == pytest.approx(1.0, abs=0.21)
     assert np.mean(misses, axis=0) == pytest.approx(0.0, abs=0.3)
@@ -242,7 +240,7 @@ def test_understated_noise_is_estimated(printer: tuple) -> None:
     scales, chances = [], []
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        truth = simulation.draw_parameters(m, rng)
+        truth = draw_parameters(m, rng)
         exact, sigma = m.readings(series, truth), m.sigma(series)
         actual = np.where(np.arange(len(sigma)) < 20, 3.0, 1.0) * sigma
         y = exact + actual * rng.standard_normal(len(sigma))
@@ -367,8 +365,8 @@ def test_a_bar_on_the_delta_sees_the_arms(rng: np.random.Generator) -> None:
         [mount(ball_bar.instrument, "bar", teach=(0.0, 0.0, 0.02))],
     )
     series = [m.series("bar", CASES["linear_delta"].commands(rng, 60))]
-    truth = simulation.draw_parameters(m, rng)
-    found = identify(m, series, simulation.draw_readings(m, series, truth, rng))
+    truth = draw_parameters(m, rng)
+    found = identify(m, series, draw_readings(m, series, truth, rng))
     assert found.chi2 / found.dof < 2.0
     assert np.abs((found.theta - truth)[m.free] / found.sd[m.free]).max() < 4.0
     assert found.shrinkage[m.free].min() < 0.05

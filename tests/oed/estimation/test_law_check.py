@@ -10,9 +10,8 @@ from scipy import stats
 from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
 from oed.estimation.law_check import CONTRADICTED, check_law
+from oed.noise import Laws, ReadingStructure, stated_laws
 from oed.noise.law_noise import errors_of
-from oed.noise.process import Laws, stated_laws
-from oed.noise.structure import ReadingStructure
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ from oracles import a3_geometry as a3
 from kernel import a3_plans
 from oed.estimation import identification
 from oed.estimation.identification import fit_machines, identify
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series, draw_parameters
 
 NOISE = 0.5e-6
 STAGES = (("dq*",), ("*",))
@@ -25,7 +24,7 @@ def bar() -> tuple[Measurement, Series]:
 def oracle_sessions(m: Measurement, series: Series, machines: int) -> np.ndarray:
     """Readings (machines, N) that the oracle makes, with white noise."""
     rng = np.random.default_rng(3)
-    theta = simulation.draw_parameters(m, rng, machines)
+    theta = draw_parameters(m, rng, machines)
     joints = series.q[series.index[:, 0]]
     cups = a3.taught_cup(theta[:, :24], theta[:, 24:])
     exact = a3.ball_bar_reading(theta[:, None, :24], joints, cups[:, None, :])
@@ -113,7 +112,7 @@ def test_slopes_of_several_vectors_are_those_of_each(
     bar: tuple[Measurement, Series],
 ) -> None:
     m, series = bar
-    theta = simulation.draw_parameters(m, np.random.default_rng(4), 3)
+    theta = draw_parameters(m, np.random.default_rng(4), 3)
     rows = m.jacobian([series], theta)
     for k in range(3):
         np.testing.assert_allclose(

@@ -13,12 +13,11 @@ import pandas as pd
 import pytest
 from scipy import optimize
 from scipy.spatial.transform import Rotation
+from shipped_models import hexapod_ups, pose_tracker
 
 from oed.estimation import Estimate, identify
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments import pose_tracker
-from pkm_models.machines import hexapod_ups
+from oed.measurement import Measurement
+from oed.model import mount
 
 MM = 1e-3
 LEG = np.arange(6)

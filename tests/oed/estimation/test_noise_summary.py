@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import optimize
+from shipped_models import laser_ball_bar, planar_2dof, pose_tracker, prs_spindle
 
 from kernel import a3_plans
 from oed import Measurement, mount
@@ -14,11 +15,9 @@ from oed.estimation import identify
 from oed.estimation.noise_summary import SCATTER, noise_numbers
 from oed.measurement import draw_parameters
 from oed.measurement.reading_structure import reading_structure
-from oed.noise.prior import noise_prior
-from oed.noise.process import Laws
-from pkm_models.instruments import laser_ball_bar
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines import planar_2dof, prs_spindle
+from oed.noise import Laws, noise_prior
+
+position = pose_tracker.position
 
 M = a3_plans.measurement()
 SERIES = a3_plans.circles(M, 12)

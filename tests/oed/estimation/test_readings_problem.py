@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from oracles import planar_geometry
+from shipped_models import planar_2dof, pose_tracker
 
 from oed.estimation.coordinates import ReadingsProblem
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines import planar_2dof
+from oed.measurement import Measurement
+from oed.model import mount
+
+position = pose_tracker.position
 
 COMMAND = np.array([[0.0, 0.5], [1.0, 0.4], [-0.8, 1.1]])
 

@@ -9,10 +9,8 @@ from kernel import a3_plans
 from oed.estimation.estimate import Estimate
 from oed.estimation.identification import identify
 from oed.estimation.run_prediction import predict_runs
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
-from oed.posterior.posterior import Posterior
-from oed.posterior.posterior_checks import predictive_checks
+from oed.measurement import Measurement, Series, draw_readings
+from oed.posterior import Posterior, predictive_checks
 
 Problem = tuple[Measurement, list[Series], np.ndarray]
 POINTS, STROKES = 10, (0.02, 0.08, 0.14, 0.2)
@@ -26,7 +24,7 @@ def problem(seed: int) -> Problem:
     series = [m.series("cup", circles.reading_commands(), runs)]
     rng = np.random.default_rng([seed, 4])
     truth = m.nominal + 0.1 * m.tolerance * rng.standard_normal(len(m.nominal))
-    return m, series, simulation.draw_readings(m, series, truth, rng)
+    return m, series, draw_readings(m, series, truth, rng)
 
 
 @pytest.mark.parametrize("estimate_noise", [False, True])

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shipped_models import planar_2dof, pose_tracker
 
 from oed import Measurement, mount
 from oed.estimation import identify, law_check
 from oed.measurement import draw_parameters, draw_readings
-from oed.posterior.log_density import LogDensity
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines.planar_2dof import machine
+from oed.posterior import LogDensity
+
+position = pose_tracker.position
+machine = planar_2dof.machine
 
 MEASUREMENT = Measurement(machine, [mount(position, "tracker")])
 ACROSS, UP = np.meshgrid(np.linspace(-1.2, 1.2, 9), np.linspace(0.2, 1.3, 8))

@@ -11,15 +11,17 @@ import bar_readings
 import numpy as np
 import pytest
 import sample
+from shipped_models import a3_head, planar_2dof, pose_tracker
 
 from oed import Measurement, mount
 from oed.estimation import identify
 from oed.estimation.tolerances import tolerance_factor, with_tolerances
 from oed.measurement import draw_parameters, draw_readings
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines.a3_head import machine as head
-from pkm_models.machines.planar_2dof import machine
 from pkm_studies.commands import main
+
+position = pose_tracker.position
+head = a3_head.machine
+machine = planar_2dof.machine
 
 
 def identified(folder: Path, factor: float) -> tuple[dict[str, Any], str]:

@@ -7,7 +7,7 @@ import dataclasses
 from kernel.gap_lines import BOW, DRIFT, SLIP
 from oed.gap.cause.advice import advise
 from oed.gap.data.diagnosis import UNKNOWN
-from oed.result.gap import AnswerRecord
+from oed.result import AnswerRecord
 
 EFFECTS = (BOW, SLIP, DRIFT)
 

@@ -20,7 +20,7 @@ from oed.gap.data.diagnosis import UNKNOWN, Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.gap.procedure import diagnose
-from oed.result.gap import AnswerRecord
+from oed.result import AnswerRecord
 
 MODULES = ("cases", "effects", "noise", "plans", "scene", "severity", "write")
 

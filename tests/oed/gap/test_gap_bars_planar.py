@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from effects_sample import NAMES, effect_of
 from scipy import linalg
+from shipped_models import planar_2dof, relative
 
 from kernel.dense_noise import law_covariance
 from oed.gap.data import state as states_of
@@ -19,11 +20,8 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem, assemble, prepare
 from oed.gap.data.signature import exact_readings, signature
 from oed.gap.procedure import diagnose
-from oed.measurement.measurement import Measurement, Series
-from oed.model.effect import Effect
-from oed.model.instrument import mount
-from pkm_models.instruments import relative
-from pkm_models.machines import planar_2dof
+from oed.measurement import Measurement, Series
+from oed.model import Effect, mount
 
 ACTING = (
     (

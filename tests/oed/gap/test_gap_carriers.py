@@ -12,7 +12,7 @@ from kernel.gap_lines import readings
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers, waves
-from oed.model.effect import Column, Effect, State
+from oed.model import Column, Effect, State
 
 PERIOD, SIZE = 700.0, 1e-6
 

@@ -11,6 +11,7 @@ from collections.abc import Collection
 import numpy as np
 import pandas as pd
 import pytest
+from shipped_models import a3_head, ball_bar, bar_length, encoder_scale
 
 from kernel import a3_plans, gap_a3
 from kernel.laws import STATED_LAW
@@ -20,12 +21,8 @@ from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.data.signature import signature
 from oed.gap.forms import library
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import Setup, mount
-from pkm_models.effects import bar_length, encoder_scale
-from pkm_models.instruments import ball_bar
-from pkm_models.machines import a3_head
+from oed.measurement import Measurement, commands_at_fixed_reading
+from oed.model import Setup, mount
 
 POINTS = 12
 STROKES = np.linspace(0.0, 0.2, 9)

@@ -8,15 +8,14 @@ import numpy as np
 import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
+from shipped_models import calliper, linear_delta
 
 from kernel import gap_problem as case
 from kernel.laws import STATED_LAW
 from oed.gap.cause.closure import closure
 from oed.gap.data.problem import GapProblem, assemble
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments import calliper
-from pkm_models.machines import linear_delta
+from oed.measurement import Measurement
+from oed.model import mount
 
 SPLITS = ("within", "whole")
 

@@ -15,7 +15,7 @@ from oed.gap.data import evidence
 from oed.gap.data import problem as problems
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from kernel.gap_lines import white_lines
 from kernel.laws import noise_law
 from oed.gap.data import evidence, laws
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 
 def _readings(problem: GapProblem, law: NoiseLaw, seed: int) -> GapProblem:

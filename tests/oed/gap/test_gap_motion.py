@@ -5,7 +5,7 @@ closed form.
 import numpy as np
 import pytest
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.gap.data.motion import Motion, motion
 
 RADIUS, FEED = 0.1, 0.02

@@ -18,8 +18,7 @@ from oed.gap.data import evidence
 from oed.gap.data.laws import log_evidences
 from oed.gap.data.metric import Metric
 from oed.gap.forms import discrepancy, library
-from oed.noise.law import NoiseLaw
-from oed.noise.process import Laws
+from oed.noise import Laws, NoiseLaw
 
 
 def test_a_root_leaves_out_what_readings_do_not_show(rng: np.random.Generator) -> None:

@@ -17,7 +17,7 @@ from kernel.laws import STATED_LAW
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.places.draws import LikelyForms, draw_energies
 from oed.gap.places.place import STANDS_OUT, locate
-from oed.result.gap import PlaceRecord
+from oed.result import PlaceRecord
 
 KINDS = ("leg", "run", "time", "phase", "direction")
 LEGS = ("leg 1", "leg 2", "leg 3")

@@ -5,6 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from shipped_models import (
+    encoder_scale,
+    leg_thermal,
+    mount_drift,
+    planar_2dof,
+    pose_tracker,
+    step,
+)
 
 from kernel import gap_lines, planar_session
 from kernel.laws import STATED_LAW
@@ -16,12 +24,11 @@ from oed.gap.forms import discrepancy, library
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.gap.places.place import STANDS_OUT
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from oed.result.gap import PlaceRecord
-from pkm_models.effects import encoder_scale, leg_thermal, mount_drift, step
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines import planar_2dof
+from oed.measurement import Measurement
+from oed.model import mount
+from oed.result import PlaceRecord
+
+position = pose_tracker.position
 
 EFFECTS = [module.effect for module in (encoder_scale, leg_thermal, mount_drift, step)]
 

@@ -10,6 +10,7 @@ import itertools
 import numpy as np
 import pytest
 from scipy import special
+from shipped_models import step
 
 from kernel.gap_lines import BOW, EFFECTS, SLIP, planted, readings
 from kernel.laws import STATED_LAW, noise_law
@@ -23,9 +24,8 @@ from oed.gap.data import evidence
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.model.effect import Column, Effect, State
-from oed.noise.law import NoiseLaw
-from pkm_models.effects import step
+from oed.model import Column, Effect, State
+from oed.noise import NoiseLaw
 
 
 def _search(

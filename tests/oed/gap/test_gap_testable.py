@@ -5,14 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
+from shipped_models import encoder_scale, planar_2dof, pose_tracker
 
 from oed import Measurement, mount
 from oed.gap import GapProblem, prepare
 from oed.gap.forms import library
 from oed.measurement import draw_parameters, draw_readings
-from pkm_models.effects.encoder_scale import effect
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines.planar_2dof import machine
+
+effect = encoder_scale.effect
+position = pose_tracker.position
+machine = planar_2dof.machine
 
 
 def problem(noise: float) -> GapProblem:

@@ -17,7 +17,7 @@ from oed.gap.cause.hypothesis import Hypothesis
 from oed.gap.cause.search import Search
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import discrepancy, library
-from oed.model.effect import State
+from oed.model import State
 
 
 def _with(problem: GapProblem, **changes: object) -> GapProblem:

@@ -19,7 +19,7 @@ from oed.gap.cause.search import Search
 from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
-from oed.result.gap import ClosureRecord
+from oed.result import ClosureRecord
 
 
 def _search(problem: GapProblem) -> Search:

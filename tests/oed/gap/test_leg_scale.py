@@ -7,16 +7,16 @@ from pathlib import Path
 import leg_scale
 import numpy as np
 import pytest
+from shipped_models import encoder_scale
 
 from kernel.laws import STATED_LAW
 from oed.compensate.effects.fit import EffectReadings, estimate_with_effects
 from oed.dataset import Dataset
-from oed.estimation import identification
+from oed.estimation import identify
 from oed.gap.data import linearisation, problem
 from oed.gap.data.linearisation import ActingEffectForm
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.result import StudyResult
-from pkm_models.effects import encoder_scale
 from pkm_studies import pipeline
 from pkm_studies import study as studies
 from pkm_studies.resolve import resolved
@@ -41,7 +41,7 @@ def test_the_joint_estimate_is_that_of_least_squares(
 ) -> None:
     """From 20 to 2000 times the 50 ppm that are expected; others stay near nothing."""
     measurement, data = _session(tmp_path, scale)
-    plain = identification.identify(measurement, data.series, data.y)
+    plain = identify(measurement, data.series, data.y)
     given = EffectReadings(measurement, tuple(data.series), data.y, data.covariates)
     corrected = estimate_with_effects(given, [encoder_scale.effect], plain.theta)
     assert corrected is not None

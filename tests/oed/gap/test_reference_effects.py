@@ -8,6 +8,18 @@ import numpy as np
 import pandas as pd
 import pytest
 from effects_sample import REFERENCES, columns, effect_of
+from shipped_models import (
+    a3_head,
+    ball_bar,
+    ball_plate,
+    height_probe,
+    hexapod,
+    length_gauge,
+    linear_delta,
+    planar_2dof,
+    pose_tracker,
+    relative,
+)
 
 from kernel import planar_session
 from kernel.laws import STATED_LAW
@@ -17,17 +29,7 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library
 from oed.measurement import draw_parameters, draw_readings
-from oed.model.effect import Effect, State
-from oed.model.instrument import Instrument, Setup
-from pkm_models.instruments import (
-    ball_bar,
-    ball_plate,
-    height_probe,
-    length_gauge,
-    pose_tracker,
-    relative,
-)
-from pkm_models.machines import a3_head, hexapod, linear_delta, planar_2dof
+from oed.model import Effect, Instrument, Setup, State
 from pkm_studies import catalogue
 from pkm_studies import study as studies
 from pkm_studies.resolve import machine as machines

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import integrate, stats
+from shipped_models import encoder_scale, planar_2dof, pose_tracker
 
 from kernel.laws import STATED_LAW
 from oed import Measurement, mount
@@ -14,9 +15,10 @@ from oed.gap.cause.scatter import Energies, replicates, shape
 from oed.gap.data.diagnosis import AGAIN, ON_THE_SPOT
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import UNKNOWN_SIZES
-from pkm_models.effects.encoder_scale import effect
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines.planar_2dof import machine
+
+effect = encoder_scale.effect
+position = pose_tracker.position
+machine = planar_2dof.machine
 
 SIGMA = 10e-6
 POSES, TIMES = 15, 3

@@ -7,13 +7,15 @@ import dataclasses
 import numpy as np
 import pandas as pd
 import pytest
+from shipped_models import encoder_scale, planar_2dof, pose_tracker
 
 from oed import Measurement, mount
 from oed.gap import diagnose, prepare
 from oed.gap.data.diagnosis import Diagnosis
-from pkm_models.effects.encoder_scale import effect
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines.planar_2dof import machine
+
+effect = encoder_scale.effect
+position = pose_tracker.position
+machine = planar_2dof.machine
 
 SIGMA = 10e-6
 

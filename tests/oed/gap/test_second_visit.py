@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
+from shipped_models import encoder_scale, gravity, planar_2dof, pose_tracker
 
 from kernel.gap_lines import with_readings
 from kernel.laws import STATED_LAW
@@ -20,11 +21,8 @@ from oed.gap.before.expected import (
 )
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import assemble
-from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.effects import encoder_scale, gravity
-from pkm_models.instruments import pose_tracker
-from pkm_models.machines import planar_2dof
+from oed.measurement import Measurement
+from oed.model import mount
 
 EFFECTS = (gravity.effect, encoder_scale.effect)
 #: a reading so precise that it fixes a coefficient at 1

@@ -12,7 +12,7 @@ from oed.gap.forms.unknown import (
     over_time,
     unknown_effects,
 )
-from oed.model.effect import Column, State
+from oed.model import Column, State
 
 EFFECTS = {effect.name: effect for effect in unknown_effects()}
 

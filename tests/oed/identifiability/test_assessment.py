@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from shipped_models import a3_head, ball_bar, calliper, height_probe, linear_delta
 
 from oed.identifiability import information
 from oed.identifiability.assessment import (
@@ -15,11 +16,8 @@ from oed.identifiability.assessment import (
     recoveries,
 )
 from oed.identifiability.explain import combination_text, explain
-from oed.measurement.measurement import Measurement, Series
-from oed.model.instrument import mount
-from oed.model.machine import CommonTolerance
-from pkm_models.instruments import ball_bar, calliper, height_probe
-from pkm_models.machines import a3_head, linear_delta
+from oed.measurement import Measurement, Series
+from oed.model import CommonTolerance, mount
 
 GRID = np.linspace(-0.06, 0.06, 4)
 POINTS = np.array([[x, y, 0.0] for x in GRID for y in GRID])

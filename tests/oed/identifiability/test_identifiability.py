@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shipped_models import a3_head, linear_delta
 
 from oed.identifiability import identifiability
-from pkm_models.machines import a3_head, linear_delta
 
 
 def analyse(

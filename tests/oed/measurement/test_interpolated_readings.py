@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shipped_models import a3_head, ball_bar, height_probe, linear_delta
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.compensate.effects.effect_measurement import MeasurementWithEffects
-from oed.estimation.identification import identify
+from oed.estimation import identify
 from oed.measurement import interpolated_readings, simulation
 from oed.measurement.measurement import Measurement, Series
-from oed.model.instrument import mount
-from oed.posterior.log_density import LogDensity
-from pkm_models.instruments import ball_bar, height_probe
-from pkm_models.machines import a3_head, linear_delta
+from oed.model import mount
+from oed.posterior import LogDensity
 
 #: readings of a circle
 COUNT = 600

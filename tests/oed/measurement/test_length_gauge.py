@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from shipped_models import a3_head, height_probe, length_gauge
 
 from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments import height_probe, length_gauge
-from pkm_models.machines import a3_head
+from oed.model import mount
 
 POSES = np.array(
     [[1.13, 0.3, 0.1], [1.2, 2.0, 0.4], [1.17, -1.0, 0.2], [1.15, 4.0, 0.3]]

@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from oracles import delta_trilateration as delta
+from shipped_models import a3_head, ball_bar, calliper, height_probe, linear_delta
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed.identifiability import information
+from oed import identifiability
 from oed.measurement import simulation
 from oed.measurement.fixed_reading import commands_at_fixed_reading
 from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import AssemblyError
-from oed.model.instrument import Channel, Cost, Instrument, mount
-from oed.model.machine import Parameter
-from pkm_models.instruments import ball_bar, calliper, height_probe
-from pkm_models.machines import a3_head, linear_delta
+from oed.mechanism import AssemblyError
+from oed.model import Channel, Cost, Instrument, Parameter, mount
 
 TOOL = 0.05
 LONGER = (0.0, 0.0, TOOL)
@@ -234,22 +232,22 @@ def test_several_set_ups_and_channels_are_laid_out_in_order(
 def test_scales_of_the_columns() -> None:
     m = a3_plans.measurement()
     assert m.length_factors == pytest.approx([1.0] * 21 + [a3.D] * 3 + [1.0] * 3)
-    assert information.column_scale(m, "length") == pytest.approx(
+    assert identifiability.column_scale(m, "length") == pytest.approx(
         np.r_[a3.SCALE, 1, 1, 1]
     )
-    assert information.column_scale(m, "si") == pytest.approx(np.ones(27))
-    assert information.column_scale(m, "tolerance") == pytest.approx(m.tolerance)
+    assert identifiability.column_scale(m, "si") == pytest.approx(np.ones(27))
+    assert identifiability.column_scale(m, "tolerance") == pytest.approx(m.tolerance)
     frame = [m.names[k] for k in np.flatnonzero(m.tolerance == 0)]
     assert sorted(frame) == sorted(a3_head.machine.frame)
     assert sorted(np.flatnonzero(m.free[:24])) == sorted(a3.EQ17)
     with pytest.raises(ValueError, match=r"none of .*'length'"):
-        information.column_scale(m, "mm")
+        identifiability.column_scale(m, "mm")
 
 
 def test_whitening(rng: np.random.Generator) -> None:
     rows, sd = rng.standard_normal((6, 3)), rng.uniform(1, 2, 6)
-    assert information.whiten(rows, sd) == pytest.approx(rows / sd[:, None])
-    assert information.whiten(rows[:, 0], sd) == pytest.approx(rows[:, 0] / sd)
+    assert identifiability.whiten(rows, sd) == pytest.approx(rows / sd[:, None])
+    assert identifiability.whiten(rows[:, 0], sd) == pytest.approx(rows[:, 0] / sd)
 
 
 def test_posterior_covariance_in_units_of_the_tolerances(
@@ -257,27 +255,27 @@ def test_posterior_covariance_in_units_of_the_tolerances(
 ) -> None:
     for n in (2, 5, 9):
         h = 10.0 ** rng.uniform(-2, 3, n)[:, None] * rng.standard_normal((n, 6))
-        assert information.posterior_covariance(h) == pytest.approx(
+        assert identifiability.posterior_covariance(h) == pytest.approx(
             np.linalg.inv(np.eye(6) + h.T @ h), rel=1e-7, abs=1e-9
         )
     blind = np.array([[1e6, 1e6, 0.0]])
-    assert information.posterior_covariance(blind)[2].tolist() == [0.0, 0.0, 1.0]
-    assert blind @ information.posterior_covariance(blind) @ blind.T == pytest.approx(
-        1.0, abs=1e-3
-    )
+    assert identifiability.posterior_covariance(blind)[2].tolist() == [0.0, 0.0, 1.0]
+    assert blind @ identifiability.posterior_covariance(
+        blind
+    ) @ blind.T == pytest.approx(1.0, abs=1e-3)
 
 
 def test_only_whitened_rows_carry_the_noise() -> None:
     m = a3_plans.measurement()
     series = a3_plans.circles(m, 3)
     h, sigma = m.jacobian([series], m.nominal), m.sigma([series])
-    assert information.scaled(m, [series], m.nominal, "tolerance") == pytest.approx(
+    assert identifiability.scaled(m, [series], m.nominal, "tolerance") == pytest.approx(
         h * m.tolerance / sigma[:, None]
     )
-    assert information.scaled(m, [series], m.nominal, "length") == pytest.approx(
+    assert identifiability.scaled(m, [series], m.nominal, "length") == pytest.approx(
         h / m.length_factors
     )
-    assert (information.scaled(m, [series], m.nominal, "si") == h).all()
+    assert (identifiability.scaled(m, [series], m.nominal, "si") == h).all()
 
 
 def test_a_pose_that_cannot_be_assembled_at_some_parameters(

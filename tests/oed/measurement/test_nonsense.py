@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped_models import camera, delta
 
 from oed.measurement.measurement import Measurement, mode_jumps
-from oed.model.instrument import mount
-from pkm_models.instruments import camera
-from pkm_models.machines import delta
+from oed.model import mount
 from pkm_studies.commands import main
 
 STUDY = """\

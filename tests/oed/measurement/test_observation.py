@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from shipped_models import a3_head, ball_bar, laser_ball_bar, prs_spindle
 
 from oed.measurement.fixed_reading import _solve_coordinate
 from oed.measurement.measurement import Measurement, Series, mode_jumps
@@ -17,10 +18,7 @@ from oed.measurement.reading_noise import (
     stated_noise,
 )
 from oed.measurement.reading_structure import reading_structure
-from oed.model.instrument import Setup, mount
-from oed.model.machine import Coordinate
-from pkm_models.instruments import ball_bar, laser_ball_bar
-from pkm_models.machines import a3_head, prs_spindle
+from oed.model import Coordinate, Setup, mount
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 BAR = mount(ball_bar.instrument, "bar", teach=(1.2, 0.0, 0.0), sigma=[0.5e-6])

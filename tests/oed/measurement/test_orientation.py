@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from shipped_models import a3_head, hexapod, linear_delta, orientation, planar_2dof
 
 from oed.measurement.measurement import Measurement
-from oed.model.instrument import mount
-from pkm_models.instruments import orientation
-from pkm_models.machines import a3_head, hexapod, linear_delta, planar_2dof
+from oed.model import mount
 
 INSTRUMENTS = (orientation.instrument, orientation.level, orientation.autocollimator)
 #: rx, ry, spin of a hexapod's command, rad

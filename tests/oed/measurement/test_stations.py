@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sample
+from shipped_models import hexapod, pose_tracker
 
 from oed import Measurement, mount
-from pkm_models.instruments.pose_tracker import position
-from pkm_models.machines.hexapod import machine
 from pkm_studies.commands import main
+
+position = pose_tracker.position
+machine = hexapod.machine
 
 NESTS = {"one": (0.05, 0.0, 0.0), "two": (-0.03, 0.04, 0.0), "three": (0.0, -0.05, 0.0)}
 COMMAND = np.array(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+from shipped_models import hexapod
 
 from oed.mechanism.array_code.adjoint import AdjointRows, ArrayAdjoint
 from oed.mechanism.array_code.layout import Layout
 from oed.mechanism.batch import ARRAY_SIZE
 from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import hexapod
 
 ROWS, COLUMNS, SIZE = 4, 3, 8
 SCALE = np.array([1.0, 0.5, 2.0, 1.0])

@@ -5,12 +5,11 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from shipped_models import a3_head, cables_planar, hexapod, linear_delta
 
 from oed.mechanism.array_code.layout import Arena, Layout
 from oed.mechanism.array_code.tape import ArrayTape
-from oed.model.expressions import machine_expressions
-from oed.model.machine import Machine
-from pkm_models.machines import a3_head, cables_planar, hexapod, linear_delta
+from oed.model import Machine, machine_expressions
 
 SIZE = 16
 

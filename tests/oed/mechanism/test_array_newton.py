@@ -5,13 +5,13 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from shipped_models import a3_head, hexapod, linear_delta
 
 from oed.mechanism import batch, newton
 from oed.mechanism.array_code.elimination import Elimination
 from oed.mechanism.array_code.newton import ArrayNewton
 from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
-from pkm_models.machines import a3_head, hexapod, linear_delta
+from oed.model import Machine
 
 Z, A = ca.SX.sym("z", 2), ca.SX.sym("a", 2)
 TOLERANCE, LONGEST, SIZE = newton.STEP_TOLERANCE, 0.2, 8

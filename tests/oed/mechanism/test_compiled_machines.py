@@ -16,9 +16,9 @@ from kernel.mechanism.compiling import (
     compiled_files,
     needs_compiler,
 )
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.machine import Machine
+from oed.model import Machine
 
 __all__ = ["compiled_files"]
 pytestmark = [needs_compiler, pytest.mark.usefixtures("compiled_files")]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from oracles import a3_geometry as a3
 from scipy.spatial.transform import Rotation
+from shipped_models import a3_head, cables_planar, linear_delta
 
 from oed.mechanism import pose_errors
 from oed.mechanism.closest_closure import closest_closure
@@ -16,9 +17,7 @@ from oed.mechanism.forward import ForwardKinematics
 from oed.mechanism.inverse import AssemblyError, InverseKinematics
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_slopes import PoseAdjoints
-from oed.model.expressions import machine_expressions
-from oed.model.machine import Machine
-from pkm_models.machines import a3_head, cables_planar, linear_delta
+from oed.model import Machine, machine_expressions
 
 A3 = Kinematics(a3_head.machine)
 NOMINAL = a3_head.machine.nominal

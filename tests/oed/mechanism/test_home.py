@@ -10,10 +10,11 @@ from collections.abc import Sequence
 import casadi as ca
 import pytest
 from oracles import delta_trilateration as delta
+from shipped_models import linear_delta
 
 from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Expr, Machine, Values
-from pkm_models.machines import linear_delta
+from oed.model import Machine
+from oed.model.machine import Expr, Values
 
 
 def misled(c: Values, p: Values) -> tuple[Sequence[Expr], Sequence[Expr]]:

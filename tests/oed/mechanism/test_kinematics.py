@@ -13,14 +13,13 @@ from oracles import delta_trilateration as delta
 from reference import tian_2016 as paper
 from scipy import optimize
 from scipy.spatial.transform import Rotation
+from shipped_models import a3_head, height_probe, linear_delta
 
 from kernel.cases import CASES
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError, Kinematics
-from oed.model.instrument import mount
-from oed.model.machine import Coordinate, Expr, Values
-from pkm_models.instruments import height_probe
-from pkm_models.machines import a3_head, linear_delta
+from oed.model import Coordinate, mount
+from oed.model.machine import Expr, Values
 
 A3, DELTA = Kinematics(a3_head.machine), Kinematics(linear_delta.machine)
 A3_SPREAD = np.r_[

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.base.arrays import Array, Index
+from oed.base import Array, Index
 from oed.mechanism import newton
 from oed.mechanism.newton import solve_linear
 

@@ -7,9 +7,11 @@ import dataclasses
 import casadi as ca
 import numpy as np
 import pytest
+from shipped_models import linear_delta
 
 from oed.mechanism.closest_closure import closure_at_guess
-from pkm_models.machines.linear_delta import machine
+
+machine = linear_delta.machine
 
 
 def test_a_machine_that_does_not_assemble_can_be_looked_at() -> None:

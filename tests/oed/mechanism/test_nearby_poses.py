@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from shipped_models import a3_head, cable_robot, hexapod, linear_delta
 
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.nearby_poses import NearbyPoses
-from oed.model.machine import Machine
-from pkm_models.machines import a3_head, cable_robot, hexapod, linear_delta
+from oed.model import Machine
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from shipped_models import a3_head, hexapod, linear_delta, tripod_prs
 
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.twist import TwistSlopes, twist_slopes
-from oed.model.expressions import MachineExpressions, machine_expressions
-from oed.model.machine import Machine
-from pkm_models.machines import a3_head, hexapod, linear_delta, tripod_prs
+from oed.model import Machine, machine_expressions
+from oed.model.expressions import MachineExpressions
 
 
 def _slopes_over_pose(

@@ -5,10 +5,10 @@ import dataclasses
 import effects_sample
 import numpy as np
 import pytest
+from shipped_models import backlash, friction, servo_lag
 
 from oed.model.effect import Column, Effect, State
 from oed.model.expected_size import with_expected_size
-from pkm_models.effects import backlash, friction, servo_lag
 
 
 @pytest.mark.parametrize("effect", [backlash.effect, friction.effect])

@@ -4,12 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from shipped_models import ball_bar, height_probe, linear_delta
 
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.instrument import mount
 from oed.model.machine import Parameter
-from pkm_models.instruments import ball_bar, height_probe
-from pkm_models.machines.linear_delta import machine
+
+machine = linear_delta.machine
 
 
 def test_a_parameter_table_may_change_values_not_names() -> None:

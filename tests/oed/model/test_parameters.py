@@ -7,6 +7,7 @@ import dataclasses
 import casadi as ca
 import numpy as np
 import pytest
+from shipped_models import a3_head, ball_bar, pose_tracker, relative
 
 from oed.model import expressions
 from oed.model.effect import Column, Effect
@@ -15,8 +16,6 @@ from oed.model.instrument import Instrument, Protocol, mount
 from oed.model.machine import CommonTolerance
 from oed.model.parameter_vector import ParameterVector
 from oed.model.series import Series, index_poses, run_labels, take_values
-from pkm_models.instruments import ball_bar, pose_tracker, relative
-from pkm_models.machines import a3_head
 
 CUP = mount(ball_bar.instrument, "cup", teach=(1.2, 0.0, 0.0))
 CORRELATION = 0.6

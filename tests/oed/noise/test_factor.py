@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.noise.factor import Chains, Errors, Innovations, LinearFactor
 
 N, STARTS = 14, (0, 6)

@@ -14,11 +14,11 @@ from kernel import gap_problem as case
 from kernel.dense_noise import law_covariance
 from kernel.gap_lines import readings
 from kernel.laws import noise_law
-from oed.base.arrays import Array
+from oed.base import Array
+from oed.gap import GapProblem
 from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
 from oed.gap.data.laws import log_evidences
-from oed.gap.data.problem import GapProblem
 from oed.noise.banded import ROWS, ChainFactor, SharedFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import with_columns

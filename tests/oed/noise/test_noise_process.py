@@ -4,19 +4,18 @@ import dataclasses
 
 import numpy as np
 import pytest
+from shipped_models import laser_ball_bar, prs_spindle
 
 from kernel import bar_circles
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.measurement.reading_structure import reading_structure
-from oed.model.instrument import mount
+from oed.model import mount
 from oed.noise.law_noise import factor_of
 from oed.noise.marginal import NoisePosterior, ResidualModel, integrate
 from oed.noise.outliers import Precision, detect
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening, stated_laws
 from oed.noise.structure import ReadingStructure
-from pkm_models.instruments import laser_ball_bar
-from pkm_models.machines import prs_spindle
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 

@@ -16,13 +16,12 @@ from scipy import linalg, stats
 
 from kernel import a3_plans
 from kernel.dense_noise import dense_covariance, law_covariance
-from oed.accuracy.budget import budget_model
+from oed.accuracy import budget_model
 from oed.design import candidates
-from oed.estimation.identification import identify
+from oed.estimation import identify
+from oed.gap import assemble
 from oed.gap.data import laws as gap_laws
-from oed.gap.data.problem import assemble
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series, simulation
 from oed.measurement.reading_structure import reading_structure
 from oed.noise import prior
 from oed.noise.law import NoiseLaw

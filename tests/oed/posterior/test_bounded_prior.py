@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import identify
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
+from oed.estimation import Estimate, identify
+from oed.measurement import Measurement, Series, draw_parameters, draw_readings
 from oed.posterior import laplace, posterior
 from oed.posterior.log_density import OutOfBoundsError
 
@@ -37,8 +35,8 @@ def readings() -> tuple[Series, np.ndarray]:
     m = head({})
     series = a3_plans.circles(m, 12)
     rng = np.random.default_rng(6)
-    truth = simulation.draw_parameters(m, rng)
-    return series, simulation.draw_readings(m, [series], truth, rng)
+    truth = draw_parameters(m, rng)
+    return series, draw_readings(m, [series], truth, rng)
 
 
 SERIES, Y = readings()
@@ -113,7 +111,7 @@ def test_an_estimate_near_a_bound_says_so() -> None:
 
 def test_virtual_machines_keep_to_bounds() -> None:
     m = head({SEEN: (0.0, np.inf), LOST: (-1e-6, 2e-6)})
-    drawn = simulation.draw_parameters(m, np.random.default_rng(9), 2000)
+    drawn = draw_parameters(m, np.random.default_rng(9), 2000)
     assert m.in_bounds(drawn).all()
     half_normal = m.tolerance[m.names.index(SEEN)] * np.sqrt(2.0 / np.pi)
     assert drawn[:, m.names.index(SEEN)].mean() == pytest.approx(half_normal, rel=0.06)

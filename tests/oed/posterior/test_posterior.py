@@ -12,8 +12,8 @@ from scipy import special
 from kernel import a3_plans
 from kernel.delta_probe import problem
 from oed.base import own_files
-from oed.estimation.identification import identify
-from oed.measurement import simulation
+from oed.estimation import identify
+from oed.measurement import draw_readings
 from oed.posterior import posterior
 from oed.posterior.posterior import Sampler
 
@@ -130,7 +130,7 @@ def test_draws_of_a_machine_with_lost_directions_still_read_as_observed() -> Non
     m = a3_plans.measurement()
     series = [a3_plans.circles(m, 15)]
     rng = np.random.default_rng(3)
-    y = simulation.draw_readings(m, series, a3_plans.table_3(m), rng)
+    y = draw_readings(m, series, a3_plans.table_3(m), rng)
     estimate = identify(m, series, y)
     drawn = posterior.sample(m, series, y, estimate, rng, ess=300)
     white = estimate.noise.whiten_last(m.readings(series, drawn.pooled[::97]) - y)

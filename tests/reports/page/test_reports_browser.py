@@ -19,7 +19,7 @@ import report_fixture
 import report_fixture_view
 from report_fixture import result_of
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.result import StudyResult
 from pkm_reports import write_report
 

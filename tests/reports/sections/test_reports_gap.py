@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from msgspec.structs import replace
 from report_fixture import check_inside, result_of, text_of
 
-from oed.gap.data import problem
+from oed.gap import assemble
 from oed.result import AnswerRecord, GapSection, StudyResult, Trace
 from pkm_reports import missing, sections, style, text, write_report
 from pkm_reports.page import build_document, render_html, render_pdf
@@ -40,7 +40,7 @@ def gap(tmp_path_factory: pytest.TempPathFactory) -> GapSection:
     path = gap_fixture.written(tmp_path_factory.mktemp("gap"))
     state = start(load(path), 3, Silent(), None)
     readings = simulate_readings(state, planned_series(state)).readings
-    residuals = problem.assemble(
+    residuals = assemble(
         state.measurement,
         readings.series,
         readings.covariates,

@@ -15,8 +15,8 @@ import sample
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from oed.measurement.measurement import Measurement
-from oed.mechanism.kinematics import AssemblyError
+from oed.measurement import Measurement
+from oed.mechanism import AssemblyError
 from pkm_studies import sources
 from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve

@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import compensation_sample
 import msgspec
 import pytest
+from shipped_models import linear_delta
 
-from oed.model.machine import Machine
-from pkm_models.machines import linear_delta
+from oed.model import Machine
 from pkm_page import PageOptions, open_page
 from pkm_studies.base import InputError
 from pkm_studies.commands import main

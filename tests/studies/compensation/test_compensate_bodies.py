@@ -14,10 +14,7 @@ import compensation_sample as sample
 import numpy as np
 import pytest
 from oracles import mujoco_poses
-
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
-from pkm_models.machines import (
+from shipped_models import (
     a3_head,
     five_bar,
     hexapod,
@@ -25,6 +22,9 @@ from pkm_models.machines import (
     hexapod_rus,
     rotary_delta,
 )
+
+from oed.mechanism import Kinematics
+from oed.model import Machine
 
 Run = Callable[..., tuple[int, str, str]]
 #: legs, carriages and cranks; in the plane, and with a platform that only translates

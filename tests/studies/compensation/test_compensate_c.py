@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from c_compiler import library, pointer
 from oracles import delta_trilateration
+from shipped_models import a3_head, cables_planar, hexapod, linear_delta
 
 from oed.compensate import command_of_pose
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
-from pkm_models.machines import a3_head, cables_planar, hexapod, linear_delta
+from oed.mechanism import Kinematics
+from oed.model import Machine
 
 Run = Callable[..., tuple[int, str, str]]
 POSES = 10_000

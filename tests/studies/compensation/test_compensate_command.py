@@ -13,11 +13,11 @@ import msgspec
 import numpy as np
 import pytest
 from oracles import delta_trilateration as delta
+from shipped_models import a3_head, hexapod, linear_delta, micro_cmm
 
 from oed.compensate import compensated_joints
-from oed.mechanism.kinematics import Kinematics
+from oed.mechanism import Kinematics
 from oed.result import GoodnessSection, NoiseRecord, StudyResult
-from pkm_models.machines import a3_head, hexapod, linear_delta, micro_cmm
 from pkm_studies.stages import describe
 
 Run = Callable[..., tuple[int, str, str]]

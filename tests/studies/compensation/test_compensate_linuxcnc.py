@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from oracles import delta_trilateration, new_families
 from scipy.spatial.transform import Rotation
+from shipped_models import delta, linear_delta, pentapod, rotary_delta
 
-from oed.model.machine import Machine
-from pkm_models.machines import delta, linear_delta, pentapod, rotary_delta
+from oed.model import Machine
 
 Run = Callable[..., tuple[int, str, str]]
 

@@ -14,12 +14,17 @@ import report_fixture
 from oracles import a3_geometry as a3
 from result_sample import whole
 from scipy.interpolate import RegularGridInterpolator
+from shipped_models import a3_head
 
 from oed.compensate import compensated_joints
-from oed.mechanism.kinematics import Kinematics
-from oed.result import BudgetLine, BudgetSection, PredictionSection
-from oed.result.prediction import ComponentAccuracy, SpreadRecord
-from pkm_models.machines import a3_head
+from oed.mechanism import Kinematics
+from oed.result import (
+    BudgetLine,
+    BudgetSection,
+    ComponentAccuracy,
+    PredictionSection,
+    SpreadRecord,
+)
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
 

@@ -14,11 +14,7 @@ from oracles import prs_geometry as prs
 from sample import table_lines
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
-
-from oed.compensate import compensated_joints, further_axes
-from oed.mechanism.kinematics import Kinematics
-from oed.result import StudyResult
-from pkm_models.machines import (
+from shipped_models import (
     hexapod,
     linear_delta,
     planar_2dof,
@@ -27,6 +23,10 @@ from pkm_models.machines import (
     tripod_prs,
     tripod_rps,
 )
+
+from oed.compensate import compensated_joints, further_axes
+from oed.mechanism import Kinematics
+from oed.result import StudyResult
 from pkm_studies.commands import main
 from pkm_studies.results import load_result
 

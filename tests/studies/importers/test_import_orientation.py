@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from sample import table_lines
 from scipy.spatial.transform import Rotation
+from shipped_models import hexapod, prs_spindle
 
 import oed
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import hexapod, prs_spindle
+from oed.mechanism import Kinematics
 from pkm_studies.base import InputError
 from pkm_studies.importers import import_files
 

@@ -12,10 +12,7 @@ import compensation_sample as sample
 import numpy as np
 import pytest
 from oracles import mujoco_poses
-
-from oed.mechanism.kinematics import Kinematics
-from oed.model.machine import Machine
-from pkm_models.machines import (
+from shipped_models import (
     five_bar,
     hexapod,
     hexapod_pus,
@@ -23,6 +20,9 @@ from pkm_models.machines import (
     orthoglide,
     rotary_delta,
 )
+
+from oed.mechanism import Kinematics
+from oed.model import Machine
 from pkm_studies import study
 from pkm_studies.resolve.machine import study_machine
 

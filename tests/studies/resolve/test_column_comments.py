@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from oed.model.instrument import Instrument
-from pkm_models.machines import prs_spindle
+from shipped_models import prs_spindle
+
+from oed.model import Instrument
 from pkm_studies import catalogue
 from pkm_studies.base import Place
 from pkm_studies.resolve import conventions

@@ -14,12 +14,12 @@ import pytest
 import rounds
 from numpy.typing import NDArray
 from oracles import a3_geometry as a3
+from shipped_models import a3_head, hexapod, linear_delta
 
-from oed.accuracy.maps import driven_errors
-from oed.measurement.measurement import Measurement
-from oed.model.machine import Machine
+from oed.accuracy import driven_errors
+from oed.measurement import Measurement
+from oed.model import Machine
 from oed.result import StudyResult
-from pkm_models.machines import a3_head, hexapod, linear_delta
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve

@@ -4,7 +4,7 @@ import effects_sample
 import pytest
 import sample
 
-from oed.model.effect import Effect
+from oed.model import Effect
 from pkm_studies.base import InputError
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sample
 
-from oed.base import units
+from oed.base import from_si
 from pkm_studies.base import InputError
 
 TABLE = """
@@ -24,7 +24,7 @@ def commands_mm(table: str, folder: Path = Path()) -> np.ndarray:
     """Commands (n, 3), mm, of the delta's candidates with a table."""
     resolved = sample.resolved(sample.DELTA + TABLE + table, folder)
     (series,) = resolved.candidates
-    return units.from_si(series.command, "mm")
+    return from_si(series.command, "mm")
 
 
 def refusal(table: str, folder: Path = Path()) -> str:
@@ -43,7 +43,7 @@ def test_a_file_as_a_spreadsheet_writes_it(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text("run;x_mm;y_mm;z_mm\na;0,5;1;10\nb;2;3;20,25\n")
     text = sample.DELTA + TABLE + 'file = "poses.csv"'
     (series,) = sample.resolved(text, tmp_path).candidates
-    command = units.from_si(series.command, "mm")
+    command = from_si(series.command, "mm")
     np.testing.assert_allclose(command, [[0.5, 1.0, 10.0], [2.0, 3.0, 20.25]])
     assert list(series.run) == ["a", "b"]
 

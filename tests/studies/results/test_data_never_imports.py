@@ -26,9 +26,9 @@ import report_fixture
 import sample
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from shipped_models import linear_delta
 
 from oed.posterior import checkpoint
-from pkm_models.machines import linear_delta
 from pkm_studies import result_folder
 from pkm_studies.base import InputError
 from pkm_studies.commands import main

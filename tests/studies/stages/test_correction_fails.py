@@ -7,7 +7,7 @@ from unittest import mock
 
 import pytest
 
-from oed.estimation.identification import IdentificationError
+from oed.estimation import IdentificationError
 from pkm_studies.stages.steps import correct
 
 

@@ -9,9 +9,9 @@ import gap_fixture
 import numpy as np
 import pytest
 from oracles import a3_geometry
+from shipped_models import a3_head, delta, hexapod
 
-from oed.mechanism.kinematics import Kinematics
-from pkm_models.machines import a3_head, delta, hexapod
+from oed.mechanism import Kinematics
 from pkm_reports.sections.figures import machine
 from pkm_studies.base import Silent
 from pkm_studies.stages import describe, drawing_labels

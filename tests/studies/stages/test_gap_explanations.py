@@ -6,7 +6,7 @@ import msgspec
 import report_fixture
 from result_sample import whole
 
-from oed.result.gap import AnswerRecord, GapSection
+from oed.result import AnswerRecord, GapSection
 from pkm_studies.stages.gap.explanations import second_explanation
 from pkm_studies.stages.gap.sentences import with_sentences
 

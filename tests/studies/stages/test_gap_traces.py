@@ -9,8 +9,7 @@ import gap_fixture
 import numpy as np
 import pytest
 
-from oed.gap.data import problem
-from oed.gap.data.diagnosis import Diagnosis
+from oed.gap import Diagnosis, assemble
 from pkm_studies.base import Silent
 from pkm_studies.stages.gap import traces as gap_traces
 from pkm_studies.stages.run_state import start
@@ -22,7 +21,7 @@ def _diagnosed(tmp_path: Path) -> Diagnosis:
     path = gap_fixture.written(tmp_path)
     state = start(load(path), 3, Silent(), None)
     readings = simulate_readings(state, planned_series(state)).readings
-    residuals = problem.assemble(
+    residuals = assemble(
         state.measurement,
         readings.series,
         readings.covariates,

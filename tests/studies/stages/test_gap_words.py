@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from oed.result.gap import (
+from oed.result import (
     AnswerRecord,
     ClosureRecord,
     CoefficientRecord,

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 import report_fixture
 from result_sample import drop, whole
+from shipped_models import a3_head
 
 from oed.result import MixtureSection, StudyResult, trust
-from pkm_models.machines.a3_head import machine
 from pkm_reports.sections.gap import mixture as chapter
 from pkm_studies.acceptance import promise
 from pkm_studies.compensation import identified_parameters
 from pkm_studies.earlier_result import known_parameters
 from pkm_studies.stages.gap import mixture as sections
+
+machine = a3_head.machine
 
 NAMES = ("da1y", "da1z")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed.identifiability.assessment import assess
+from oed.identifiability import assess
 from pkm_studies import study
 from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve

@@ -11,10 +11,9 @@ from report_fixture import check_inside, result_of, sample
 from kernel import a3_plans
 from kernel.a3_machines import exact, measured
 from oed import compensate
-from oed.base import units
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import identify
-from oed.measurement.measurement import Measurement, Series
+from oed.base import to_si
+from oed.estimation import Estimate, identify
+from oed.measurement import Measurement, Series
 from oed.result import RunCurve, relations
 from pkm_reports import style
 from pkm_reports.page import build_document
@@ -147,7 +146,7 @@ def write_readings(folder: Path, path: Path, error_um: float) -> None:
     for k, name in enumerate(m.names):
         stored = result.estimate.parameters.get(name)
         if stored is not None:
-            believed[k] = units.to_si(stored.value, stored.unit)
+            believed[k] = to_si(stored.value, stored.unit)
     stroke = np.repeat(STROKES, POINTS)
     psi = np.tile(2.0 * np.pi * np.arange(POINTS) / POINTS, len(STROKES))
     command = a3_plans.bar_commands(m, stroke, psi)

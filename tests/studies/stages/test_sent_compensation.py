@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 import report_fixture
 from result_sample import whole
+from shipped_models import a3_head
 
 from kernel.answer_mixture import Case, case, readings
 from oed.accuracy.prediction import Spread, least_error
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.result import MixtureSection, trust
 from oed.result.mixture import BEST, MIXTURE, NOTHING, PLAIN
-from pkm_models.machines.a3_head import machine
 from pkm_studies.earlier_result import controller_values, corrects_effects
 from pkm_studies.stages.corrected.section import without_tables
 from pkm_studies.stages.gap import mixture as sections
 from pkm_studies.stages.predict import knowledge
+
+machine = a3_head.machine
 
 __all__ = ["case"]
 COMMAND = np.array([[y, z] for y in (-0.9, 0.0, 0.9) for z in (0.4, 0.8, 1.1)])

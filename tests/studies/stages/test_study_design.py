@@ -10,8 +10,8 @@ import pytest
 import sample
 from design_sample import CUP, EXTRA, GRID, KNOWN, chosen, rows, section, text, value
 
-from oed.identifiability import information
-from oed.measurement.measurement import Series
+from oed import identifiability
+from oed.measurement import Series
 from pkm_studies import pipeline, study
 from pkm_studies.base import InputError
 
@@ -129,7 +129,7 @@ def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
 
 
 def test_readings_that_share_a_reference() -> None:
-    """Readings against one reference are correlated, and so is their information."""
+    """Readings against one reference are correlated, and so is their identifiability."""
     planar = (
         'schema = 1\nname = "small"\nmachine = { model = "planar_2dof"'
         ' }\n[[setup]]\nname = "rm5"\ninstrument = "rm5"\n'
@@ -144,7 +144,7 @@ def test_readings_that_share_a_reference() -> None:
     assert len(whole) == 12
 
     def log_det(series: list[Series]) -> float:
-        h = information.scaled(m, series, m.nominal, "tolerance")[:, m.free]
+        h = identifiability.scaled(m, series, m.nominal, "tolerance")[:, m.free]
         return float(np.linalg.slogdet(h.T @ h + np.eye(h.shape[1]))[1])
 
     subsets = itertools.combinations(range(12), 4)
@@ -169,7 +169,7 @@ def test_instruments_with_different_channels() -> None:
     assert len(m.setups["cup"].sigma) != len(m.setups["tracker"].sigma)
 
     def log_det(series: list[Series]) -> float:
-        h = information.scaled(m, series, m.nominal, "tolerance")[:, m.free]
+        h = identifiability.scaled(m, series, m.nominal, "tolerance")[:, m.free]
         return float(np.linalg.slogdet(h.T @ h + np.eye(h.shape[1]))[1])
 
     subsets = (np.array(subset) for subset in itertools.combinations(range(12), 3))

@@ -15,12 +15,12 @@ import report_fixture
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from msgspec.structs import replace
 from sample import changed, table_lines
+from shipped_models import encoder_scale, gravity
 
 from kernel.laws import STATED_LAW
 from oed import dataset
 from oed.gap.before import detect, runs
 from oed.result import DetectabilityTable
-from pkm_models.effects import encoder_scale, gravity
 from pkm_reports import sections, style
 from pkm_reports.sections.figures.gap import confusable
 from pkm_studies import pipeline, study

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import sample
 
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 from pkm_studies.base import Silent
 from pkm_studies.resolve.conditions import planned_covariates
 from pkm_studies.resolve.gap import gap_request

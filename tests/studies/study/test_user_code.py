@@ -16,9 +16,9 @@ import compensation_sample
 import msgspec
 import pytest
 import sample
+from shipped_models import linear_delta
 
 import oed
-from pkm_models.machines import linear_delta
 from pkm_studies import study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shipped_models import cable_robot, hexapod, tripod_passive_leg
 
 from oed.mechanism.closest_closure import closest_closure
-from oed.model.machine import Machine
-from pkm_models.machines import cable_robot, hexapod, tripod_passive_leg
+from oed.model import Machine
 from pkm_reports import style
 from pkm_reports.sections import draw_closure
 from pkm_studies import catalogue

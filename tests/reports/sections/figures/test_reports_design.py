@@ -12,7 +12,7 @@ import pytest
 import report_fixture
 from report_fixture import result_of, shown_text
 
-from oed.base.arrays import Array
+from oed.base import Array
 from oed.design.criterion import Criterion, named
 from oed.result import (
     CriterionComparison,
