@@ -130,7 +130,10 @@ def _class_of(
 
     members = [effect]
     for rival in search.library.effects:
-        if rival in h.effects:
+        if rival in h.effects:  # beside one that no reading tells it from
+            distinct, whole, _ = _distinct_energy(search, search.grams, h, i, rival)
+            if rival != effect and distinct < EXACT * whole:
+                members.append(rival)
             continue
         distinct, whole, size = _distinct_energy(search, grams, h, i, rival)
         exact = distinct < EXACT * whole and log_odds(rival) > -PLAINER
