@@ -60,6 +60,24 @@ class Estimate:
                       the noise is as stated, or effects are allowed. Where it does not,
                       the estimate is that of the stated weights, `widened`, without a
                       noise posterior
+
+    >>> import numpy as np
+    >>> from oed import Measurement, mount
+    >>> from oed.estimation import identify
+    >>> from oed.measurement import draw_parameters, draw_readings
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> rng = np.random.default_rng(1)
+    >>> truth = draw_parameters(measurement, rng)
+    >>> y = draw_readings(measurement, [series], truth, rng)
+    >>> estimate = identify(measurement, [series], y)
+    >>> estimate.theta.shape, estimate.covariance.shape
+    ((13,), (13, 13))
+    >>> bool(estimate.chi2 / estimate.dof < 2.0)
+    True
     """
 
     theta: Array

@@ -3,12 +3,15 @@
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from benchmarks.second import __main__ as command
 from benchmarks.second import adapter, cases, run, score
+from oed.noise.law import NoiseLaw
+from oed.noise.process import Laws
 from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,12 +150,20 @@ def test_a_case_becomes_readings_that_the_nominal_machine_nearly_has(
 
 
 def test_the_true_law_has_the_labels_sizes() -> None:
-    class Problem:
-        def __len__(self) -> int:
-            return 4
-
-    law = run.true_law(
-        Problem(), {"repeat_over_sigma": 0.8, "rho": 0.9, "ar_over_sigma": 0.5}
+    """In units of what single readings scatter by, which is the stated noise."""
+    one = np.ones(1)
+    stated = Laws(
+        scale=np.ones((1, 1)),
+        carried=0.0 * one,
+        reach=one,
+        level=0.0 * one,
+        seat=0.0 * one,
     )
-    assert (law.run_sd, law.ar1_sd) == (0.8, 0.5)
-    assert math.exp(-1.0 / law.ar1_length) == pytest.approx(0.9)
+    problem = SimpleNamespace(stated_law=NoiseLaw(stated))
+    label = {"repeat_over_sigma": 0.8, "rho": 0.9, "ar_over_sigma": 0.5}
+    law = run.true_law(problem, label).law
+    scale, carried = law.scale[0, 0], law.carried[0]
+    assert scale * math.sqrt(1.0 - carried) == pytest.approx(1.0)
+    assert scale * math.sqrt(carried) == pytest.approx(0.5)
+    assert scale * law.level[0] == pytest.approx(0.8)
+    assert math.exp(-1.0 / law.reach[0]) == pytest.approx(0.9)

@@ -136,6 +136,26 @@ def prepare(
     `covariates` has one row a reading of the series, as in a Dataset: set-up, run and
     order, and direction, time, feed, payload and temperatures where they are known.
     Raises IdentificationError.
+
+    >>> import numpy as np
+    >>> import pandas as pd
+    >>> from oed import Measurement, mount
+    >>> from oed.gap import prepare
+    >>> from oed.measurement import draw_parameters, draw_readings
+    >>> from pkm_models.instruments.pose_tracker import position
+    >>> from pkm_models.machines.planar_2dof import machine
+    >>> measurement = Measurement(machine, [mount(position, "tracker")])
+    >>> y, z = np.meshgrid(np.linspace(-1.2, 1.2, 5), np.linspace(0.2, 1.3, 5))
+    >>> series = measurement.series("tracker", np.column_stack([y.ravel(), z.ravel()]))
+    >>> rng = np.random.default_rng(1)
+    >>> truth = draw_parameters(measurement, rng)
+    >>> y = draw_readings(measurement, [series], truth, rng)
+    >>> covariates = pd.DataFrame(
+    ...     {"setup": "tracker", "run": "1", "order": np.arange(25), "direction": 1}
+    ... )
+    >>> problem = prepare(measurement, [series], y, covariates)
+    >>> problem.residual.shape  # x, y and z of 25 readings, in units of the stated noise
+    (75,)
     """
     series = tuple(series)
     theta = identification.identify(measurement, series, y).theta
