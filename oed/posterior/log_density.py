@@ -262,9 +262,13 @@ class LogDensity:
             root[: self.r, : self.r] = (vectors * sizes) @ vectors.T
             root[self.r :, self.r :] = self._posterior.root
             return root
-        precision = self._slope.T @ self._slope + np.eye(self.r)
-        values, vectors = np.linalg.eigh(precision)
+        values, vectors = np.linalg.eigh(self._precision)
         return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
+
+    @property
+    def _precision(self) -> Array:
+        """Precision (r, r) of the identifiable coordinates under the estimate's noise."""
+        return self._slope.T @ self._slope + np.eye(self.r)
 
     def move_along_null(self, theta: Array, change: Array) -> Array:
         """Move draws (..., n) by null changes (..., n) with the readings as they were.
@@ -279,8 +283,7 @@ class LogDensity:
             return theta
         before = theta.reshape(-1, theta.shape[-1])
         after = before + change.reshape(before.shape)
-        precision = self._slope.T @ self._slope + np.eye(self.r)
-        step = self._slope @ np.linalg.solve(precision, self.coordinates.basis.T)
+        step = self._slope @ np.linalg.solve(self._precision, self.coordinates.basis.T)
         # readings of all draws of a long session would not fit into memory
         few, readings = max(VALUES // len(self._y), 1), self._readings_along_null
         for k in range(0, len(before), few):

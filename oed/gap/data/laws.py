@@ -63,10 +63,10 @@ class LawPosterior:
 def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
     """The law's posterior with columns (N, k) of prior N(0, 1) in the model."""
     compressed = evidence.compress(problem, columns)
-    prior = _prior(problem)
+    prior, model = _prior(problem), linear_model(problem, compressed)
 
     def cost(u: Array) -> Array:
-        values = log_evidences(problem, compressed, _laws(problem, u))
+        values = log_evidences(model, _laws(problem, u))
         log_prior = -0.5 * (u**2).sum(axis=1) - 0.5 * u.shape[1] * np.log(2.0 * np.pi)
         return np.asarray(-values - log_prior)
 
@@ -96,7 +96,10 @@ def mixture(
     """Laws drawn from several posteriors, with the logs of their weights W."""
     laws = _laws(problem, np.vstack([p.draws for p in posteriors]))
     table = np.column_stack(
-        [log_evidences(problem, p.columns, laws) - p.log_evidence for p in posteriors]
+        [
+            log_evidences(linear_model(problem, p.columns), laws) - p.log_evidence
+            for p in posteriors
+        ]
     )
     each = len(laws) / len(posteriors)
     log_weights = -special.logsumexp(table, axis=1) - np.log(each)
@@ -125,14 +128,15 @@ def _laws(problem: GapProblem, u: Array) -> Laws:
     return _prior(problem).laws(np.column_stack([np.zeros(len(u)), u]))
 
 
-def log_evidences(problem: GapProblem, columns: Array, laws: Laws) -> Array:
-    """Log evidences (L,) with columns (N, k) in the model, the level integrated out.
-
-    columns  the parameters' slopes among them
-    """
+def linear_model(problem: GapProblem, columns: Array) -> ResidualModel:
+    """The residual as a linear model of columns (N, k), parameters' slopes among them."""
     structure = problem.structure
     residual, slopes = (structure.standardise(v) for v in (problem.residual, columns))
-    middle = np.zeros(columns.shape[1])
-    solved = ResidualModel(structure, residual, slopes, middle).solve(laws)
+    return ResidualModel(structure, residual, slopes, np.zeros(columns.shape[1]))
+
+
+def log_evidences(model: ResidualModel, laws: Laws) -> Array:
+    """Log evidences (L,) of a problem's model under each law, the level integrated out."""
+    solved, structure = model.solve(laws), model.structure
     log_det = solved.log_size + 2.0 * structure.log_unit
     return evidence.log_student(log_det, solved.energy, len(structure))

@@ -15,7 +15,7 @@ from oed.gap.cause.folds import FOLDS, Paths
 from oed.gap.cause.form_products import energies
 from oed.gap.cause.searches import WIDE, wide_model
 from oed.gap.data import evidence
-from oed.gap.data.laws import log_evidences
+from oed.gap.data.laws import linear_model, log_evidences
 from oed.gap.data.metric import Metric
 from oed.gap.forms import discrepancy, library
 from oed.noise import Laws, NoiseLaw
@@ -74,7 +74,7 @@ def test_evidence_of_many_laws_is_that_of_each(rng: np.random.Generator) -> None
         level=np.array([0.0, 1.5, 0.5]),
         seat=np.zeros(3),
     )
-    told = log_evidences(problem, columns, laws)
+    told = log_evidences(linear_model(problem, columns), laws)
     every = [NoiseLaw(laws.take([k])) for k in range(3)]
     wanted = [evidence.log_evidence(problem, law, columns) for law in every]
     assert told == pytest.approx(wanted, abs=1e-6)

@@ -18,7 +18,7 @@ from oed.base import Array
 from oed.gap import GapProblem
 from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
-from oed.gap.data.laws import log_evidences
+from oed.gap.data.laws import linear_model, log_evidences
 from oed.noise.banded import ROWS, ChainFactor, SharedFactor
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import with_columns
@@ -167,7 +167,9 @@ def test_laws_that_differ_in_what_runs_share_have_their_evidence(
         )
         every = [NoiseLaw(laws.take([k])) for k in range(3)]
         expected = [evidence.log_evidence(problem, law, columns) for law in every]
-        assert_allclose(log_evidences(problem, columns, laws), expected, rtol=1e-9)
+        assert_allclose(
+            log_evidences(linear_model(problem, columns), laws), expected, rtol=1e-9
+        )
 
 
 def test_the_precision_with_columns_is_that_of_the_whole_covariance(
