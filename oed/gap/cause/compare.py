@@ -130,9 +130,11 @@ def _class_of(
 
     members = [effect]
     for rival in search.library.effects:
-        if rival in h.effects:  # beside one that no reading tells it from
+        if rival == effect:
+            continue
+        if rival in h.effects:  # it acts as well, and no reading may tell the two apart
             distinct, whole, _ = _distinct_energy(search, search.grams, h, i, rival)
-            if rival != effect and distinct < EXACT * whole:
+            if distinct < EXACT * whole:
                 members.append(rival)
             continue
         distinct, whole, size = _distinct_energy(search, grams, h, i, rival)
