@@ -11,7 +11,7 @@ With D the differences x_i - d_i x_(i-1), T = D C D^T relates neighbours alone, 
     C = D^-1 T D^-T,    W = V^-1/2 L^-1 D,    T = L V L^T,    W C W^T = 1,
 
 L unit lower bidiagonal and V diagonal. W is lower triangular: the inverse of Cholesky's
-root of C. Products alone need no root: X^T C^-1 Y = (D X)^T T^-1 D Y.
+root of C.
 
 Errors U that the readings of a segment share, beside white ones, are taken out one
 column u after another: with c_i = 1 + sum_j<=i u_j^2 over the segment,
@@ -67,17 +67,6 @@ class ChainFactor:
     def _root(self) -> Array:
         """V^1/2 (N, 1)."""
         return np.sqrt(self._variance)[:, None]
-
-    def halves(self, values: Array) -> tuple[Array, Array]:
-        """D Y and T^-1 D Y (N, m), for Y (N, m): their products are those of C^-1."""
-        differences = np.empty_like(values)
-        differences[0] = values[0]
-        np.multiply(values[:-1], -self._decay[:, None], out=differences[1:])
-        differences[1:] += values[1:]
-        if not len(self._slope):
-            return differences, differences / self._variance[:, None]
-        solved, _ = lapack.dpttrs(self._variance, self._slope, differences)
-        return differences, np.asarray(solved)
 
     def whiten(self, values: Array) -> Array:
         """W Y (N, m), for Y (N, m).

@@ -199,28 +199,18 @@ class Whitening:
             [np.broadcast_to(part, (len(part), *shape)) for part in (grid, shared)]
         )
         log_variances = np.zeros(len(pairs))
-        differences, solved = both, both
         if pairs[:, 0].any():
             factor = self._factor(pairs)
             log_variances = factor.log_variances.reshape(len(pairs), -1).sum(axis=1)
             flat = both.reshape(len(both), math.prod(shape)).T
-            halves = factor.halves(flat)
-            differences, solved = (half.T.reshape(both.shape) for half in halves)
-        grams = np.stack(
-            [
-                _rows(differences[:count, :, chains])
-                @ _rows(solved[:count, :, chains]).swapaxes(1, 2)
-                for chains in self.structure.chains_of_group
-            ],
-            axis=1,
-        )
+            both = factor.whiten(flat).T.reshape(both.shape)
+        rows = [_rows(both[:count, :, c]) for c in self.structure.chains_of_group]
+        grams = np.stack([part @ part.swapaxes(1, 2) for part in rows], axis=1)
         # raised by what rounds off the sums: what is left of them stays positive definite
         # where shared errors take nearly all, under noise far below the stated one
         diagonal = np.einsum("pgmm->pgm", grams)
         diagonal *= 1.0 + np.sqrt(math.prod(shape[1:])) * np.finfo(float).eps
-        across = solved[count:].transpose(1, 2, 0, 3) @ differences.transpose(
-            1, 2, 3, 0
-        )
+        across = both[count:].transpose(1, 2, 0, 3) @ both.transpose(1, 2, 3, 0)
         inner = self._by_run(across[..., count:])
         return grams, across[..., :count], inner, log_variances
 
