@@ -18,7 +18,7 @@ from typing import Any
 
 from benchmarks.blind import entries, loading, oracle
 from benchmarks.blind.selection import reaches
-from pkm_campaign import pool
+from pkm_campaign import jobs as pool
 
 
 def write(
@@ -96,7 +96,7 @@ def _separated(
     for label in labels:
         acting = tuple(e["name"] for e in label["effects"])
         jobs.append(oracle.OracleJob(folder, cases[label["id"]], acting))
-    results = pool.results(oracle.distances, jobs, workers=workers)
+    results = pool.pool_results(oracle.distances, jobs, workers=workers)
     figures = {job.case.id: distances for job, distances in results}
     every = [entries.entry(label, figures[label["id"]], {}) for label in labels]
     testable = [e for e in every if e.known and e.testable]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import datetime
+import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -16,14 +18,61 @@ from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
-from pkm_page import acceptance, machine_page, render
+from pkm_page import machine_page, render
 from pkm_page.machine_page import Change, MachinePage, ReadingEntry, ResultChoice
 from pkm_page.new_study import FieldError, NewStudy, StudyForm
 from pkm_page.readings_log import StaleError
 from pkm_page.session import DoubtfulError
 from pkm_page.shelf import Shelf, study_files
 from pkm_studies import files
+from pkm_studies.acceptance import (
+    ACCEPTANCE_FILE,
+    judge_folder,
+    verdict_sentences,
+)
 from pkm_studies.base import InputError
+from pkm_studies.results import BadFitError
+
+# The acceptance test of a result on the page: the file to fill in, and its judgement.
+
+#: bytes of a file to fill in
+MOST_BYTES: Final = 1_000_000
+
+
+class FilledIn(msgspec.Struct, forbid_unknown_fields=True):
+    """A filled-in file as the page sends it, and the key of its result."""
+
+    key: str
+    text: str
+
+
+def to_fill_in(folder: Path) -> str:
+    """The file that the plan of the test wrote. Raises InputError where none is."""
+    path = folder / ACCEPTANCE_FILE
+    if not path.is_file() or path.is_symlink():
+        raise InputError("no acceptance test is planned", "plan it first")
+    return files.read_text(path, limit=MOST_BYTES, what="acceptance file")
+
+
+def judge_acceptance(folder: Path, text: str) -> list[str]:
+    """The verdict on a filled-in file, which is then stored beside the result.
+
+    Raises InputError for what cannot be judged; nothing is stored then.
+    """
+    with tempfile.TemporaryDirectory(prefix="oed-") as place:
+        path = files.write_whole(Path(place) / ACCEPTANCE_FILE, text)
+        try:
+            verdict = judge_folder(folder, path)
+        except BadFitError as error:
+            raise InputError(str(error), "look for the cause first") from error
+        except InputError as error:
+            raise InputError(
+                error.problem, error.remedy, field=error.field, value=error.value
+            ) from error
+    now = datetime.datetime.now().isoformat(timespec="microseconds").replace(":", "")
+    stored = files.write_whole(folder / f"acceptance-measured-{now}.csv", text)
+    return [*verdict_sentences(verdict), f"Stored as {stored.name}."]
+
 
 #: time between two looks for news, and from one sign of life to the next, s
 PAUSE, ALIVE = 0.1, 15.0
@@ -228,7 +277,7 @@ class ResultAddresses:
     def acceptance(self, request: Request) -> Response:
         """The file of a planned acceptance test, to fill in."""
         try:
-            text = acceptance.to_fill_in(self.shelf.folder(request.path_params["key"]))
+            text = to_fill_in(self.shelf.folder(request.path_params["key"]))
         except (InputError, OSError) as error:
             return _answer({"error": str(error)}, UNUSABLE)
         kind = {"Content-Disposition": 'attachment; filename="acceptance.csv"'}
@@ -242,10 +291,10 @@ class ResultAddresses:
     def _judge(self, body: bytes) -> Response:
         said: list[str] = []
 
-        def work(filled: acceptance.FilledIn) -> None:
-            said.extend(acceptance.judge(self.shelf.folder(filled.key), filled.text))
+        def work(filled: FilledIn) -> None:
+            said.extend(judge_acceptance(self.shelf.folder(filled.key), filled.text))
 
-        status, extra = _attempt(body, acceptance.FilledIn, work)
+        status, extra = _attempt(body, FilledIn, work)
         return _answer({"sentences": said} | extra, status)
 
     async def compensation(self, request: Request) -> Response:

@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-from pkm_campaign import pool
+from pkm_campaign import jobs
 
 
 @dataclasses.dataclass(eq=False)
@@ -81,7 +81,7 @@ def test_items_go_to_a_cluster_and_come_back_with_their_results(
     cluster = Cluster()
     monkeypatch.setitem(sys.modules, "distributed", cluster)
     items = list(range(20))
-    come = pool.results(lambda item: item**2, items, scheduler="tcp://there:8786")
+    come = jobs.pool_results(lambda item: item**2, items, scheduler="tcp://there:8786")
     assert sorted(come) == [(item, item**2) for item in items]
     one, two, three = cluster.done.values()
     assert sorted([*one, *two, *three]) == items
@@ -98,7 +98,7 @@ import resource
 
 import numpy as np
 
-from pkm_campaign.pool import keep_freed_memory
+from pkm_campaign.jobs import keep_freed_memory
 
 
 def faults():
@@ -130,7 +130,7 @@ def test_freed_memory_stays_in_a_process_that_dask_has_started() -> None:
 
 def test_processes_share_items_and_take_those_of_others() -> None:
     items = [0.02] * 2 + [0.0] * 7
-    come = list(pool.results(_nap, items, workers=2))
+    come = list(jobs.pool_results(_nap, items, workers=2))
     assert sorted(item for item, _ in come) == sorted(items)
     assert all(process != os.getpid() for _, process in come)
     assert len({process for _, process in come}) == 2

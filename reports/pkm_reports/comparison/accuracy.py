@@ -3,15 +3,59 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from oed.result import StudyResult
 from oed.result.verdict import accuracy_verdicts
-from pkm_reports import missing, text
+from pkm_reports import missing, style, text
 from pkm_reports.blocks import Block, Picture, Table, TableColumn, number_columns
-from pkm_reports.comparison import side_by_side
 from pkm_reports.comparison.glance import rms_by_component
 from pkm_reports.sections import wanted_accuracy
+
+# Predicted accuracy of several results as bars side by side.
+
+#: share of the distance between two components that their bars take
+BROAD = 0.8
+Sizes = Mapping[str, tuple[float, str]]
+
+
+def draw_side_by_side(sizes: Mapping[str, Sizes], names: Sequence[str]) -> Figure:
+    """A group of bars for each component; lengths and angles have panels of their own."""
+    units = list(dict.fromkeys(u for of in sizes.values() for _, u in of.values()))
+    if not units:
+        return style.empty("No predicted accuracy is stored in these results.")
+    groups = [
+        {name: of for name, of in sizes.items() if unit in {u for _, u in of.values()}}
+        for unit in units
+    ]
+    figure = style.figure(2.8)
+    widths = [len(group) for group in groups]
+    grid = figure.subplots(1, len(units), squeeze=False, width_ratios=widths)
+    for axes, unit, group in zip(grid[0], units, groups, strict=True):
+        _panel(axes, group, names)
+        axes.set_ylabel(f"rms error [{text.unit_symbol(unit)}]")
+    style.legend_below(figure, style.legend_entries(grid[0]))
+    return figure
+
+
+def _panel(axes: Axes, group: Mapping[str, Sizes], names: Sequence[str]) -> None:
+    places = np.arange(len(group))
+    width = BROAD / len(names)
+    for k, name in enumerate(names):
+        heights = np.array(
+            [of[name][0] if name in of else np.nan for of in group.values()]
+        )
+        shift = width * (k - (len(names) - 1) / 2.0)
+        shown = np.where(heights > 0.0, heights, np.nan)
+        colour = style.CYCLE[k % len(style.CYCLE)]
+        label = style.label(name, 24)
+        axes.bar(places + shift, shown, 0.92 * width, color=colour, label=label)
+    style.log_axis(axes, "y")
+    style.fixed_ticks(axes, "x", places.tolist(), list(group))
 
 
 def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
@@ -35,7 +79,7 @@ def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
     bars = "The same as bars, on a log scale."
     return [
         table,
-        Picture("side_accuracy", lambda: side_by_side.draw(sizes, names), bars),
+        Picture("side_accuracy", lambda: draw_side_by_side(sizes, names), bars),
     ]
 
 

@@ -3,37 +3,192 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
-from oed.accuracy.acceptance import LEAST_POWER
+from oed.accuracy.acceptance import LEAST_POWER, judge, positioning
 from oed.base import own_files
+from oed.base.arrays import Array, Index
 from oed.base.text import rounded
 from oed.result import (
     AcceptanceSection,
     PromiseRecord,
+    StudyResult,
+    VerdictRecord,
     VerificationSection,
+    verdict,
 )
 from oed.result.verdict import Judgement
-from pkm_studies import files, result_folder
+from pkm_studies import csv_table, files, result_folder
 from pkm_studies.acceptance import plan
-from pkm_studies.acceptance.healthy import (
-    healthy_accuracy,
-    healthy_sentences,
-)
-from pkm_studies.acceptance.judge import judge_file
-from pkm_studies.acceptance.plan import AXES
+from pkm_studies.acceptance.plan import AXES, error_columns
 from pkm_studies.acceptance.promise import promised_accuracy
 from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation import result_study
+from pkm_studies.csv_table import CsvTable
 from pkm_studies.quantities import component_values
 from pkm_studies.resolve.machine import study_machine
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.user_code import Consent
+
+# Judges the readings of an acceptance test.
+
+#: largest difference of a commanded coordinate from the plan, in its unit
+SAME_POSE = 1e-3
+
+
+def judge_file(section: AcceptanceSection, path: Path) -> VerificationSection:
+    """The judgement of a file that was filled in.
+
+    A pose may stand in several rows: its errors are then averaged, and give the
+    repeatability. Raises InputError for poses that the plan does not have or that the
+    file lacks, and for cells that are no numbers.
+    """
+    table = csv_table.read(path)
+    target = _targets(section, table)
+    direction = np.full(len(table), np.nan)
+    if "direction" in table.header:
+        direction = table.numbers("direction", gaps=True)
+    errors, figures = {}, {}
+    for name, column in error_columns(section.components).items():
+        values = table.numbers(column)
+        errors[name] = _by_pose(values, target, len(section.poses))
+        unit = section.components[name].unit
+        of_component = positioning(values, target, direction, unit)
+        if of_component is not None:
+            figures[name] = of_component
+    components = judge(errors, section.components)
+    further = _further(section, table, target)
+    every = (*components.values(), *further.values())
+    worst = verdict.overall(c.judgement for c in every)
+    return VerificationSection(
+        passed=worst == "pass",
+        verdict=worst,
+        readings=len(table),
+        components=components,
+        positioning=figures,
+        further=further,
+    )
+
+
+def _further(
+    section: AcceptanceSection, table: CsvTable, target: Index
+) -> dict[str, VerdictRecord]:
+    """Verdicts on what no drive corrects, as far as it was measured.
+
+    Where further axes were off, the errors that are known in advance are taken off, and
+    where they were on, these are added for the error without them.
+    """
+    taken_back = np.zeros(len(table), dtype=bool)
+    if AXES in table.header:
+        taken_back = table.numbers(AXES, gaps=True) > 0.0
+    verdicts = {}
+    for name, column in error_columns(section.further).items():
+        if column not in table.header or not any(table.cells(column)):
+            continue
+        demand = section.further[name]
+        known = np.array([offsets[name] for offsets in section.offsets])
+        measured = table.numbers(column)
+        known_of_rows = known[target]
+        with_axes = np.where(taken_back, measured, measured - known_of_rows)
+        remaining = _by_pose(with_axes, target, len(known))
+        judged = judge({name: remaining}, {name: demand})[name]
+        without = float(np.sqrt(np.mean((remaining + known) ** 2)))
+        verdicts[name] = replace(judged, without=without)
+    return verdicts
+
+
+def _by_pose(values: Array, target: Index, poses: int) -> Array:
+    """Means (poses,) of values (n,) by planned pose."""
+    return np.array([values[target == k].mean() for k in range(poses)])
+
+
+def _targets(section: AcceptanceSection, table: CsvTable) -> Index:
+    """Number of the planned pose of each row. Raises InputError."""
+    names = list(section.poses[0])
+    commanded = np.column_stack([table.numbers(name) for name in names])
+    planned = np.array([[pose[n] for n in names] for pose in section.poses])
+    distance = np.abs(commanded[:, None] - planned[None]).max(axis=2)
+    target = distance.argmin(axis=1)
+    for k, nearest in enumerate(distance.min(axis=1)):
+        if nearest > SAME_POSE:
+            raise table.error(
+                k,
+                names[0],
+                "the acceptance plan has no such pose",
+                "measure at the poses of acceptance.csv",
+            )
+    absent = sorted(set(range(len(planned))) - set(target.tolist()))
+    if absent:
+        pose = ", ".join(
+            f"{n} = {planned[absent[0], i]:.6g}" for i, n in enumerate(names)
+        )
+        raise InputError(
+            f"{len(absent)} planned poses were not measured, the first at {pose}",
+            "measure them: the stated power holds for the whole plan",
+            file=table.file,
+        )
+    return np.asarray(target)
+
+
+# What a plan said that a healthy machine of its kind reaches, beside the measured error.
+
+
+def healthy_accuracy(
+    result: StudyResult, plan: Path | None, demands: Mapping[str, PromiseRecord]
+) -> dict[str, float]:
+    """Rms of each demanded component that a plan with effects predicted, in its unit.
+
+    plan  folder of `oed plan` or `oed run`; by default the result's own plan. Raises
+          InputError where a folder's plan allows for no effects, or is of another machine.
+    """
+    planned = result if plan is None else load_result(plan)
+    if planned.machine.name != result.machine.name:
+        raise InputError(
+            f"that is a plan for the machine {planned.machine.name}",
+            f"name a plan for {result.machine.name}",
+            field="--plan",
+            value=str(plan),
+        )
+    accuracy = _predicted(planned)
+    if plan is not None and not accuracy:
+        raise InputError(
+            "its plan allows for no effects, and says nothing of a healthy machine",
+            'plan with effects = "catalogue" in [plan] or [design]',
+            file=str(plan / "result.json"),
+            field="--plan",
+        )
+    keys = {name: f"{name}_{demand.unit}" for name, demand in demands.items()}
+    return {name: accuracy[key] for name, key in keys.items() if key in accuracy}
+
+
+def _predicted(result: StudyResult) -> Mapping[str, float]:
+    """Accuracy of the plan, else of the design, on a machine with effects."""
+    if result.plan is not None and result.plan.effects is not None:
+        return result.plan.accuracy
+    if result.design is not None and result.design.effects is not None:
+        return result.design.effects.accuracy
+    return {}
+
+
+def healthy_sentences(section: VerificationSection) -> list[str]:
+    """The measured errors beside those of a healthy machine; none without a plan."""
+    sentences = []
+    for name, rms in section.healthy.items():
+        verdict = section.components[name]
+        times = verdict.rms / rms
+        sentences.append(
+            f"{name}: the plan predicted {rounded(rms, 3)} {verdict.unit} rms for a healthy machine,"
+            f" with all that is known corrected; measured are {rounded(verdict.rms, 3)}"
+            f" {verdict.unit}, {rounded(times)} times that."
+        )
+    return sentences
+
 
 ACCEPTANCE_FILE = "acceptance.csv"
 CONCLUSIONS: Final[dict[Judgement, str]] = {

@@ -2,17 +2,125 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from oed.base import own_files
+from oed.base.text import format_number
 from pkm_studies import console, result_folder
-from pkm_studies.stages import accuracy_table, headline, outcome
+from pkm_studies.earlier_result import corrects_effects
+from pkm_studies.results import improvements
+from pkm_studies.stages import headline, outcome
+from pkm_studies.stages.headline import REFERENCES, without_drive
 from pkm_studies.stages.plan.phrases import plan_sentences
 
 if TYPE_CHECKING:
-    from oed.result import StudyResult
+    from oed.result import PredictionSection, StudyResult, UsualEffects
+
+# Writes the predicted accuracy as one table: before, after, what would change it.
+
+
+class AccuracyRow(NamedTuple):
+    """A line of the table: what it is, and the rms error by component."""
+
+    words: str
+    errors: Mapping[str, float]
+
+
+def accuracy_lines(result: StudyResult) -> list[str]:
+    """The table as lines, and what its rows mean; empty without accuracy."""
+    prediction = result.judged_prediction
+    if prediction is None or not prediction.components:
+        return []
+    from rich import box
+    from rich.table import Table
+
+    units = shown_components(prediction)
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 1))
+    table.add_column("")
+    for name, unit in units.items():
+        table.add_column(f"{name} [{unit}]", justify="right")
+    for row in accuracy_rows(result, prediction):
+        cells = [_cell(row.errors, name) for name in units]
+        table.add_row(row.words, *cells)
+    reference = REFERENCES[prediction.reference]
+    return [
+        f"Predicted rms error over the workspace, {reference}:",
+        *console.table_lines(table),
+        *accuracy_remarks(result, prediction),
+    ]
+
+
+def shown_components(prediction: PredictionSection) -> dict[str, str]:
+    """{component: unit} of those that the controller corrects; all where it does none."""
+    components = prediction.components
+    driven = {n: c.after.unit for n, c in components.items() if c.compensatable}
+    return driven or {n: c.after.unit for n, c in components.items()}
+
+
+def accuracy_rows(
+    result: StudyResult, prediction: PredictionSection
+) -> list[AccuracyRow]:
+    """The lines of the table."""
+    components = prediction.components
+    lines = [AccuracyRow("before", {n: c.before.rms for n, c in components.items()})]
+    corrected = result.corrected
+    if corrected is not None:
+        alone = {n: s.rms for n, s in corrected.parameters_only.items()}
+        lines.append(AccuracyRow("parameters compensated alone", alone))
+    after = "after compensation"
+    if corrects_effects(result):
+        after = "effects compensated too"
+    lines.append(AccuracyRow(after, {n: c.after.rms for n, c in components.items()}))
+    budget = prediction.budget
+    if budget is None and corrected is None and result.prediction is not None:
+        budget = result.prediction.budget
+    if budget is None:
+        return lines
+    for worst in budget.unmodelled[:1]:
+        words = f"+ {worst.effect} of {worst.expected}, not in the model"
+        lines.append(AccuracyRow(words, worst.with_it))
+    if budget.usual is not None:
+        lines += _usual_rows(budget.usual)
+    units = shown_components(prediction)
+    for words, better in improvements(budget.lines, budget.predicted, units):
+        lines.append(AccuracyRow(f"with {words}", better))
+    return lines
+
+
+def _usual_rows(usual: UsualEffects) -> list[AccuracyRow]:
+    """The machine with all usual effects, without and with them in the fit."""
+    count = len(usual.effects)
+    if count == 1:
+        return [AccuracyRow("the same, in the fit and corrected", usual.fitted)]
+    return [
+        AccuracyRow(f"+ all {count} usual effects, not in the model", usual.unmodelled),
+        AccuracyRow("the same, in the fit and corrected", usual.fitted),
+    ]
+
+
+def accuracy_remarks(result: StudyResult, prediction: PredictionSection) -> list[str]:
+    """What the lines rest on, and the remedy for an effect that the model lacks."""
+    others = without_drive(prediction).strip()
+    sentences = [others] if others else []
+    if result.corrected is not None:
+        conditions = "; ".join(result.corrected.conditions)
+        sentences.append(f"This rests on these conditions: {conditions}.")
+    budget = prediction.budget
+    if budget is not None and budget.unmodelled:
+        worst = budget.unmodelled[0]
+        sentences.append(
+            f"The prediction is geometry alone, without {worst.effect}: calibration takes"
+            f" some of it for geometry, and sizes vary by decades. Remedy:"
+            f" {worst.remedy}. Readings of the machine are asked which effects act."
+        )
+    return sentences
+
+
+def _cell(errors: Mapping[str, float], name: str) -> str:
+    return format_number(errors[name]) if name in errors else ""
+
 
 #: lines of the terminal that a summary takes
 MOST_LINES: Final = 25
@@ -29,7 +137,7 @@ def lines(
     last line says so. Warnings, verdicts, files and claims
     that are not met are always there.
     """
-    table = [*above, *accuracy_table.accuracy_lines(result)]
+    table = [*above, *accuracy_lines(result)]
     tabled = headline.accuracy_sentences(result)
     if above and result.plan is not None:
         tabled += [*plan_sentences(result.plan)[:1], " ".join(result.plan.needs)]

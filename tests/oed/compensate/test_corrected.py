@@ -34,7 +34,7 @@ from oed.compensate.effects.tables import tabled_effects
 from oed.compensate.effects.workspace import predict_corrected
 from oed.estimation import Estimate, identify
 from oed.measurement import Measurement
-from pkm_studies.stages.corrected.tables import effect_tables
+from pkm_studies.stages.corrected.section import effect_tables
 
 
 @dataclasses.dataclass

@@ -20,7 +20,7 @@ from page import page_server
 
 from oed.base import child_process
 from pkm_page import BackgroundCommand
-from pkm_studies.commands.subcommands import Subcommands
+from pkm_studies.commands.cli import Subcommands
 
 ROOT = Path(__file__).resolve().parents[3]
 #: as the script that pip installs; its folder takes the place of the current one

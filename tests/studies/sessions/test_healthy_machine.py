@@ -16,7 +16,7 @@ from oed.result import (
     VerdictRecord,
     VerificationSection,
 )
-from pkm_studies.acceptance import healthy
+from pkm_studies.acceptance import verification
 from pkm_studies.base import InputError
 
 DEMANDS = {
@@ -36,14 +36,14 @@ def planned(*, effects: bool, machine: str = "a3") -> SimpleNamespace:
 
 
 def test_the_plan_says_what_a_healthy_machine_reaches() -> None:
-    said = healthy.healthy_accuracy(planned(effects=True), None, DEMANDS)
+    said = verification.healthy_accuracy(planned(effects=True), None, DEMANDS)
     assert said == {"z": 40.0}
-    assert healthy.healthy_accuracy(planned(effects=False), None, DEMANDS) == {}
+    assert verification.healthy_accuracy(planned(effects=False), None, DEMANDS) == {}
     verdict = VerdictRecord(
         rms=60.0, max=90.0, limit=36.0, promised=30.0, unit="um", passed=False
     )
     section = VerificationSection(False, 6, {"z": verdict}, healthy=said)
-    (sentence,) = healthy.healthy_sentences(section)
+    (sentence,) = verification.healthy_sentences(section)
     assert "40 um rms for a healthy machine" in sentence
     assert "1.5 times that" in sentence
 
@@ -51,21 +51,23 @@ def test_the_plan_says_what_a_healthy_machine_reaches() -> None:
 def test_a_plan_without_effects_says_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(healthy, "load_result", lambda folder: planned(effects=False))
+    monkeypatch.setattr(
+        verification, "load_result", lambda folder: planned(effects=False)
+    )
     with pytest.raises(InputError, match="nothing of a healthy machine"):
-        healthy.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
+        verification.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
 
 
 def test_a_plan_for_another_machine_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        healthy,
+        verification,
         "load_result",
         lambda folder: planned(effects=True, machine="delta"),
     )
     with pytest.raises(InputError, match="a plan for the machine delta"):
-        healthy.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
+        verification.healthy_accuracy(planned(effects=True), tmp_path, DEMANDS)
 
 
 @pytest.mark.parametrize("option", ["--plan", "--promise", "--uncertainty"])

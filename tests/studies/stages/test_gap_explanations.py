@@ -7,8 +7,7 @@ import report_fixture
 from result_sample import whole
 
 from oed.result import AnswerRecord, GapSection
-from pkm_studies.stages.gap.explanations import second_explanation
-from pkm_studies.stages.gap.sentences import with_sentences
+from pkm_studies.stages.gap.sentences import second_explanation, with_sentences
 
 
 def _gap(verdict: str, answers: list[AnswerRecord]) -> GapSection:

@@ -12,7 +12,7 @@ import report_fixture
 from oed.result import StudyResult
 from pkm_reports import sections as answer
 from pkm_reports.blocks import Table
-from pkm_studies.stages import accuracy_table, headline, outcome
+from pkm_studies.stages import headline, outcome, summary
 
 
 def spread(rms: float, unit: str) -> dict[str, Any]:
@@ -109,7 +109,7 @@ CHANGES = {"z": (1208.0, 97.2), "psi": (3488.0, 20.6), "theta": (403.0, 1.31)}
 
 
 def test_the_terminal_has_each_figure_once() -> None:
-    lines = accuracy_table.accuracy_lines(result(CHANGES))
+    lines = summary.accuracy_lines(result(CHANGES))
     assert len(lines) <= 25
     text = "\n".join(lines)
     for figure in ("1208", "97.2", "20.6", "1.31", "1118", "48.6"):
@@ -129,7 +129,7 @@ def test_what_no_drive_corrects_is_below_the_table() -> None:
     others = [name for name, c in full.items() if not c["compensatable"]]
     assert others
     raw = report_fixture.bare() | {"prediction": report_fixture.sample()["prediction"]}
-    out = "\n".join(accuracy_table.accuracy_lines(report_fixture.result_of(raw)))
+    out = "\n".join(summary.accuracy_lines(report_fixture.result_of(raw)))
     (sentence,) = re.findall(r"No drive corrects (.*)\.$", out, re.MULTILINE)
     assert [part.split()[0] for part in sentence.split("; ")] == others
     assert sentence.count("with further axes") == len(others)

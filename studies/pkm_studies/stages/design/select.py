@@ -6,17 +6,24 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 
+import msgspec
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.design import candidates, criteria
+from oed.base.arrays import Array, Index
+from oed.design import candidates, criteria, robust
+from oed.design.candidates import Candidates
+from oed.design.criterion import Criterion
 from oed.design.exchange import Choice
+from oed.design.weights import choose_by_weights
 from oed.identifiability import information
 from oed.identifiability.assessment import assess
 from oed.identifiability.information import Scaling
+from oed.measurement import simulation
 from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.kinematics import AssemblyError
 from oed.result import (
     AllowedEffects,
+    CandidateWeight,
     CriterionComparison,
     HowManySummary,
     KappaMap,
@@ -30,19 +37,168 @@ from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import Circles
 from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.design import (
-    effects,
-    how_many,
-    order,
-    polish,
-    relaxed,
-    robust,
-    search,
-)
+from pkm_studies.stages.describe import displayed_command
+from pkm_studies.stages.design import effects, how_many, order, polish, search
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import StudyCriteria
+from pkm_studies.stages.design.how_many import chosen_pool
 from pkm_studies.stages.design.search import DesignProblem
-from pkm_studies.tables import DesignTable
+from pkm_studies.tables import DesignTable, RobustTable
+
+# Chooses a plan for many machines, drawn from the tolerances of parameters.
+
+#: machines drawn for each scenario until one reaches all candidates
+TRIES = 5
+#: share of the search rounds, and the fewest of them
+ROUNDS_SHARE, MIN_ROUNDS = 4, 2
+
+
+def choose_robust(
+    problem: DesignProblem,
+    study_criteria: StudyCriteria,
+    nominal: Choice,
+    table: RobustTable,
+    rng: np.random.Generator,
+    place: Place,
+) -> tuple[Choice, RobustSummary]:
+    """The robust plan over the nominal plan's set-ups, and what it gains over that.
+
+    Raises InputError for criteria that are not smooth, and where drawn machines cannot
+    reach the candidates.
+    """
+    c, judged_by = problem.candidates, study_criteria.table.judged_by
+    pool, basis = chosen_pool(problem, nominal)
+    blocks = _scenarios(problem, study_criteria, table.scenarios, rng, place)
+    blocks = blocks[:, pool] @ basis
+    criterion = study_criteria.over_candidates(judged_by, c)
+    within = criterion.restrict(basis)
+    prior = basis.T @ c.prior_information @ basis
+    try:
+        choice = robust.choose(
+            blocks,
+            within,
+            problem.rules.subset(pool).without_most_setups,
+            rng,
+            risk=table.risk,
+            tail_share=table.level,
+            prior=prior,
+            rounds=max(problem.rounds // ROUNDS_SHARE, MIN_ROUNDS),
+        )
+    except ValueError as error:
+        raise place.key("risk").error(
+            str(error), "choose D, Ds, A, c, I or O5, or leave the table out"
+        ) from error
+    nominal_rows = np.searchsorted(pool, nominal.indices)
+    nominal_values = _log_phis(blocks, within, prior, nominal_rows)
+    of_nominal = robust.aggregate(nominal_values, table.risk, table.level)
+    summary = msgspec.structs.replace(
+        choice.summary,
+        nominal=float(of_nominal),
+        nominal_values=nominal_values.tolist(),
+    )
+    indices = pool[choice.indices]
+    value = problem.score(criterion, indices)[1]
+    # the nominal bound holds for this plan as well
+    robust_choice = dataclasses.replace(
+        nominal, indices=indices, value=value, efficiency=None, proven=False
+    )
+    return robust_choice, summary
+
+
+def _scenarios(
+    problem: DesignProblem,
+    study_criteria: StudyCriteria,
+    count: int,
+    rng: np.random.Generator,
+    place: Place,
+) -> Array:
+    """Blocks (S, C, k, n) of the same commands on drawn machines; first the nominal."""
+    c = problem.candidates
+    measurement, table = c.measurement, study_criteria.table
+    blocks = [c.blocks]
+    failures = 0
+    while len(blocks) < count:
+        theta = simulation.draw_parameters(measurement, rng)
+        try:
+            scenario = candidates.build(
+                measurement,
+                c.series,
+                theta,
+                table.scaling,
+                whole_runs=table.whole_runs,
+                nuisances=c.nuisances,
+            )
+        except AssemblyError as error:
+            failures += 1
+            if failures > TRIES * count:
+                raise place.key("scenarios").error(
+                    f"machines within the tolerances cannot reach all candidates: {error}",
+                    "narrow the candidates, or the tolerances",
+                ) from error
+            continue
+        blocks.append(scenario.blocks)
+    return np.array(blocks)
+
+
+def _log_phis(
+    blocks: Array, criterion: Criterion, prior: Array, chosen: Index
+) -> Array:
+    """log phi (S,) of a plan in each scenario."""
+    rows = blocks[:, chosen].reshape(len(blocks), -1, blocks.shape[3])
+    return np.array([criterion.value(prior + r.T @ r) for r in rows])
+
+
+# Chooses the readings of largest weight, and states the weights of the candidates.
+
+#: least weight that is stated
+LEAST = 1e-6
+
+
+def choose_relaxed(
+    problem: DesignProblem, study_criteria: StudyCriteria, place: Place
+) -> tuple[Choice, RelaxedSummary]:
+    """The plan of the largest weights, and the weights.
+
+    Raises InputError where this plan leaves directions undetermined.
+    """
+    c, table = problem.candidates, study_criteria.table
+    criterion = study_criteria.over_candidates(table.judged_by, c)
+    solver = table.solver or "built_in"
+    size = problem.rules.size
+    if size is None:
+        reason = "weights need the number of readings, which a budget leaves open"
+        raise place.error(reason, "give readings, not budget_min", table.method)
+    try:
+        weighed = choose_by_weights(c.blocks, size, criterion, c.prior, solver)
+    except ValueError as error:
+        remedy = "leave method out, ask for more readings, or give more candidates"
+        raise place.error(str(error), remedy, table.method) from error
+    summary = RelaxedSummary(
+        solver=solver,
+        value=weighed.value,
+        bound=weighed.bound,
+        gap=weighed.duality_gap,
+        weights=_stated(c, weighed.weights),
+    )
+    return weighed.choice, summary
+
+
+def _stated(candidates: Candidates, weights: Array) -> list[CandidateWeight]:
+    """The weights that are not 0, largest first."""
+    stated = []
+    machine = candidates.measurement.machine
+    for k in np.argsort(-weights, kind="stable"):
+        if weights[k] < LEAST:
+            break
+        series = candidates.readings_of(np.array([k], dtype=np.intp))[0]
+        weight = CandidateWeight(
+            setup=series.setup,
+            run=str(series.run[0]),
+            command=displayed_command(machine, series.reading_commands()[0]),
+            weight=float(weights[k]),
+        )
+        stated.append(weight)
+    return stated
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -104,7 +260,7 @@ def select_design(
     compared = _compared(problem, study_criteria, choice, rng, place.key("compare"))
     robust_summary, size_summary = None, None
     if table.robust is not None:
-        choice, robust_summary = robust.choose_robust(
+        choice, robust_summary = choose_robust(
             problem, study_criteria, choice, table.robust, rng, place.key("robust")
         )
     if table.how_many is not None:
@@ -170,9 +326,7 @@ def _main_choice(
     table = study_criteria.table
     summary = None
     if table.method == "relaxed":
-        choice, summary = relaxed.choose_relaxed(
-            problem, study_criteria, place.key("method")
-        )
+        choice, summary = choose_relaxed(problem, study_criteria, place.key("method"))
     else:
         choice = _best(problem, study_criteria, table.judged_by, rng, place.key(field))
     if table.branch_nodes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import collections
 import dataclasses
+import math
 import re
 from collections.abc import Iterable, Sequence
 
@@ -20,25 +21,289 @@ from oed.gap.data.diagnosis import UNKNOWN
 from oed.model.effect import Effect, State
 from oed.result.gap import (
     EVEN,
+    LEAST_CLOSURE,
     AnswerRecord,
+    ClosureRecord,
     GapSection,
+    PlaceRecord,
     SizeRecord,
     visible_probability,
 )
-from pkm_studies.stages.gap import closures, implausible, scatter
-from pkm_studies.stages.gap.explanations import (
-    CONSIDERABLE,
-    chance_of,
-    probability_of_causes,
-    second_explanation,
-)
-from pkm_studies.stages.gap.places import named_places, place_names, place_sentences
+from pkm_studies.stages.gap import implausible, scatter
 from pkm_studies.stages.gap.words import (
     capitalised,
     format_probability,
     join_words,
     plain_name,
 )
+
+# States the places of a gap: legs, set-ups, runs, times and parts of runs.
+
+#: a place is named below this probability that it holds no more than an even share
+SIGNIFICANT = 0.05
+MAX_PLACES = 3
+#: share of the best place's strength from which another place is named with it
+COMPARABLE = 0.5
+
+
+def place_sentences(gap: GapSection) -> list[str]:
+    """Where the gap shows most; none where no effect is reported."""
+    if not gap.effect_reported or not gap.where:
+        return []
+    places = named_places(gap.where)
+    if not places:
+        return [
+            "No leg, set-up, run, time, direction or part of a run stands out: the gap"
+            " is spread over all readings."
+        ]
+    return [f"It shows most in {join_words([_place(p) for p in places])}."]
+
+
+def place_names(gap: GapSection) -> list[str]:
+    """The places that are named, without their shares."""
+    if not gap.effect_reported:
+        return []
+    return [_place_name(place.block) for place in named_places(gap.where)]
+
+
+def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
+    """Significant places in the diagnosis' order: the one that confines best first.
+
+    Of two places of the same readings the first stands for both.
+    """
+    places: list[PlaceRecord] = []
+    for place in where:
+        if place.p_value < SIGNIFICANT and not any(_same(place, o) for o in places):
+            places.append(place)
+    if not places:
+        return []
+    best = places[0]
+    if best.strength is not None:
+        least = COMPARABLE * best.strength
+        places = [p for p in places if p.strength is None or p.strength >= least]
+    return places[:MAX_PLACES]
+
+
+def _same(place: PlaceRecord, other: PlaceRecord) -> bool:
+    """Whether two places have the same readings."""
+    return place.block == other.same_as or place.same_as == other.block
+
+
+def _place(place: PlaceRecord) -> str:
+    """`leg 1 or run 2, which are the same readings (80 % of it)`."""
+    name = _place_name(place.block)
+    if place.same_as:
+        name = f"{name} or {_place_name(place.same_as)}, which are the same readings"
+    if place.strength is None:
+        return name
+    return f"{name} ({format_probability(place.strength)} of it)"
+
+
+def _place_name(block: str) -> str:
+    kind, _, extent = block.partition(" ")
+    low, _, high = extent.partition("-")
+    if kind == "time":
+        return f"the time from {_minutes(low)} to {_minutes(high)}"
+    if kind == "phase":
+        return f"the part from {low} to {high} deg of the runs"
+    return block
+
+
+def _minutes(seconds: str) -> str:
+    try:
+        return f"{float(seconds) / 60.0:.0f} min"
+    except ValueError:
+        return seconds
+
+
+# Explanations of a gap beside the best one: how probable they are, in sentences.
+
+#: probability from which a second explanation is named
+CONSIDERABLE = 0.1
+
+
+def probability_of_causes(gap: GapSection) -> float:
+    """That the best answer's named effects act, alone or beside one of unknown form."""
+    same = [answer for answer in gap.answers if has_its_causes(answer, gap)]
+    return sum(answer.visible for answer in same)
+
+
+def has_its_causes(answer: AnswerRecord, gap: GapSection) -> bool:
+    """Whether an answer differs from the best one by an unknown remainder at most."""
+    best = gap.answers[0]
+    if answer is best:
+        return True
+    names, others = ({*a.effects} - {UNKNOWN} for a in (best, answer))
+    return bool(names) and names == others and answer.visible > 0.0
+
+
+def chance_of(probability: float) -> str:
+    """A probability, to stand behind what has it."""
+    return f" (probability {format_probability(probability)})"
+
+
+def second_explanation(gap: GapSection) -> list[str]:
+    """The next explanation, where its probability is considerable."""
+    if len(gap.answers) < 2:
+        return []
+    best, *rest = gap.answers
+    words = [
+        f"An effect of unknown form may act beside it{chance_of(answer.visible)}."
+        for answer in rest
+        if has_its_causes(answer, gap)
+        and UNKNOWN in answer.effects
+        and answer.visible >= CONSIDERABLE
+    ]
+    others = [answer for answer in rest if not has_its_causes(answer, gap)]
+    if gap.verdict == UNKNOWN:
+        # the first sentence counts all answers with something of unknown form
+        words += _beside_unknown(others)
+        others = [answer for answer in others if UNKNOWN not in answer.effects]
+    second = max(others, key=lambda answer: answer.visible, default=best)
+    if second is best or second.visible < CONSIDERABLE:
+        return words
+    if not second.effects and second.probability > probability_of_causes(gap):
+        return [*words, "Noise alone is more likely, but not enough to report no gap."]
+    causes, chance = _spoken(second) or "no gap at all", chance_of(second.visible)
+    if gap.verdict == "none" and second.visible > best.probability:
+        words.append(
+            f"More likely than noise alone is {causes}{chance}, but not than noise and what"
+            " is too small to be seen together."
+        )
+        return words
+    return [*words, f"The next most likely explanation is {causes}{chance}."]
+
+
+def _beside_unknown(answers: Sequence[AnswerRecord]) -> list[str]:
+    """Effects that may act beside one of unknown form."""
+    words = []
+    for answer in answers:
+        if UNKNOWN in answer.effects and answer.visible >= CONSIDERABLE:
+            names = tuple(name for name in answer.effects if name != UNKNOWN)
+            causes = _spoken(msgspec.structs.replace(answer, effects=names))
+            chance = chance_of(answer.visible)
+            words.append(f"{capitalised(causes)} may act beside it{chance}.")
+    return words
+
+
+def _spoken(answer: AnswerRecord) -> str:
+    """An answer's effects, with those that cannot be told from them, or their number."""
+    classes = {names[0]: names for names in answer.classes}
+    spoken = []
+    for name in answer.effects:
+        alike = classes.get(name, (name,))
+        plain = join_words([plain_name(n) for n in alike], last="or")
+        many = len(alike) > MOST_NAMES
+        spoken.append(f"any of {len(alike)} effects" if many else plain)
+    has_alternatives = any(len(alike) > 1 for alike in answer.classes)
+    return ", and ".join(spoken) if has_alternatives else join_words(spoken)
+
+
+# States how far the gap shrinks on held-out readings, or by how much it grows.
+
+SPLITS = {
+    "within": "on held-out stretches of runs",
+    "whole": "on whole held-out runs",
+}
+
+
+def closure_sentences(gap: GapSection) -> list[str]:
+    """How far the gap shrinks on held-out readings, or by how much it grows there."""
+    if not gap.effect_reported:
+        return []
+    known = [(c, c.value) for c in gap.closure if c.value is not None]
+    shrinking = [_closure(c, value) for c, value in known if value >= 0.0]
+    growing = [_growth(c, value) for c, value in known if value < 0.0]
+    causes = join_words([plain_name(n) for n in gap.selected]) or "the remainder"
+    lead = (
+        f"With {causes} in the model, the mean square of what calibration leaves beyond"
+        " the noise"
+    )
+    words = []
+    if shrinking:
+        words.append(f"{lead} shrinks by {join_words(shrinking)}.")
+    if growing:
+        words.append(
+            f"{lead} grows by {join_words(growing)}: what was fitted to the other readings"
+            " does not carry over to these."
+        )
+    return words
+
+
+def may_grow(gap: GapSection) -> bool:
+    """Whether the gap may grow in every way of holding readings out that is known."""
+    lows = [closure.low for closure in gap.closure if closure.low is not None]
+    return bool(lows) and max(lows) < 0.0
+
+
+def unproven_closure(gap: GapSection) -> str:
+    """Advice where no held-out reading confirms what is named."""
+    harms = [closure.p_worse for closure in gap.closure if closure.p_worse is not None]
+    chance = f" (probability {format_probability(max(harms))})" if harms else ""
+    return (
+        "Measure before you exchange or correct anything: on held-out readings the"
+        f" correction may do harm{chance}."
+    )
+
+
+def _closure(closure: ClosureRecord, value: float) -> str:
+    """`80 % (60 to 90 %) on whole held-out runs`, of a closure that is no growth."""
+    digits = _digits(closure.low)
+    if value == 0.0:
+        size = "nothing"
+    elif value < 1.0:
+        size = f"{_format_share(value, digits)} %"
+    else:
+        size = "all that exceeds the noise"
+    interval = _interval(closure, digits)
+    return f"{size}{interval} {SPLITS.get(closure.split, closure.split)}"
+
+
+def _growth(closure: ClosureRecord, value: float) -> str:
+    """`40 % (90 % more to 10 % less) on whole held-out runs`, of a closure below 0."""
+    size = "over 100 %"
+    if value >= LEAST_CLOSURE:
+        size = f"{-100.0 * value:.0f} %{_interval(closure, 0)}"
+    return f"{size} {SPLITS.get(closure.split, closure.split)}"
+
+
+def _interval(closure: ClosureRecord, digits: int) -> str:
+    """` (60 to 90 %)`, of which an end below 0 is growth; "" where it is not known."""
+    low, high = closure.low, closure.high
+    if low is None or high is None:
+        return ""
+    if low < 0.0:
+        return f" ({_bound_in_words(low)} to {_bound_in_words(high)})"
+    return f" ({_format_bound(low, digits)} to {_format_bound(high, digits)} %)"
+
+
+def _bound_in_words(share: float) -> str:
+    """`40 % more` or `10 % less`: an end of the interval of a share by which it shrinks."""
+    if share < LEAST_CLOSURE:
+        return "over 100 % more"
+    return f"{abs(100.0 * min(share, 1.0)):.0f} % {'more' if share < 0.0 else 'less'}"
+
+
+def _digits(low: float | None) -> int:
+    """Decimals of a percentage: near 100 %, enough to show that something remains."""
+    if low is None or low < 0.99:
+        return 0
+    return 1 if low < 0.999 else 2
+
+
+def _format_share(value: float, digits: int) -> str:
+    """A share in percent, never rounded up to the whole."""
+    scaled, whole = value * 10 ** (digits + 2), 10 ** (digits + 2)
+    rounded = round(scaled)
+    if value < 1.0 and rounded >= whole:
+        rounded = math.floor(scaled)
+    return f"{rounded / 10**digits:.{digits}f}"
+
+
+def _format_bound(value: float, digits: int) -> str:
+    """An end of the interval of a share; no gap shrinks by more than 100 %."""
+    return _format_share(min(value, 1.0), digits)
+
 
 #: how readings that are taken for it come into the answer
 SECOND_SESSION = (
@@ -69,7 +334,7 @@ def with_sentences(gap: GapSection) -> GapSection:
         *second_explanation(gap),
         *_few_laws(gap),
         *place_sentences(gap),
-        *closures.sentences(gap),
+        *closure_sentences(gap),
         *_untested(gap),
     ]
     return msgspec.structs.replace(gap, words=findings, next=_next_steps(gap))
@@ -285,8 +550,8 @@ def _untested(gap: GapSection) -> list[str]:
 def _next_steps(gap: GapSection) -> list[str]:
     """The diagnosis' advice; remedies and tests of its effects that it leaves out."""
     steps = [_with_plain_names(text, gap.about) for text in gap.next]
-    if gap.selected and closures.may_grow(gap):
-        steps.insert(0, closures.unproven(gap))
+    if gap.selected and may_grow(gap):
+        steps.insert(0, unproven_closure(gap))
     places = place_names(gap) if UNKNOWN in gap.answers[0].effects else []
     if places:
         steps.append(f"Look first at {join_words(places)}.")
