@@ -37,7 +37,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.procedure import diagnose
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.resolve import resolved as resolve
 
@@ -108,7 +108,7 @@ def write_readings(folder: Path, readings: int, gap: bool) -> Path:
     """Readings of the virtual head with correlated noise, as a CSV in a folder."""
     single = NOISE * np.sqrt(1.0 - CARRIED)
     path = folder / "long_traces.csv"
-    pipeline.simulate(study.load(write_study(folder, readings, gap, single)), path)
+    stages.simulate_study(study.load(write_study(folder, readings, gap, single)), path)
     table, rng = pd.read_csv(path), np.random.default_rng(5)
     for members in table.groupby("run", sort=False).indices.values():
         error = NOISE * np.sqrt(CARRIED) * carried_along(len(members), rng)
@@ -169,7 +169,7 @@ def diagnose_study(readings: int, gap: bool) -> tuple[float, str]:
         csv = write_readings(folder, readings, gap)
         stated = study.load(write_study(folder, readings, False, NOISE))
         start = time.process_time()
-        result = pipeline.diagnose(stated, [csv], folder / "out")
+        result = stages.diagnose_study(stated, [csv], folder / "out")
         seconds = time.process_time() - start
     assert result.gap is not None
     first = result.gap.answers[0]

@@ -37,7 +37,7 @@ from benchmarks.long_traces import NOISE, write_readings, write_study
 from oed.posterior import posterior
 from oed.posterior.posterior import Posterior, Sampler
 from pkm_studies import shipped
-from pkm_studies.stages.run_state import Fitted
+from pkm_studies.stages import Fitted
 
 REPEATS, LONG_S = 3, 3.0
 #: effective sample size of a comparison; probabilities of its quantiles

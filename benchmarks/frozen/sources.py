@@ -20,7 +20,7 @@ from benchmarks.frozen.numbers import numbers
 from benchmarks.second import adapter
 from benchmarks.second import cases as second_cases
 from benchmarks.second import run as second_run
-from pkm_studies import pipeline, shipped
+from pkm_studies import shipped, stages
 from pkm_studies import study as studies
 from pkm_studies.base import InputError
 
@@ -85,7 +85,7 @@ def _study(name: str) -> Any:
     study = studies.load(shipped.find(name, "study").path)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            result = pipeline.run(study, Path(folder), report=False)
+            result = stages.run_study(study, Path(folder), report=False)
         except InputError as error:
             return {"refused": 1.0, "verdict": str(error)[:80]}
     return json.loads(msgspec.json.encode(result))

@@ -17,7 +17,7 @@ from oed import build_study
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
 from pkm_studies.base import Silent
-from pkm_studies.stages.run_state import start
+from pkm_studies.stages import start
 
 Array = np.ndarray
 SIGMAS = (0.1e-6, 0.5e-3)

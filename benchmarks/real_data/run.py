@@ -21,7 +21,7 @@ from oed.dataset import Dataset
 from oed.estimation import identify
 from oed.measurement.measurement import Measurement, Series
 from oed.result import HeldOutSection, StudyResult
-from pkm_studies import pipeline
+from pkm_studies import stages
 from pkm_studies import study as studies
 from pkm_studies.importers import import_files
 from pkm_studies.resolve import resolved
@@ -53,7 +53,7 @@ class Outcome:
 def run(entry: Entry, data: Path, work: Path) -> Outcome:
     """Run an entry with the data folder; files go to `work`."""
     study = _study(entry, data, work)
-    result = pipeline.run(study, work / "out")
+    result = stages.run_study(study, work / "out")
     rows = list(_rows(study, result)) if result.held_out else []
     return Outcome(entry, result, rows)
 

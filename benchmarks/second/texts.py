@@ -26,15 +26,8 @@ from oed.base.whole_file import whole_file
 from oed.result import StudyResult, trust
 from pkm_reports import sections
 from pkm_reports.blocks import Block, Items, Notice, Paragraph, Picture, Table
-from pkm_studies import pipeline
+from pkm_studies import stages
 from pkm_studies import study as studies
-from pkm_studies.base import Silent
-from pkm_studies.stages import run_state, session_files
-from pkm_studies.stages.steps import readings as readings_steps
-from pkm_studies.stages.steps.checks import check_readings
-from pkm_studies.stages.steps.design import analyse_identifiability
-from pkm_studies.stages.steps.fit import fit_parameters
-from pkm_studies.stages.steps.gap import diagnose_always
 from pkm_studies.user_code import Consent
 
 #: cases of each machine in the set, and those of them that are read
@@ -108,13 +101,8 @@ def diagnosis(case: Case, folder: Path) -> StudyResult:
     """The result of `oed diagnose` of a case, without the accuracy of a correction."""
     path, readings = adapter.write_case(case.stem, folder)
     study = studies.load(path, Consent.GIVEN)
-    state = run_state.start(study, None, Silent(), [readings])
-    state = session_files.with_sessions(state, [readings], None)
-    data = state.resolved.dataset
-    assert data is not None  # the readings that were given
-    measured = check_readings(readings_steps.take_recorded(state, data))
-    fitted = diagnose_always(fit_parameters(analyse_identifiability(measured)))
-    return pipeline.assemble_result(fitted)
+    fitted = stages.fit_checked(stages.recorded(study, [readings]))
+    return stages.result_so_far(stages.diagnose_always(fitted))
 
 
 def answer(result: StudyResult) -> str:

@@ -22,7 +22,7 @@ from oed.gap.data import problem as problem_of
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.procedure import diagnose
 from pkm_reports import style
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.resolve import gap as resolve_gap
 from pkm_studies.resolve import resolved as resolve
 
@@ -31,7 +31,7 @@ resolved = resolve.resolve(study_file, readings=[])
 measurement = resolved.measurement_with(resolved.setups)
 request = resolve_gap.gap_request(study_file, resolved.machine)
 with tempfile.TemporaryDirectory() as folder:
-    readings, _ = pipeline.simulate(study_file, Path(folder) / "circles.csv")
+    readings, _ = stages.simulate_study(study_file, Path(folder) / "circles.csv")
     data = dataset.load(readings, measurement)
 
 

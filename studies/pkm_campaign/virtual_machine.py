@@ -18,21 +18,15 @@ from oed.identifiability.assessment import assess
 from oed.mechanism.compiled.switch import begin_job
 from oed.result import trust
 from pkm_campaign.interval import HALF_WIDTH
-from pkm_studies.base import Silent
 from pkm_studies.resolve.prediction import PredictionRequest
-from pkm_studies.stages.run_state import (
+from pkm_studies.stages import (
     Fitted,
-    Measured,
-    Readings,
     Scheduled,
-    promote,
-    start,
+    diagnose_always,
+    scheduled,
+    virtual_fit,
     written,
 )
-from pkm_studies.stages.steps import design as design_steps
-from pkm_studies.stages.steps import fit as fit_steps
-from pkm_studies.stages.steps import gap as gap_steps
-from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.study import Study, parse
 from pkm_studies.user_code import Consent
 
@@ -61,16 +55,12 @@ class VirtualMachine:
         """
         state = _prepared(self.study, self.path, self.consent).replace(seed=seed)
         begin_job()  # the first case has prepared, the next ones have not
-        virtual = readings_steps.simulate_readings(state, state.readings.series)
-        measured = promote(Measured, state, readings=virtual.readings)
-        fitted = fit_steps.fit_parameters(measured)
-        figures = _fit_figures(fitted, virtual.truth)
+        fitted, truth, effects = virtual_fit(state)
+        figures = _fit_figures(fitted, truth)
         if state.resolved.prediction is not None:
-            figures |= _accuracy_figures(
-                fitted, state.resolved.prediction, virtual.truth
-            )
+            figures |= _accuracy_figures(fitted, state.resolved.prediction, truth)
         if self.diagnose:
-            figures |= _diagnosis_figures(fitted, virtual.effects)
+            figures |= _diagnosis_figures(fitted, effects)
         return figures
 
 
@@ -78,13 +68,10 @@ class VirtualMachine:
 def _prepared(text: str, path: str, consent: Consent) -> Scheduled:
     """The state with its plan, made once for all machines of a combination."""
     study: Study = parse(text, Path(path), consent)
-    state = design_steps.select_design(start(study, None, Silent(), []))
-    state = design_steps.plan_stages(state)
-    series = readings_steps.planned_series(state)
+    state = scheduled(study)
     scaling = study.design.scaling if study.design else "length"
-    verdict = assess(state.measurement, series, scaling)
-    readings = Readings(series=series)
-    return promote(Scheduled, state, readings=readings, identifiability=verdict)
+    verdict = assess(state.measurement, state.readings.series, scaling)
+    return state.replace(identifiability=verdict)
 
 
 def _fit_figures(state: Fitted, truth: Array) -> dict[str, Any]:
@@ -152,7 +139,7 @@ def _accuracy_figures(
 
 def _diagnosis_figures(state: Fitted, effects: list[dict[str, Any]]) -> dict[str, Any]:
     """The verdict, and the effects that act."""
-    section = written(gap_steps.diagnose_always(state).result.gap, "gap")
+    section = written(diagnose_always(state).result.gap, "gap")
     answer = section.answers[0]
     return {
         "verdict": section.verdict,

@@ -14,9 +14,9 @@ from oed.design import candidates
 from oed.estimation.estimate import AT_PRIOR
 from pkm_page.session import MachineSession, SessionState
 from pkm_reports import text
+from pkm_studies import describe
 from pkm_studies.sessions import Advice, Adviser, FittedReadings, reading_of
-from pkm_studies.stages import describe
-from pkm_studies.stages.fit.estimate import estimate_section
+from pkm_studies.stages import estimate_section
 
 #: probability beyond each end of an interval
 TAIL: Final = 0.025

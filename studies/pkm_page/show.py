@@ -17,8 +17,8 @@ from pkm_page.readings_log import REMARK, FileContent
 from pkm_page.session import MachineSession, Pose, SessionState
 from pkm_reports import text
 from pkm_reports.view import PageView, ViewReading, build_view, residuals_of_readings
-from pkm_studies.stages import describe
-from pkm_studies.stages.fit.estimate import estimate_section
+from pkm_studies import describe
+from pkm_studies.stages import estimate_section
 
 #: last readings that are listed beside the entry
 LISTED: Final = 4

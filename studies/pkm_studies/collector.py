@@ -150,12 +150,12 @@ class ClaimItem(pytest.Item):
 
 def _run(study: Study) -> dict[str, Claim]:
     """The study's claims; reports are written only where a claim is about them."""
-    from pkm_studies import pipeline
+    from pkm_studies import stages
 
     folder = Path(tempfile.mkdtemp(prefix="oed-"))
     report = any(table.of.startswith("report") for table in study.expect.values())
     try:
-        result = pipeline.run(study, folder, report=report)
+        result = stages.run_study(study, folder, report=report)
         return {claim.claim: claim for claim in result.claims}
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -23,7 +23,7 @@ import msgspec
 import pytest
 
 from oed.result import StudyResult
-from pkm_studies import pipeline, shipped
+from pkm_studies import shipped, stages
 from pkm_studies.base import InputError, Place, SourceAbsentError
 from pkm_studies.results import check_claim, claim_failure, load_result, value_at
 from pkm_studies.study import Study, combinations, load, with_setting
@@ -214,7 +214,7 @@ def _run(study: Study, folder: Path) -> None:
     working = Path(tempfile.mkdtemp(dir=folder.parent, prefix="running-"))
     report = any(table.of.startswith("report") for table in study.expect.values())
     try:
-        pipeline.run(study, working, report=report)
+        stages.run_study(study, working, report=report)
         working.rename(folder)
     except OSError:
         if not folder.is_dir():

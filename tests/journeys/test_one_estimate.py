@@ -11,7 +11,7 @@ import sample
 
 from oed.base import units
 from oed.result import StudyResult
-from pkm_studies import pipeline
+from pkm_studies import stages
 from pkm_studies import study as studies
 
 ACTING = "[[gap.acting]]"
@@ -122,13 +122,13 @@ def case(
     path = folder / "case.study.toml"
     path.write_text(MACHINES[request.param], encoding="utf-8")
     study = studies.load(path)
-    _, truth_file = pipeline.simulate(study, folder / "case.csv")
+    _, truth_file = stages.simulate_study(study, folder / "case.csv")
     truth = json.loads(Path(truth_file).read_text(encoding="utf-8"))["effects"][0]
     readings = [folder / "case.csv"]
     with pytest.MonkeyPatch.context() as patch:
         # mistakes of the file have tests of their own
         patch.setattr("oed.checks.check.explain", lambda *args, **options: [])
-        return pipeline.diagnose(study, readings, folder / "out", seed=1), truth
+        return stages.diagnose_study(study, readings, folder / "out", seed=1), truth
 
 
 def test_one_value_and_one_deviation(case: tuple[StudyResult, dict]) -> None:

@@ -10,8 +10,8 @@ import pytest
 from few_poses import SIMULATED
 
 from oed.mechanism import AssemblyError
-from pkm_studies import pipeline
 from pkm_studies.commands import main
+from pkm_studies.stages import order
 
 FAILURE = AssemblyError("12 of 65 poses cannot be assembled", [3])
 
@@ -41,7 +41,7 @@ def test_what_came_before_a_failure_is_written(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(pipeline, step, mock.Mock(side_effect=FAILURE))
+    monkeypatch.setattr(order, step, mock.Mock(side_effect=FAILURE))
     out = tmp_path / "out"
     assert main([command, str(study), "--out", str(out), "--quiet"]) == 2
     message = capsys.readouterr().err
@@ -60,7 +60,7 @@ def test_a_failure_takes_no_earlier_result(
     arguments = ["run", str(study), "--out", str(out), "--quiet"]
     assert main(arguments) == 0
     whole = (out / "result.json").read_bytes()
-    monkeypatch.setattr(pipeline, "draw_machine", mock.Mock(side_effect=FAILURE))
+    monkeypatch.setattr(order, "draw_machine", mock.Mock(side_effect=FAILURE))
     assert main(arguments) == 2
     assert (out / "result-earlier.json").read_bytes() == whole
 
@@ -69,6 +69,6 @@ def test_nothing_is_written_where_nothing_was_computed(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
-    monkeypatch.setattr(pipeline, "take_readings", mock.Mock(side_effect=FAILURE))
+    monkeypatch.setattr(order, "take_readings", mock.Mock(side_effect=FAILURE))
     assert main(["run", str(study), "--out", str(out), "--quiet"]) == 2
     assert not (out / "result.json").exists()

@@ -12,7 +12,7 @@ from oracles.delta_trilateration import nozzle, travel_to
 
 import oed
 from oed.result import StudyResult
-from pkm_studies import pipeline
+from pkm_studies import stages
 from pkm_studies.importers import import_files
 
 STEP = 40.0 / (200.0 * 16.0)
@@ -114,7 +114,7 @@ def run(text: str, folder: Path, mesh: str = "hold-out") -> StudyResult:
     plain = '[posterior]\nenabled = false\n[identify]\neffects = "none"\n'
     short = study[: middle[0]] + plain + study[middle[1] :]
     path.write_text(short)
-    return pipeline.run(oed.load_study(path), folder / "out", report=False)
+    return stages.run_study(oed.load_study(path), folder / "out", report=False)
 
 
 def _steps(travels: NDArray) -> str:

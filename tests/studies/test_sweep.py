@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from pkm_studies import pipeline, sweep
+from pkm_studies import stages, sweep
 from pkm_studies.base import Place
 from pkm_studies.study import load, with_setting
 
@@ -101,13 +101,13 @@ def test_tests_of_one_combination_share_its_run(
     study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runs = []
-    run = pipeline.run
+    run = stages.run_study
 
     def counted(*arguments: object, **options: object) -> object:
         runs.append(arguments)
         return run(*arguments, **options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(pipeline, "run", counted)
+    monkeypatch.setattr(stages, "run_study", counted)
     base = load(study)
     (tmp_path / "results").mkdir()
     for value in (0.5, 1.0, 0.5):

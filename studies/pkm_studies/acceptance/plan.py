@@ -19,10 +19,10 @@ from oed.dataset.dialect import commented
 from oed.model.machine import Component, Machine
 from oed.result import AcceptanceSection, PromiseRecord, StudyResult
 from oed.result.record import finite_or_none
+from pkm_studies import describe
 from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
 from pkm_studies.base import InputError
 from pkm_studies.resolve import conventions
-from pkm_studies.stages import describe
 
 #: share of the range of a coordinate by which a pose differs from a calibration pose
 APART = 0.02

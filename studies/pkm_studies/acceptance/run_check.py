@@ -24,9 +24,7 @@ from pkm_studies import result_folder
 from pkm_studies.base import Place, Silent
 from pkm_studies.compensation import result_study
 from pkm_studies.results import load_result, refuse_bad_fit
-from pkm_studies.stages.fit import run_curves
-from pkm_studies.stages.fit.run_curves import ReadingCurves
-from pkm_studies.stages.run_state import start
+from pkm_studies.stages import compensated_series, measured_curves, start
 from pkm_studies.user_code import Consent
 
 #: probability below which readings contradict their prediction
@@ -95,7 +93,7 @@ def _compare(
 ) -> RunCheck | None:
     """The comparison; None where the compensated joints are not known."""
     theta, covariance = _knowledge(measurement, section)
-    compensated = run_curves.compensated_series(measurement, series, theta)
+    compensated = compensated_series(measurement, series, theta)
     if compensated is None:
         return None
     residual = y - measurement.readings(compensated, theta)
@@ -110,12 +108,8 @@ def _compare(
     remaining = residual - gain @ weighed
     keep = np.eye(len(y)) - gain @ linalg.cho_solve(root, np.eye(len(y)))
     sd = np.sqrt(np.einsum("ij,jk,ik->i", keep, total, keep))
-    nominal = run_curves.nominal_readings(measurement, series)
-    curves = ReadingCurves(
-        measured=y - nominal, predicted=y - remaining - nominal, sd=sd
-    )
     return RunCheck(
-        curves=list(run_curves.run_curves(measurement, series, curves)),
+        curves=measured_curves(measurement, series, y, y - remaining, sd),
         readings=len(y),
         p_high=float(stats.chi2.sf(residual @ weighed, len(y))),
     )

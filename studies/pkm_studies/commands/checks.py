@@ -14,7 +14,7 @@ from oed.checks import Severity, blind
 from oed.dataset import Dataset
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from pkm_studies import catalogue, shipped, sources
-from pkm_studies.base import InputError, Place, Silent, SourceAbsentError, Stream
+from pkm_studies.base import InputError, Place, SourceAbsentError, Stream
 from pkm_studies.resolve.machine import (
     check_home,
     doubtful_lengths,
@@ -23,9 +23,7 @@ from pkm_studies.resolve.machine import (
 )
 from pkm_studies.resolve.planned_effects import check_effect_names
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
-from pkm_studies.stages.fit.goodness import check_dataset
-from pkm_studies.stages.input_checks import check_inputs
-from pkm_studies.stages.run_state import state_of
+from pkm_studies.stages import check_dataset, check_inputs
 from pkm_studies.study import Study, load
 from pkm_studies.user_code import Consent, Origin
 
@@ -105,8 +103,7 @@ def _check_study(
         check_effect_names(study, without_readings.gap_or_default)
         resolved.append(without_readings)
         complete = with_readings(without_readings)
-        state = state_of(complete, study.seed, Silent())
-        remarks = check_inputs(state)
+        remarks = check_inputs(complete)
         content = _content(study, complete)
         if complete.dataset is not None:
             return _with_findings(content, complete, complete.dataset)

@@ -18,7 +18,7 @@ from pkm_studies.commands.options import (
     Verbose,
 )
 from pkm_studies.console import DONE, FAILED
-from pkm_studies.stages.outcome import report_outcome
+from pkm_studies.stages import report_outcome
 
 if TYPE_CHECKING:
     from pkm_studies.study import Study
@@ -39,10 +39,10 @@ def run(
     from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
-    from pkm_studies import pipeline  # only now: errors of input come at once
+    from pkm_studies import stages  # only now: errors of input come at once
 
     with display.progress(quiet=quiet) as progress:
-        result = pipeline.run(loaded, folder, seed=seed, progress=progress)
+        result = stages.run_study(loaded, folder, seed=seed, progress=progress)
     return report_outcome(result, folder, quiet, verbose=verbose)
 
 
@@ -62,9 +62,9 @@ def simulate(
     files.check_new(out)
     loaded = load(study, allow_code)
     files.check_writable(out.parent)
-    from pkm_studies import pipeline
+    from pkm_studies import stages
 
-    readings, truth = pipeline.simulate(loaded, out)
+    readings, truth = stages.simulate_study(loaded, out)
     print(f"Readings: {readings}\nTruth: {truth}")
     return DONE
 
@@ -97,10 +97,10 @@ def identify(
     from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
-    from pkm_studies import pipeline
+    from pkm_studies import stages
 
     with display.progress(quiet=quiet) as progress:
-        result = pipeline.run(
+        result = stages.run_study(
             loaded,
             folder,
             seed=seed,
@@ -139,10 +139,10 @@ def diagnose(
     from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out)
-    from pkm_studies import pipeline
+    from pkm_studies import stages
 
     with display.progress(quiet=quiet) as progress:
-        result = pipeline.diagnose(
+        result = stages.diagnose_study(
             loaded, readings or None, folder, after=after, seed=seed, progress=progress
         )
     return report_outcome(result, folder, quiet, verbose=verbose)
@@ -170,10 +170,10 @@ def plan(
     from pkm_studies.commands import display
 
     loaded, folder = load_for(study, allow_code, out, "-plan")
-    from pkm_studies import pipeline
+    from pkm_studies import stages
 
     with display.progress(quiet=quiet) as progress:
-        result = pipeline.plan(
+        result = stages.plan_study(
             loaded, folder, after=after, seed=seed, progress=progress
         )
     lines = []
@@ -203,12 +203,12 @@ def forecast(
 ) -> int:
     """Plan the nodes of forecast compensation, or make the table of measured ones."""
     loaded, folder = load_for(study, allow_code, out, "-forecast")
-    from pkm_studies import pipeline
+    from pkm_studies import stages
     from pkm_studies.results import claim_failure
-    from pkm_studies.stages.forecast.words import sentences
+    from pkm_studies.stages import forecast_sentences
 
-    result = pipeline.forecast(loaded, folder, readings=readings, seed=seed)
-    for sentence in sentences(result.forecast):
+    result = stages.forecast_study(loaded, folder, readings=readings, seed=seed)
+    for sentence in forecast_sentences(result.forecast):
         print(sentence)
     name, words = ("forecast_nodes.csv", "To fill in")
     if result.forecast is not None and result.forecast.readings:

@@ -16,7 +16,7 @@ import msgspec
 from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement
 from oed.result import StudyResult
-from pkm_studies import pipeline, shipped
+from pkm_studies import shipped
 from pkm_studies.base import Silent
 from pkm_studies.notebook.views import (
     AccuracyView,
@@ -28,17 +28,19 @@ from pkm_studies.notebook.views import (
     ReadingsView,
     View,
 )
-from pkm_studies.stages.run_state import (
+from pkm_studies.stages import (
     Fitted,
-    Readings,
-    Scheduled,
-    promote,
-    start,
+    designed,
+    fit_checked,
+    planned,
+    predict_accuracy,
+    recorded,
+    result_so_far,
+    run_study,
+    sample_posterior,
+    simulated,
+    with_diagnosis,
 )
-from pkm_studies.stages.steps import design as design_steps
-from pkm_studies.stages.steps import fit as fit_steps
-from pkm_studies.stages.steps import prediction as prediction_steps
-from pkm_studies.stages.steps import readings as readings_steps
 from pkm_studies.study import Study, from_tables, load
 from pkm_studies.user_code import Origin, consent
 
@@ -91,15 +93,7 @@ def choose_design(study: Study, *, seed: int | None = None) -> DesignView:
     >>> design.section.efficiency > 0.9
     True
     """
-    state = design_steps.select_design(start(study, seed, Silent(), []))
-    if state.design is None:
-        raise study.place.key("design").error(
-            "the study has no candidates to choose from", "add [[design.candidates]]"
-        )
-    readings = Readings(series=state.design.series)
-    scheduled = promote(Scheduled, state, readings=readings)
-    scheduled = design_steps.analyse_identifiability(scheduled)
-    return DesignView(design_steps.report_design(scheduled))
+    return DesignView(designed(study, seed))
 
 
 def plan(study: Study, *, seed: int | None = None) -> PlanView:
@@ -112,7 +106,7 @@ def plan(study: Study, *, seed: int | None = None) -> PlanView:
     >>> plan.section.stages[0].measurement
     'RM 4'
     """
-    return PlanView(pipeline.planned_state(study, None, seed, Silent()))
+    return PlanView(planned(study, None, seed, Silent()))
 
 
 def read_readings(study: Study, *files: str | Path) -> ReadingsView:
@@ -126,13 +120,7 @@ def read_readings(study: Study, *files: str | Path) -> ReadingsView:
     '45 readings, recorded'
     """
     paths = [Path(file) for file in files] or None
-    state = start(study, None, Silent(), paths)
-    data = state.resolved.dataset
-    if data is None:
-        raise study.place.key("readings").error(
-            "the study names no readings", "give a file, or add [readings] files"
-        )
-    return ReadingsView(readings_steps.take_recorded(state, data))
+    return ReadingsView(recorded(study, paths))
 
 
 def simulate(source: Study | DesignView | PlanView) -> ReadingsView:
@@ -146,11 +134,9 @@ def simulate(source: Study | DesignView | PlanView) -> ReadingsView:
     >>> readings.title
     '45 readings, of a virtual machine'
     """
-    if not isinstance(source, Study):
-        return ReadingsView(readings_steps.take_simulated(source.state))
-    state = design_steps.select_design(start(source, None, Silent(), []))
-    state = design_steps.plan_stages(state)
-    return ReadingsView(readings_steps.take_simulated(state))
+    return ReadingsView(
+        simulated(source if isinstance(source, Study) else source.state)
+    )
 
 
 def identify(
@@ -199,10 +185,10 @@ def identify(
         resolved = dataclasses.replace(state.resolved, identification_stages=patterns)
         state = state.replace(resolved=resolved)
     theta = None if start is None else _start_of(state.measurement, start)
-    fitted = pipeline.fit_checked(state, theta)
+    fitted = fit_checked(state, theta)
     if effects is None or effects == "none":
         return EstimateView(fitted)
-    return EstimateView(pipeline.with_diagnosis(fitted))
+    return EstimateView(with_diagnosis(fitted))
 
 
 def _effects_value(
@@ -241,7 +227,7 @@ def sample(estimate: EstimateView) -> PosteriorView:
     >>> posterior.title
     'Posterior of ... draws'
     """
-    return PosteriorView(fit_steps.sample_posterior(estimate.state))
+    return PosteriorView(sample_posterior(estimate.state))
 
 
 def predict(
@@ -259,7 +245,7 @@ def predict(
     >>> list(accuracy.section.components)
     ['y', 'z']
     """
-    state: Scheduled = source.state
+    state = source.state
     study, request = state.study, state.resolved.prediction
     if request is None:
         raise study.place.key("prediction").error(
@@ -270,7 +256,7 @@ def predict(
     request = dataclasses.replace(request, table=table)
     resolved = dataclasses.replace(state.resolved, prediction=request)
     state = state.replace(resolved=resolved)
-    return AccuracyView(prediction_steps.predict_accuracy(state))
+    return AccuracyView(predict_accuracy(state))
 
 
 def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
@@ -287,8 +273,8 @@ def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
     """
     state = source.state
     if not isinstance(state, Fitted):
-        state = pipeline.fit_checked(state)
-    return DiagnosisView(pipeline.with_diagnosis(state))
+        state = fit_checked(state)
+    return DiagnosisView(with_diagnosis(state))
 
 
 def run(
@@ -303,7 +289,7 @@ def run(
     'planar_step_calibration'
     """
     folder = Path("out") / study.name if out is None else Path(out)
-    return pipeline.run(study, folder, seed=seed)
+    return run_study(study, folder, seed=seed)
 
 
 def write_report(view: View[Any], out: str | Path) -> tuple[Path, ...]:
@@ -317,7 +303,7 @@ def write_report(view: View[Any], out: str | Path) -> tuple[Path, ...]:
     """
     from pkm_reports import write_report
 
-    return write_report(_result(view.state), Path(out))
+    return write_report(result_so_far(view.state), Path(out))
 
 
 def write_compensation(
@@ -343,11 +329,7 @@ def write_compensation(
 
     given = view.state.study.consent
     controller = named_format(to, Origin.command(given))
-    result, study, folder = _result(view.state), view.state.study, Path(out)
+    result, study, folder = result_so_far(view.state), view.state.study, Path(out)
     return export_result(
         result, study, controller, folder, force=force, commands=commands
     ).paths
-
-
-def _result(state: Scheduled) -> StudyResult:
-    return pipeline.assemble_result(design_steps.draw_machine(state))

@@ -7,7 +7,7 @@ import html
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from oed import result
-from pkm_studies.stages.run_state import Fitted, Measured, Scheduled, written
+from pkm_studies.stages import Fitted, Measured, Scheduled, written
 
 if TYPE_CHECKING:
     import pandas as pd

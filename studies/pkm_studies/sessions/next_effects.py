@@ -34,7 +34,7 @@ from pkm_studies.resolve.planned_effects import (
     named_effects,
     pose_error_slopes,
 )
-from pkm_studies.stages.run_state import RunState
+from pkm_studies.stages import RunState
 
 #: machines that are drawn for an interval or a probability
 MACHINES = 4000

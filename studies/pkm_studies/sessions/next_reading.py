@@ -32,12 +32,15 @@ from pkm_studies.sessions.next_effects import (
 )
 from pkm_studies.sessions.next_sentences import MOST_AHEAD, Advice, advice_sentences
 from pkm_studies.sessions.skipped_poses import SkippedPose, allowed, skipped_in_file
-from pkm_studies.stages.design.select import select_design
-from pkm_studies.stages.fit.estimate import estimate_section
-from pkm_studies.stages.run_state import Measured, RunState, start
-from pkm_studies.stages.steps import readings as readings_steps
-from pkm_studies.stages.steps.checks import check_readings
-from pkm_studies.stages.steps.fit import with_finding
+from pkm_studies.stages import (
+    Measured,
+    RunState,
+    checked,
+    estimate_section,
+    select_design,
+    start,
+    with_finding,
+)
 from pkm_studies.study import Study
 
 #: how a file is refused whose cells for readings are all empty
@@ -222,7 +225,7 @@ class Adviser:
         state = self.base.replace(
             resolved=resolved.with_dataset(data), readings_given=True
         )
-        measured = check_readings(readings_steps.take_recorded(state, data))
+        measured = checked(state, data)
         # Candidates may need set-ups that no reading has used yet.
         used = {*measured.measurement.setups, *self.base.measurement.setups}
         return measured.replace(measurement=resolved.measurement_with(used))

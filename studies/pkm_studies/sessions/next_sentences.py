@@ -12,9 +12,8 @@ from oed.base.arrays import Array
 from oed.base.text import format_number
 from oed.measurement.measurement import Series
 from oed.result.verdict import SURE, Judgement, judge, overall, percent
-from pkm_studies import quantities
+from pkm_studies import describe, quantities
 from pkm_studies.sessions.next_effects import Outlook
-from pkm_studies.stages import describe
 
 if TYPE_CHECKING:
     from pkm_studies.sessions.next_reading import Adviser

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pkm_studies.base import Stream
+from pkm_studies.base import Silent, Stream
 from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import order, select
 from pkm_studies.stages.gap.virtual_readings import check_coefficients
-from pkm_studies.stages.run_state import RunState
+from pkm_studies.stages.run_state import RunState, state_of
 from pkm_studies.stages.steps import readings
 
 #: candidates at which an effect is asked for its coefficients
@@ -19,12 +19,12 @@ NOTHING_TO_RUN = (
 )
 
 
-def check_inputs(state: RunState) -> list[str]:
+def check_inputs(resolved: ResolvedStudy) -> list[str]:
     """Remarks on a study that is sound. Raises InputError as its run would.
 
     What only a search can say, such as whether a plan fits its time, is left to the run.
     """
-    resolved = state.resolved
+    state = state_of(resolved, resolved.study.seed, Silent())
     select.check_design(resolved)
     order.check_reference(resolved)
     _check_forecast(state)

@@ -19,10 +19,10 @@ from oed.base.arrays import Array, Mask
 from oed.measurement.measurement import Measurement, Series
 from oed.noise.prior import LEAST_FREEDOM
 from oed.result import EstimateSection, GoodnessSection, StudyResult
+from pkm_studies import describe
 from pkm_studies.base import Progress, Stream
 from pkm_studies.resolve.noise import LEAST_OF_SCALE, noise_is_a_guess
 from pkm_studies.resolve.resolved import ResolvedStudy, resolve
-from pkm_studies.stages import describe
 from pkm_studies.study import Study
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from oed.gap.data import linearisation, problem
 from oed.gap.data.linearisation import ActingEffectForm
 from oed.measurement import Measurement
 from oed.result import StudyResult
-from pkm_studies import pipeline
+from pkm_studies import stages
 from pkm_studies import study as studies
 from pkm_studies.resolve import resolved
 
@@ -60,7 +60,7 @@ def test_the_joint_estimate_is_that_of_least_squares(
 def result(tmp_path_factory: pytest.TempPathFactory) -> StudyResult:
     folder = tmp_path_factory.mktemp("leg_scale")
     study = studies.load(leg_scale.write(folder, leg_scale.readings(-0.06), FEW))
-    return pipeline.diagnose(study, None, folder / "out", seed=1)
+    return stages.diagnose_study(study, None, folder / "out", seed=1)
 
 
 @pytest.mark.slow

@@ -293,12 +293,12 @@ def test_no_command_gets_the_help(oed: Run) -> None:
 
 
 def test_interrupted(oed: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from pkm_studies import pipeline
+    from pkm_studies import stages
 
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pipeline, "run", interrupt)
+    monkeypatch.setattr(stages, "run_study", interrupt)
     code, out, err = oed("run", write(tmp_path / "p.study.toml", PLAN), "--quiet")
     assert (code, out) == (130, "")
     assert err.strip() == "oed: interrupted: files written so far are whole"

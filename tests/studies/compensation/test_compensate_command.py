@@ -18,7 +18,7 @@ from shipped_models import a3_head, hexapod, linear_delta, micro_cmm
 from oed.compensate import compensated_joints
 from oed.mechanism import Kinematics
 from oed.result import GoodnessSection, NoiseRecord, StudyResult
-from pkm_studies.stages import describe
+from pkm_studies import describe
 
 Run = Callable[..., tuple[int, str, str]]
 #: an identified delta: radius, arms, angles, endstops

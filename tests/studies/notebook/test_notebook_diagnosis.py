@@ -11,7 +11,7 @@ import pytest
 
 import oed
 from oed.result import StudyResult
-from pkm_studies import pipeline
+from pkm_studies import stages
 from pkm_studies.notebook.views import EstimateView
 from pkm_studies.results import load_result
 from pkm_studies.stages.run_state import WithheldError
@@ -62,7 +62,7 @@ def commanded(scaled, tmp_path_factory) -> StudyResult:
     """What `oed diagnose` writes."""
     study, path = scaled
     folder = tmp_path_factory.mktemp("out")
-    pipeline.diagnose(study, [path], folder)
+    stages.diagnose_study(study, [path], folder)
     return load_result(folder)
 
 

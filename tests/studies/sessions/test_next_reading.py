@@ -18,7 +18,7 @@ from pkm_studies import shipped
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.sessions import next_reading as advice
-from pkm_studies.stages.design.select import select_design
+from pkm_studies.stages import select_design
 from pkm_studies.study import load
 
 STUDY = sample.changed(

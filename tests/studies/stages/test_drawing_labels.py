@@ -13,10 +13,11 @@ from shipped_models import a3_head, delta, hexapod
 
 from oed.mechanism import Kinematics
 from pkm_reports.sections.figures import machine
+from pkm_studies import describe
+from pkm_studies import describe as drawing_labels
 from pkm_studies.base import Silent
-from pkm_studies.stages import describe, drawing_labels
+from pkm_studies.stages import start
 from pkm_studies.stages.design.section import planned_readings
-from pkm_studies.stages.run_state import start
 from pkm_studies.stages.steps.readings import planned_series
 from pkm_studies.study import load
 

@@ -11,8 +11,8 @@ import pytest
 
 from oed.gap import Diagnosis, assemble
 from pkm_studies.base import Silent
+from pkm_studies.stages import start
 from pkm_studies.stages.gap import traces as gap_traces
-from pkm_studies.stages.run_state import start
 from pkm_studies.stages.steps.readings import planned_series, simulate_readings
 from pkm_studies.study import load
 

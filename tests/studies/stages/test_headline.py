@@ -12,7 +12,8 @@ import report_fixture
 from oed.result import StudyResult
 from pkm_reports import sections as answer
 from pkm_reports.blocks import Table
-from pkm_studies.stages import headline, outcome, summary
+from pkm_studies.commands import outcome, summary
+from pkm_studies.stages import headline
 
 
 def spread(rms: float, unit: str) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from design_sample import CUP, EXTRA, GRID, KNOWN, chosen, rows, section, text, 
 
 from oed import identifiability
 from oed.measurement import Series
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.base import InputError
 
 # -- criteria: all 56 choices of 3 readings out of 8 -----------------------------------
@@ -110,7 +110,7 @@ def test_predicted_accuracy_is_that_of_the_prediction(tmp_path: Path) -> None:
         text("criterion = 'I'\n" + KNOWN, tables=GRID.format(name="cup") + reference),
         Path("x.study.toml"),
     )
-    result = pipeline.run(parsed, tmp_path, report=False)
+    result = stages.run_study(parsed, tmp_path, report=False)
     assert result.design is not None
     assert result.prediction is not None
     plan, given = result.design.plans

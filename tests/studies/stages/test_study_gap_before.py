@@ -23,7 +23,7 @@ from oed.gap.before import detect, runs
 from oed.result import DetectabilityTable
 from pkm_reports import sections, style
 from pkm_reports.sections.figures.gap import confusable
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve
 
@@ -80,7 +80,7 @@ pdf = false
 def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
     """The study's result as stored, and its folder."""
     out = tmp_path_factory.mktemp("before")
-    pipeline.run(study.parse(STUDY, HERE), out, report=False)
+    stages.run_study(study.parse(STUDY, HERE), out, report=False)
     return json.loads((out / "result.json").read_text()), out
 
 
@@ -172,7 +172,7 @@ def test_runs_at_stated_times_do_not_overlap(tmp_path: Path) -> None:
         " 0.5 }, { start_min = 9 }]"
     )
     text = re.sub(r"conditions = .*", times, STUDY).replace("runs = 4", "runs = 2")
-    result = pipeline.run(study.parse(text, HERE), tmp_path, report=False)
+    result = stages.run_study(study.parse(text, HERE), tmp_path, report=False)
     assert result.gap_before is not None
     assert result.gap_before.chosen is not None
     begin = sorted(r.condition["time"] for r in result.gap_before.chosen.runs)
@@ -227,7 +227,7 @@ def test_effects_that_no_candidate_can_test_are_refused(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match="servo_lag cannot be tested by these candidates"
     ):
-        pipeline.run(study.load(path), tmp_path / "out", report=False)
+        stages.run_study(study.load(path), tmp_path / "out", report=False)
 
 
 def test_the_chapter_states_runs_pairs_and_sizes(

@@ -21,7 +21,7 @@ from oed.identifiability import information
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics
 from oed.result import AlternativePlan, PlanSection, StudyResult
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve.resolved import resolve
@@ -218,7 +218,7 @@ def run_session(text: str, posterior: str, out: Path) -> StudyResult:
         text, ("budget_min = 110.0", "budget_min = 25.0"), ("stages = 2", "stages = 1")
     )
     session = one_stage + SESSION + posterior
-    return pipeline.run(study.parse(session, HERE), out, report=False)
+    return stages.run_study(study.parse(session, HERE), out, report=False)
 
 
 def test_further_stages_are_planned_after_a_session(tmp_path: Path) -> None:
@@ -303,7 +303,7 @@ def test_in_the_time_of_the_papers_circles_a_gauge_and_bars_are_three_times_as_a
         path.read_text(encoding="utf-8"), ("budget_min = 109.0", "budget_min = 22.0")
     )
     text = text[: text.index("[expect]")]
-    plan = plan_of(pipeline.plan(study.parse(text, path), tmp_path))
+    plan = plan_of(stages.plan_study(study.parse(text, path), tmp_path))
     (paper,) = plan.compared
     assert plan.cost <= paper.sequence.minutes * (1 + 1e-9)
     gain = {k: v / plan.accuracy[k] for k, v in paper.sequence.accuracy.items()}

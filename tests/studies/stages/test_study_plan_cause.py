@@ -8,7 +8,7 @@ import pytest
 from sample import changed
 
 from oed.result import ChosenRun, ChosenRuns, StudyResult
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import resolve
 
@@ -64,7 +64,7 @@ budget_min = 30.0
 
 
 def planned(text: str, out: Path) -> StudyResult:
-    return pipeline.plan(study.parse(text, out / "both.study.toml"), out)
+    return stages.plan_study(study.parse(text, out / "both.study.toml"), out)
 
 
 def new_runs(chosen: ChosenRuns) -> list[ChosenRun]:

@@ -23,7 +23,7 @@ from design_sample import (
     value,
 )
 
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.resolve.resolved import ResolvedStudy
 
@@ -124,7 +124,7 @@ def test_a_study_with_quotas_runs_end_to_end(tmp_path: Path) -> None:
     file = tmp_path / "quota.study.toml"
     tables = GRID.format(name="cup") + HIGH + "max = 1\n"
     file.write_text(text(KNOWN, tables=tables), encoding="utf-8")
-    design = pipeline.run(study.load(file), out=tmp_path / "out").design
+    design = stages.run_study(study.load(file), out=tmp_path / "out").design
     assert design is not None
     above = [pose for pose in design.poses if pose.command["z_mm"] > 1200.0]
     assert len(design.poses) == 3

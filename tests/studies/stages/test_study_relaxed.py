@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from design_sample import KNOWN, chosen, rows, section, text
 
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.base import InputError
 
 SOLVERS = ("built_in", "clarabel")
@@ -78,7 +78,7 @@ def test_weights_reach_the_optimum_and_the_plan_has_the_largest(
 def test_a_study_with_weights_runs(tmp_path: Path) -> None:
     path = tmp_path / "weights.study.toml"
     path.write_text(text('criterion = "D"\nmethod = "relaxed"\n' + KNOWN))
-    result = pipeline.run(study.load(path), tmp_path / "out")
+    result = stages.run_study(study.load(path), tmp_path / "out")
     design = result.design
     assert design is not None
     assert design.relaxed is not None

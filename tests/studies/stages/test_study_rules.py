@@ -23,7 +23,7 @@ from design_sample import (
 )
 
 from oed import dataset
-from pkm_studies import pipeline, study
+from pkm_studies import stages, study
 from pkm_studies.base import InputError
 
 # -- rules -----------------------------------------------------------------------------
@@ -238,7 +238,7 @@ def test_polished_poses_are_better_and_on_hold(criterion: str, tmp_path: Path) -
     fields = text(
         fields, tables=table + polish, setups=FREE.format(name="low", x=0, z=1126)
     )
-    result = pipeline.run(
+    result = stages.run_study(
         study.parse(fields, Path("x.study.toml")), tmp_path, report=False
     )
     design = result.design
@@ -274,7 +274,7 @@ reference = { z_mm = 1166, psi_deg = 90, theta = "hold" }
         text(KNOWN.replace("3", "8"), tables=GRID.format(name="cup") + order),
         Path("x.study.toml"),
     )
-    design = pipeline.run(parsed, tmp_path, report=False).design
+    design = stages.run_study(parsed, tmp_path, report=False).design
     assert design is not None
     assert design.order is not None
     assert design.order.exact

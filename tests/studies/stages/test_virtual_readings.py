@@ -17,8 +17,8 @@ from oed.measurement import Series
 from pkm_studies.base import Silent
 from pkm_studies.resolve.conditions import planned_covariates
 from pkm_studies.resolve.gap import gap_request
+from pkm_studies.stages import start
 from pkm_studies.stages.gap.virtual_readings import empty_readings
-from pkm_studies.stages.run_state import start
 from pkm_studies.stages.steps.readings import planned_series
 from pkm_studies.study import load
 

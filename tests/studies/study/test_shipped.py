@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from pkm_studies import pipeline, shipped
+from pkm_studies import shipped, stages
 from pkm_studies.base import InputError
 from pkm_studies.study import SUFFIX, Study, load
 
@@ -28,7 +28,7 @@ def ran(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Study, Path]]:
         calls.append((study, out))
         raise InputError("stopped by the test", "go on")
 
-    monkeypatch.setattr(pipeline, "run", record)
+    monkeypatch.setattr(stages, "run_study", record)
     return calls
 
 

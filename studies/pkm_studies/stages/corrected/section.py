@@ -37,9 +37,9 @@ from oed.result import (
     SpreadRecord,
 )
 from oed.result.mixture import BEST, BEST_WITH_EFFECTS, PLAIN
+from pkm_studies import describe
 from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
 from pkm_studies.quantities import column, display_unit
-from pkm_studies.stages import describe
 from pkm_studies.stages.corrected.coefficients import coefficient_records
 from pkm_studies.stages.fit.effects import with_controller
 from pkm_studies.stages.fit.estimate import estimate_section

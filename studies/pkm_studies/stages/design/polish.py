@@ -12,8 +12,8 @@ from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import PolishSummary
 from pkm_studies.base import Place
+from pkm_studies.describe import field
 from pkm_studies.resolve.design import Ranges
-from pkm_studies.stages.describe import field
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.tables import PolishTable
 

@@ -22,12 +22,12 @@ from oed.result import (
     PlanScore,
     RobustSummary,
 )
-from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.describe import (
+from pkm_studies.describe import (
     displayed_command,
     displayed_joints,
     displayed_values,
 )
+from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design import effects
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import (

@@ -33,11 +33,11 @@ from oed.result import (
     WorkingOrder,
 )
 from pkm_studies.base import Place
+from pkm_studies.describe import displayed_command
 from pkm_studies.resolve.design import DesignRequest
 from pkm_studies.resolve.grids import Circles
 from pkm_studies.resolve.planned_effects import NONE
 from pkm_studies.resolve.resolved import ResolvedStudy
-from pkm_studies.stages.describe import displayed_command
 from pkm_studies.stages.design import effects, how_many, order, polish, search
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import StudyCriteria

@@ -19,7 +19,7 @@ from oed.result import (
     HeldParameter,
     ParameterEstimate,
 )
-from pkm_studies.stages.describe import displayed_command
+from pkm_studies.describe import displayed_command
 
 
 def estimate_section(

@@ -50,7 +50,7 @@ def fitted_curves(
 ) -> list[RunCurve]:
     """A curve for each channel of each circle or line that was fitted."""
     theta = estimate.theta
-    nominal = nominal_readings(measurement, series)
+    nominal = _nominal_readings(measurement, series)
     change = measurement.readings(series, theta) - nominal
     curves = ReadingCurves(
         measured=change + estimate.residuals,
@@ -68,7 +68,25 @@ def fitted_curves(
     return list(run_curves(measurement, series, curves))
 
 
-def nominal_readings(measurement: Measurement, series: Sequence[Series]) -> Array:
+def measured_curves(
+    measurement: Measurement,
+    series: Sequence[Series],
+    measured: Array,
+    predicted: Array,
+    sd: Array,
+) -> list[RunCurve]:
+    """A curve for each channel of each circle or line, from readings (N,), SI, as taken.
+
+    predicted, sd  what the identified machine reads there, and the sd of a reading
+    """
+    nominal = _nominal_readings(measurement, series)
+    curves = ReadingCurves(
+        measured=measured - nominal, predicted=predicted - nominal, sd=sd
+    )
+    return list(run_curves(measurement, series, curves))
+
+
+def _nominal_readings(measurement: Measurement, series: Sequence[Series]) -> Array:
     """Readings (N,), SI, of the nominal machine at the commands, or at the joints."""
     nominal = measurement.nominal
     commanded = compensated_series(measurement, series, nominal)

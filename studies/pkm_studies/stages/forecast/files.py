@@ -15,12 +15,11 @@ from oed.dataset.dialect import commented
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Component
-from pkm_studies import csv_table
+from pkm_studies import csv_table, describe
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.resolve import conventions
-from pkm_studies.stages import describe
 from pkm_studies.stages.forecast.task import ForecastTask
 
 NODES, TABLE = "forecast_nodes.csv", "forecast_table.csv"

@@ -21,8 +21,8 @@ from oed.compensate.error_field import (
 )
 from oed.compensate.forecast import Forecast, forecast_table
 from oed.result import ForecastComponent, ForecastSection
+from pkm_studies import describe
 from pkm_studies.base import InputError
-from pkm_studies.stages import describe
 from pkm_studies.stages.forecast import files
 from pkm_studies.stages.forecast.task import ForecastTask
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from oed.result import ForecastComponent, ForecastSection
 
 
-def sentences(section: ForecastSection | None) -> Iterator[str]:
+def forecast_sentences(section: ForecastSection | None) -> Iterator[str]:
     """What to measure, and what the table leaves where it is measured."""
     if section is None:
         return

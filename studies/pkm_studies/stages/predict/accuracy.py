@@ -21,7 +21,7 @@ from oed.result import (
     SpreadRecord,
     ToolAccuracy,
 )
-from pkm_studies.stages import describe
+from pkm_studies import describe
 
 
 def with_realised(

@@ -5,9 +5,10 @@ from __future__ import annotations
 from oed.identifiability.assessment import assess
 from oed.identifiability.information import Scaling
 from oed.result import PolishSummary
+from pkm_studies import describe
 from pkm_studies.base import Stream
 from pkm_studies.resolve.plan import PlanRequest
-from pkm_studies.stages import describe, headline
+from pkm_studies.stages import headline
 from pkm_studies.stages.design import cost, section, select
 from pkm_studies.stages.fit import identifiability
 from pkm_studies.stages.plan.earlier import EarlierSession

@@ -1,0 +1,252 @@
+"""In which order the steps of a study follow: the only file that knows.
+
+Lists of steps for a run into a folder; and, for notebooks and campaigns, the states that
+several steps lead to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+
+from oed.base.arrays import Array
+from oed.dataset import Dataset
+from oed.dataset.digests import digests
+from oed.result import StudyResult
+from oed.result.verdict import accuracy_verdicts
+from pkm_studies import describe
+from pkm_studies.base import Progress, Silent
+from pkm_studies.resolve.counted import counted
+from pkm_studies.results import load_result
+from pkm_studies.stages import headline
+from pkm_studies.stages.plan.earlier import read_earlier_session
+from pkm_studies.stages.run_state import (
+    Fitted,
+    Measured,
+    Readings,
+    RunState,
+    Scheduled,
+    promote,
+    start,
+)
+from pkm_studies.stages.steps.checks import check_readings
+from pkm_studies.stages.steps.correct import correct_for_effects
+from pkm_studies.stages.steps.design import (
+    analyse_identifiability,
+    draw_machine,
+    plan_measurements,
+    plan_stages,
+    report_design,
+    report_single_stage,
+    select_design,
+)
+from pkm_studies.stages.steps.fit import fit_parameters, sample_posterior
+from pkm_studies.stages.steps.forecast import forecast_errors
+from pkm_studies.stages.steps.gap import diagnose_always, diagnose_gap, preview_gap
+from pkm_studies.stages.steps.mixture import mix_answers
+from pkm_studies.stages.steps.prediction import predict_accuracy, predict_held_out
+from pkm_studies.stages.steps.readings import (
+    planned_series,
+    simulate_readings,
+    take_readings,
+    take_recorded,
+    take_simulated,
+)
+from pkm_studies.study import Study
+
+#: takes a state of a run and returns the next
+Step = Callable[[Any], Any]
+
+
+def steps_to_readings(readings_given: bool) -> list[Step]:
+    """From a study to its readings: recorded, of a virtual machine, or planned.
+
+    readings_given  whether readings came with the command: then no stages are planned
+    """
+    planning = _unless(readings_given, plan_stages)
+    return [select_design, *planning, take_readings]
+
+
+def steps_of_diagnosis(recorded: bool) -> list[Step]:
+    """From a study to the diagnosis of its readings; recorded ones need no plan."""
+    return [
+        *_unless(recorded, select_design, plan_stages),
+        take_readings,
+        check_readings,
+        analyse_identifiability,
+        fit_parameters,
+        diagnose_always,
+        correct_for_effects,
+        mix_answers,
+        draw_machine,
+    ]
+
+
+def steps_from_readings(state: Scheduled) -> list[Step]:
+    """From readings to accuracy: what the study asks for, of planned ones a forecast."""
+    only_planned = not isinstance(state, Measured)
+    fit = (fit_parameters, sample_posterior, diagnose_gap)
+    return [
+        *_unless(only_planned, check_readings),
+        analyse_identifiability,
+        report_design,
+        preview_gap,
+        *_unless(only_planned, *fit, correct_for_effects, mix_answers),
+        predict_accuracy,
+        *_unless(only_planned, predict_held_out),
+        *_unless(state.study.forecast is None, forecast_errors),
+        report_single_stage,
+        draw_machine,
+    ]
+
+
+def designed(study: Study, seed: int | None) -> Scheduled:
+    """The state with the chosen design, its verdict and its section of the result.
+
+    Raises InputError where the study has no candidates.
+    """
+    state = select_design(start(study, seed, Silent(), []))
+    if state.design is None:
+        raise study.place.key("design").error(
+            "the study has no candidates to choose from", "add [[design.candidates]]"
+        )
+    readings = Readings(series=state.design.series)
+    scheduled = promote(Scheduled, state, readings=readings)
+    return report_design(analyse_identifiability(scheduled))
+
+
+def recorded(study: Study, files: Sequence[Path] | None) -> Measured:
+    """The state with recorded readings, not checked; the study's own where None.
+
+    Raises InputError where the study names none.
+    """
+    state = start(study, None, Silent(), files)
+    data = state.resolved.dataset
+    if data is None:
+        raise study.place.key("readings").error(
+            "the study names no readings", "give a file, or add [readings] files"
+        )
+    return take_recorded(state, data)
+
+
+def checked(state: RunState, data: Dataset) -> Measured:
+    """The state with recorded readings, checked; single outliers are set aside."""
+    return check_readings(take_recorded(state, data))
+
+
+def simulated(source: Study | RunState) -> Measured:
+    """The state with readings of a virtual machine at the planned poses."""
+    if isinstance(source, RunState):
+        return take_simulated(source)
+    state = select_design(start(source, None, Silent(), []))
+    return take_simulated(plan_stages(state))
+
+
+class VirtualFit(NamedTuple):
+    """A fit of a virtual machine's readings, its parameters (n,), SI, and its effects."""
+
+    state: Fitted
+    truth: Array
+    effects: list[dict[str, Any]]
+
+
+def scheduled(study: Study) -> Scheduled:
+    """The state with the poses that a virtual machine is read at, as planned."""
+    state = plan_stages(select_design(start(study, None, Silent(), [])))
+    readings = Readings(series=planned_series(state))
+    return promote(Scheduled, state, readings=readings)
+
+
+def virtual_fit(state: Scheduled) -> VirtualFit:
+    """Readings of the seed's virtual machine at the planned poses, fitted.
+
+    Raises IdentificationError, AssemblyError, numpy.linalg.LinAlgError.
+    """
+    virtual = simulate_readings(state, state.readings.series)
+    measured = promote(Measured, state, readings=virtual.readings)
+    return VirtualFit(fit_parameters(measured), virtual.truth, virtual.effects)
+
+
+def fit_checked(state: Measured, theta: Array | None = None) -> Fitted:
+    """Check readings and what they identify, then fit them. Raises IdentificationError.
+
+    theta  (n,) parameters where the fit begins, SI; nominal by default
+    """
+    checked = analyse_identifiability(check_readings(state))
+    return fit_parameters(checked, theta)
+
+
+def with_diagnosis(state: Fitted) -> Fitted:
+    """The diagnosis of what a fit leaves, and what follows from it."""
+    return mix_answers(correct_for_effects(diagnose_always(state)))
+
+
+def planned(
+    study: Study, after: Path | None, seed: int | None, progress: Progress
+) -> Scheduled:
+    """The state of a run with the plan of stages. Raises InputError as a run of it."""
+    state = start(study, seed, progress, [])
+    request = state.resolved.plan
+    if request is None:
+        raise (
+            study.place.key("plan")
+            .key("measurement")
+            .error(
+                "the study lists no measurement to plan with",
+                "add [[plan.measurement]] tables",
+            )
+        )
+    earlier = None
+    if after is not None:
+        earlier_result = load_result(after)
+        earlier = read_earlier_session(state.resolved, request, after, earlier_result)
+        state = state.replace(resolved=earlier.resolved)
+        request = earlier.plan
+    state, outcome = plan_measurements(state, request, earlier)
+    readings = Readings(series=outcome.series)
+    scheduled = promote(Scheduled, state, readings=readings)
+    scheduled = analyse_identifiability(scheduled)
+    if scheduled.identifiability is not None:
+        measurement = scheduled.identifiability.measurement
+        scheduled = scheduled.replace(measurement=measurement)
+    scheduled = draw_machine(scheduled)
+    cause = scheduled.resolved.gap_design
+    if cause is not None and cause.follows_plan:
+        return preview_gap(scheduled)
+    return scheduled
+
+
+def result_so_far(state: Scheduled) -> StudyResult:
+    """The result of a state's steps, with the drawing of the machine."""
+    return assemble_result(draw_machine(state))
+
+
+def assemble_result(state: RunState) -> StudyResult:
+    """The result of the steps so far; without claims."""
+    machine, setups = state.resolved.machine, state.measurement.setups.values()
+    info = describe.with_earlier_sessions(
+        describe.machine_info(machine), state.study, state.resolved.measurement
+    )
+    recorded = state.resolved.dataset is not None
+    series = state.readings.series if isinstance(state, Scheduled) else ()
+    readings: list[str] = []
+    if isinstance(state, Measured):
+        readings = digests(series, state.readings.y, state.measurement.setups)
+    return msgspec.structs.replace(
+        state.result,
+        seed=state.seed,
+        machine=info,
+        readings=counted(state.study, readings),
+        setups=[describe.setup_info(machine, setup, series) for setup in setups],
+        versions=describe.package_versions(),
+        verdicts=accuracy_verdicts(state.result),
+        headline=headline.sentences(state.result, recorded, info),
+        warnings=list(dict.fromkeys(state.warnings)),
+    )
+
+
+def _unless(left_out: bool, *steps: Step) -> tuple[Step, ...]:
+    return () if left_out else steps
