@@ -38,8 +38,7 @@ from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from pkm_studies import commands
 from pkm_studies.importers import import_files
-from pkm_studies.resolve import resolved
-from pkm_studies.resolve.tolerances import with_mean_and_covariance
+from pkm_studies.resolve import resolve, with_mean_and_covariance
 
 #: readings of the members of the fleet, and of the machine that is left out
 FULL, FIRST = 60, (3, 6, 9, 12, 18, 24, 36, 60)
@@ -85,7 +84,7 @@ class Bench:
     """The measurement of a machine, its readings in working order, and its error maps."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        study = resolved.resolve(build_study(STUDY), readings=[])
+        study = resolve(build_study(STUDY), readings=[])
         self.measurement: Measurement = study.measurement_with(study.setups)
         angle = rng.uniform(0.0, 2.0 * np.pi, FULL)
         radius = 0.1 * np.sqrt(rng.uniform(0.0, 1.0, FULL))

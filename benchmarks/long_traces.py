@@ -38,8 +38,7 @@ from oed.gap.procedure import diagnose
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from pkm_studies import stages, study
-from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve import resolved as resolve
+from pkm_studies.resolve import gap_request, resolve
 
 RUNS, NOISE, CARRIED, REACH, LEVEL = 4, 0.5, 0.3, 8.0, 0.2
 STUDY = """\
@@ -138,9 +137,9 @@ def prepare(folder: Path, readings: int, gap: bool) -> tuple[GapProblem, list[Ef
     """The residuals of readings, and the library of effects."""
     csv = write_readings(folder, readings, gap)
     stated = study.load(write_study(folder, readings, False, NOISE))
-    resolved = resolve.resolve(stated, readings=[])
+    resolved = resolve(stated, readings=[])
     measurement = resolved.measurement_with(resolved.setups)
-    request = resolve_gap.gap_request(stated, resolved.machine)
+    request = gap_request(stated, resolved.machine)
     assert request is not None  # `always` makes one
     data = dataset.load(csv, measurement)
     problem = problem_of.prepare(

@@ -17,7 +17,7 @@ import numpy as np
 import oed
 from oed.design import candidates
 from oed.design.blocks import project_on_estimable
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.study import Study
 
 DELTA = {

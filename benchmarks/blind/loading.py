@@ -17,8 +17,7 @@ from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement
 from oed.model.effect import Effect
 from pkm_studies import study
-from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve import resolved as resolve
+from pkm_studies.resolve import gap_request, resolve
 
 HERE = Path(__file__).resolve().parent
 
@@ -101,8 +100,8 @@ def bench(name: str) -> Bench:
     Once in a process, for it compiles the machine.
     """
     stated = study.load(HERE / name)
-    resolved = resolve.resolve(stated, readings=[])
-    request = resolve_gap.gap_request(stated, resolved.machine)
+    resolved = resolve(stated, readings=[])
+    request = gap_request(stated, resolved.machine)
     assert request is not None  # `always` makes one
     measurement = resolved.measurement_with(resolved.setups)
     return Bench(measurement, request.effects, request.gravity)

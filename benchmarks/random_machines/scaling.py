@@ -21,7 +21,7 @@ from oed.gap.cause.compare import compare, probabilities
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.model.effect import Effect
-from pkm_studies.resolve.gap import gap_request
+from pkm_studies.resolve import gap_request
 
 FACTOR = 1000.0
 #: units of length at the end of a field's name

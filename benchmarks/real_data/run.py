@@ -24,7 +24,7 @@ from oed.result import HeldOutSection, StudyResult
 from pkm_studies import stages
 from pkm_studies import study as studies
 from pkm_studies.importers import import_files
-from pkm_studies.resolve import resolved
+from pkm_studies.resolve import resolve
 
 #: shares of the fitted readings that are tried, and the loss that counts as none
 SHARES, LOSS = (0.25, 0.5, 0.75), 1.1
@@ -76,7 +76,7 @@ def _study(entry: Entry, data: Path, work: Path) -> studies.Study:
 
 def _rows(study: studies.Study, result: StudyResult) -> Iterator[Row]:
     """The held-out readings, with what others leave of them."""
-    machine = resolved.resolve(study)
+    machine = resolve(study)
     measurement = machine.measurement_with(machine.setups)
     data = machine.dataset
     assert data is not None

@@ -29,12 +29,12 @@ from oed.design.criterion.variance import Variance
 from oed.design.exchange import choose
 from oed.estimation.discrepancy import HEALTHY
 from oed.identifiability.information import prior_information
-from pkm_studies.resolve.planned_effects import effects_of_planned, pose_error_slopes
+from pkm_studies.resolve import effects_of_planned, pose_error_slopes
 
 MACHINES = ("a3", "planar", "delta", "hexapod")
 PLANS = ("rigid", "typical", "full")
 #: combinations of effects that a plan profiles out
-UNKNOWNS = 60
+MAX_EFFECT_UNKNOWNS = 60
 #: poses of the session at which accuracy counts while planning
 WORKSPACE = 60
 
@@ -75,7 +75,13 @@ def effects_of(bench: world.Bench, rng: np.random.Generator) -> PlannedEffects:
     )
     request = SimpleNamespace(gravity=bench.gravity)
     effects = effects_of_planned(
-        bench.measurement, bench.series, bench.effects, request, place, rng, UNKNOWNS
+        bench.measurement,
+        bench.series,
+        bench.effects,
+        request,
+        place,
+        rng,
+        MAX_EFFECT_UNKNOWNS,
     )
     assert effects is not None  # every machine of the generator has some
     return effects

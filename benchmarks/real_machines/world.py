@@ -16,8 +16,7 @@ from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement
 from oed.model.effect import Effect
 from pkm_studies import study as studies
-from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve import resolved as resolve
+from pkm_studies.resolve import gap_request, resolve
 from pkm_studies.user_code import Consent
 
 MM = 1e-3
@@ -94,8 +93,8 @@ def draw(machine: str, size: float, level: str, seed: int, out: Path) -> Bench:
     make.write(c, y, label, stem)
     path, readings = adapter.write_case(stem, out / "study")
     study = studies.load(path, Consent.GIVEN)
-    resolved = resolve.resolve(study, readings=[])
-    request = resolve_gap.gap_request(study, resolved.machine)
+    resolved = resolve(study, readings=[])
+    request = gap_request(study, resolved.machine)
     measurement = resolved.measurement_with(resolved.setups)
     data = dataset.load(readings, measurement)
     tools = np.array([q.get("tool_mm", 0.0) for q in c.setups])[c.setup] * MM

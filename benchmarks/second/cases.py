@@ -16,8 +16,7 @@ from oed.gap.data import problem as problem_of
 from oed.gap.data.problem import GapProblem
 from oed.model.effect import Effect
 from pkm_studies import study as studies
-from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve import resolved as resolve
+from pkm_studies.resolve import gap_request, resolve
 from pkm_studies.user_code import Consent
 
 #: where the generator lies, beside the project's folder
@@ -87,8 +86,8 @@ def prepare(case: Case) -> tuple[GapProblem, tuple[Effect, ...]]:
     out = case.folder / "studies" / case.machine / case.name
     path, readings = adapter.write_case(case.stem, out)
     study = studies.load(path, Consent.GIVEN)
-    resolved = resolve.resolve(study, readings=[])
-    request = resolve_gap.gap_request(study, resolved.machine)
+    resolved = resolve(study, readings=[])
+    request = gap_request(study, resolved.machine)
     assert request is not None  # `always` makes one
     measurement = resolved.measurement_with(resolved.setups)
     data = dataset.load(readings, measurement)

@@ -23,13 +23,12 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.procedure import diagnose
 from pkm_reports import style
 from pkm_studies import stages, study
-from pkm_studies.resolve import gap as resolve_gap
-from pkm_studies.resolve import resolved as resolve
+from pkm_studies.resolve import gap_request, resolve
 
 study_file = study.load(Path(__file__).with_suffix(".study.toml"))
-resolved = resolve.resolve(study_file, readings=[])
+resolved = resolve(study_file, readings=[])
 measurement = resolved.measurement_with(resolved.setups)
-request = resolve_gap.gap_request(study_file, resolved.machine)
+request = gap_request(study_file, resolved.machine)
 with tempfile.TemporaryDirectory() as folder:
     readings, _ = stages.simulate_study(study_file, Path(folder) / "circles.csv")
     data = dataset.load(readings, measurement)

@@ -14,7 +14,7 @@ from pkm_campaign.case_function import CaseFunction, UserFunction
 from pkm_campaign.virtual_machine import VirtualMachine
 from pkm_studies import files, shipped
 from pkm_studies.base import InputError, Name, Place, shorten
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.study import (
     Study,
     combinations,

@@ -18,7 +18,7 @@ from oed.identifiability.assessment import assess
 from oed.mechanism.compiled.switch import begin_job
 from oed.result import trust
 from pkm_campaign.interval import HALF_WIDTH
-from pkm_studies.resolve.prediction import PredictionRequest
+from pkm_studies.resolve import PredictionRequest
 from pkm_studies.stages import (
     Fitted,
     Scheduled,

@@ -15,7 +15,7 @@ from oed.model.machine import Machine
 from pkm_page import rows
 from pkm_page.readings_log import FileContent
 from pkm_studies.base import InputError
-from pkm_studies.resolve.gap import gap_request
+from pkm_studies.resolve import gap_request
 from pkm_studies.study import Study
 
 DIRECTION: Final = "direction"

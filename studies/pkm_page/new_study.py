@@ -28,7 +28,7 @@ from pkm_studies.drafts import (
     format_numbers,
 )
 from pkm_studies.quantities import column
-from pkm_studies.resolve.machine import described_machine
+from pkm_studies.resolve import described_machine
 from pkm_studies.study import SUFFIX
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Consent, Origin

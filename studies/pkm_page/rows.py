@@ -20,7 +20,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Coordinate
 from pkm_page.readings_log import REMARK, UNDONE, FileContent
 from pkm_studies.base import InputError
-from pkm_studies.resolve.conditions import PASS_SUFFIX
+from pkm_studies.resolve import PASS_SUFFIX
 from pkm_studies.sessions import SKIPPED, is_skipped
 
 #: decimals of a command, mm or deg: those that a controller takes

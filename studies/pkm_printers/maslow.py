@@ -36,7 +36,7 @@ from pkm_studies.importers import (
     Row,
     imported_study,
 )
-from pkm_studies.resolve.machine import described_machine
+from pkm_studies.resolve import described_machine
 from pkm_studies.tables import MachineTable
 from pkm_studies.user_code import Origin
 

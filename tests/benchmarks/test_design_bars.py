@@ -21,7 +21,7 @@ import pytest
 from oed import identifiability
 from oed.design import choose, relaxation
 from pkm_studies import study
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 
 ROOT = Path(__file__).resolve().parents[2]
 

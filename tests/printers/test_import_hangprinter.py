@@ -10,7 +10,7 @@ import oed
 from oed.mechanism import Kinematics
 from pkm_studies.base import InputError
 from pkm_studies.importers import import_files
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve import study_machine
 
 CONFIG = """\
 M669 K6 P2000.0 S200

@@ -22,7 +22,7 @@ from oed.result.record import finite_or_none
 from pkm_studies import describe
 from pkm_studies.acceptance.promise import FurtherPromise, PromisedAccuracy
 from pkm_studies.base import InputError
-from pkm_studies.resolve import conventions
+from pkm_studies.resolve import readings_comments
 
 #: share of the range of a coordinate by which a pose differs from a calibration pose
 APART = 0.02
@@ -140,7 +140,7 @@ ZEROED = (
 
 def _comments(section: AcceptanceSection, machine: Machine) -> Iterator[str]:
     """Lines above the header: the frames, and what each column means."""
-    yield from conventions.readings_comments(machine, {}, list(section.poses[0]))
+    yield from readings_comments(machine, {}, list(section.poses[0]))
     about = {c.name: c.about for c in machine.components}
     for name, column in error_columns(
         {**section.components, **section.further}

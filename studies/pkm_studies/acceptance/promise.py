@@ -23,8 +23,7 @@ from oed.result import (
 from pkm_studies.base import InputError
 from pkm_studies.compensation import identified_parameters
 from pkm_studies.earlier_result import mixture_of
-from pkm_studies.resolve.machine import study_kinematics
-from pkm_studies.resolve.workspace import between, regular_commands
+from pkm_studies.resolve import commands_between, regular_commands, study_kinematics
 from pkm_studies.study import Study
 
 #: standard uncertainty of the acceptance measurement, as a share of the promise, where
@@ -150,7 +149,7 @@ def _with_poses_between(
     """
     if reference == "best_fit":
         return workspace
-    return np.vstack([workspace, between(kinematics, workspace, BETWEEN)])
+    return np.vstack([workspace, commands_between(kinematics, workspace, BETWEEN)])
 
 
 def _conditions(result: StudyResult) -> tuple[str, ...]:

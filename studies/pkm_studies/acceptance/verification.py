@@ -32,7 +32,7 @@ from pkm_studies.base import InputError, Stream
 from pkm_studies.compensation import result_study
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.quantities import component_values
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve import study_machine
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.user_code import Consent
 

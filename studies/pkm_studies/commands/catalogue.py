@@ -37,9 +37,9 @@ def list_entries(
         return _list_importers(as_json)
     import dataclasses
 
-    from pkm_studies.resolve import conventions
+    from pkm_studies.resolve import conventions_listing
 
-    entries = conventions.listing(kind.value)
+    entries = conventions_listing(kind.value)
     if as_json:
         console.print_json([dataclasses.asdict(entry) for entry in entries])
         return DONE

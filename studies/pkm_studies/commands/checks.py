@@ -15,14 +15,16 @@ from oed.dataset import Dataset
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from pkm_studies import catalogue, shipped, sources
 from pkm_studies.base import InputError, Place, SourceAbsentError, Stream
-from pkm_studies.resolve.machine import (
+from pkm_studies.resolve import (
+    ResolvedStudy,
+    check_effect_names,
     check_home,
     doubtful_lengths,
     has_own_numbers,
+    resolve,
     unreachable,
+    with_readings,
 )
-from pkm_studies.resolve.planned_effects import check_effect_names
-from pkm_studies.resolve.resolved import ResolvedStudy, resolve, with_readings
 from pkm_studies.stages import check_dataset, check_inputs
 from pkm_studies.study import Study, load
 from pkm_studies.user_code import Consent, Origin

@@ -13,7 +13,7 @@ from oed.model.machine import Machine
 from oed.result.closest_closure import ClosestClosure
 from pkm_studies import catalogue, files, shipped
 from pkm_studies.base import InputError, Place
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve import study_machine
 from pkm_studies.study import load
 from pkm_studies.user_code import Consent, Origin
 

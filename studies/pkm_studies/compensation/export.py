@@ -31,8 +31,12 @@ from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
 from pkm_studies.compensation.identified import adjusted_result
 from pkm_studies.compensation.stored_study import result_study
 from pkm_studies.quantities import column
-from pkm_studies.resolve.machine import study_kinematics
-from pkm_studies.resolve.workspace import regular, workspace_axes, workspace_commands
+from pkm_studies.resolve import (
+    regular_at,
+    study_kinematics,
+    workspace_axes,
+    workspace_commands,
+)
 from pkm_studies.results import BadFitError, load_result
 from pkm_studies.study import Study
 from pkm_studies.tables import ControllerTable
@@ -320,7 +324,7 @@ def cost(controller: ControllerFormat, content: Compensation) -> tuple[str, ...]
     Both hold at the commands of the workspace, as if the file had these.
     """
     kinematics, values = content.kinematics, content.identified.values
-    command = regular(kinematics, content.command)
+    command = regular_at(kinematics, content.command)
     if not len(command):
         return ()
     exact = compensated_joints(kinematics, command, values)

@@ -8,7 +8,7 @@ from oed.result import StudyResult
 from pkm_studies import user_code
 from pkm_studies.base import Place
 from pkm_studies.earlier_result import machine_difference
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve import study_machine
 from pkm_studies.study import SUFFIX, Study, load, parse
 from pkm_studies.user_code import Consent
 

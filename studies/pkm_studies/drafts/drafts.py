@@ -13,7 +13,7 @@ from pkm_studies.base import InputError, Place
 from pkm_studies.drafts import template
 from pkm_studies.drafts.axis_lines import SHARES
 from pkm_studies.drafts.bodies import families
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.study import SUFFIX, parse
 from pkm_studies.user_code import Origin
 

@@ -33,8 +33,7 @@ from pkm_studies.importers.line_times import read_tables
 from pkm_studies.importers.map_tables import CircleFacts, ColumnMap
 from pkm_studies.quantities import column as usual_column
 from pkm_studies.quantities import read_values
-from pkm_studies.resolve.poses import PLANES
-from pkm_studies.resolve.tool_points import ToolPoints
+from pkm_studies.resolve import CIRCLE_PLANES, ToolPoints
 
 #: harmonics of a turn that are not noise, at most
 HARMONICS = 15
@@ -160,7 +159,7 @@ def _row(run: _CircleRun, i: int, command: Array, machine: Machine) -> Row:
 
 def _points(angle: Array, circle: CircleFacts) -> Array:
     """Points (n, 3), m, of the circle at angles (n,)."""
-    first, second = PLANES[circle.plane]
+    first, second = CIRCLE_PLANES[circle.plane]
     points = np.zeros((len(angle), 3))
     points[:, first], points[:, second] = np.cos(angle), np.sin(angle)
     centre = np.array(circle.centre_mm)

@@ -26,7 +26,7 @@ from pkm_studies.drafts import prediction_table
 from pkm_studies.importers import column_sources
 from pkm_studies.importers.base import ImportRequest, readings_name
 from pkm_studies.importers.map_tables import ColumnMap
-from pkm_studies.resolve.machine import described_machine, study_machine
+from pkm_studies.resolve import described_machine, study_machine
 from pkm_studies.study import decode_table, tables_of
 from pkm_studies.tables import MachineTable, PredictionReference
 from pkm_studies.user_code import Origin

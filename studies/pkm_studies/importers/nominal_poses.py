@@ -16,7 +16,7 @@ from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import orientations
 from pkm_studies.importers.base import Row
 from pkm_studies.importers.map_tables import ColumnMap
-from pkm_studies.resolve.tool_points import ToolPoints
+from pkm_studies.resolve import ToolPoints
 
 
 def nominal_frames(

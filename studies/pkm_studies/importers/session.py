@@ -11,8 +11,7 @@ from pkm_studies import files
 from pkm_studies.base import InputError
 from pkm_studies.importers import base, registry
 from pkm_studies.importers.base import ImportedSession, ImportRequest, MeshUse
-from pkm_studies.resolve import conventions
-from pkm_studies.resolve.resolved import resolve, with_readings
+from pkm_studies.resolve import comments_of_study, resolve, with_readings
 from pkm_studies.study import SUFFIX, load, parse
 from pkm_studies.user_code import Consent
 
@@ -97,7 +96,7 @@ def _readings(session: ImportedSession, path: Path, consent: Consent) -> str:
     """The readings file, with what its columns mean where the study resolves."""
     try:
         study = parse(session.study, path, consent)
-        comments = conventions.comments_of_study(study)
+        comments = comments_of_study(study)
     except InputError:
         return base.readings_text(session.rows)
     return base.readings_text(session.rows, comments)

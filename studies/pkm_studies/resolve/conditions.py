@@ -21,7 +21,7 @@ PASS_SUFFIX = re.compile(r", (forward|backward) (\d+)$")
 #: seconds in a minute
 MINUTE = units.factor("min")
 #: m/s in a mm/min
-FEED = units.factor("mm") / units.factor("min")
+FEED_MM_PER_MIN = units.factor("mm") / units.factor("min")
 COLUMNS = ["time", "direction", "feed", "payload", "repeat"]
 
 
@@ -52,7 +52,9 @@ def planned_covariates(
             way = -1.0 if backward else 1.0
             frame.loc[rows, "time"] = clock + step * np.arange(1, len(rows) + 1)
             frame.loc[rows, "direction"] = np.nan if both_ways else way
-            frame.loc[rows, "feed"] = _value_of_run(table.feed_mm_min, number) * FEED
+            frame.loc[rows, "feed"] = (
+                _value_of_run(table.feed_mm_min, number) * FEED_MM_PER_MIN
+            )
             frame.loc[rows, "payload"] = _value_of_run(table.payload, number)
             frame.loc[rows, "repeat"] = repeat
             clock += step * len(rows) + table.pause_s

@@ -67,7 +67,7 @@ def machine_frames(machine: Machine) -> list[str]:
     return sentences
 
 
-def listing(kind: str) -> list[CatalogueEntry]:
+def conventions_listing(kind: str) -> list[CatalogueEntry]:
     """The catalogue of a kind, with the frames and columns of each entry."""
     entries = catalogue.listing(kind)
     if kind not in ("machines", "instruments"):

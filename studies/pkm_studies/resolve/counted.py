@@ -54,7 +54,7 @@ def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
     return sentences
 
 
-def counted(study: Study, new: Collection[str]) -> list[str]:
+def counted_digests(study: Study, new: Collection[str]) -> list[str]:
     """Digests of new readings and of those behind the prior, sorted."""
     known = set(new)
     for _, _, result in prior_results(study):

@@ -29,7 +29,7 @@ SMOOTH = ("D", "Ds", "A", "c", "I", "O1", "O5")
 #: remedy for what needs prior tolerances
 USE_PRIOR = 'write scaling = "tolerance" and prior = true'
 
-Ranges = Mapping[str, Mapping[str, tuple[float, float]]]
+CommandRanges = Mapping[str, Mapping[str, tuple[float, float]]]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class DesignRequest:
     accuracy: Mapping[str, float]
     least_distance: Array | None
     retained: tuple[Series, ...]
-    free_ranges: Ranges
+    free_ranges: CommandRanges
     quotas: QuotaSet | None
 
 
@@ -288,7 +288,9 @@ def _retained(
     return tuple(sources.from_files([path], measurement).series)
 
 
-def _free_ranges(table: DesignTable, measurement: Measurement, place: Place) -> Ranges:
+def _free_ranges(
+    table: DesignTable, measurement: Measurement, place: Place
+) -> CommandRanges:
     if table.polish is None:
         return {}
     ranges: dict[str, dict[str, tuple[float, float]]] = {}

@@ -37,7 +37,7 @@ def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
             raise at.error(f"{name} is not measured in {unit}", f"write {names}")
 
 
-def sized(effect: Effect, study: Study) -> Effect:
+def effect_with_sizes(effect: Effect, study: Study) -> Effect:
     """The effect with the sizes that the study expects of it."""
     factors = _factors(effect)
     for field, value in study.effects.items():

@@ -11,7 +11,7 @@ from oed.model.effect import Effect
 from oed.model.machine import Machine
 from pkm_studies import catalogue
 from pkm_studies.base import InputError, Place, suggest
-from pkm_studies.resolve.effect_sizes import check_sizes, sized
+from pkm_studies.resolve.effect_sizes import check_sizes, effect_with_sizes
 from pkm_studies.study import Study
 from pkm_studies.tables import ActingTable, ConditionsTable, GapTable
 
@@ -105,7 +105,7 @@ def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect,
     check_sizes(study, effects.values())
     instruments = _instruments(study)
     tried = tuple(
-        sized(e, study)
+        effect_with_sizes(e, study)
         for name, e in effects.items()
         if name not in table.without and (name in named or e.is_offered(instruments))
     )
@@ -141,7 +141,7 @@ def _acting_effect(
             at = place.key("constants").key(name)
             raise at.error("no such constant", suggest(name, effect.constants))
     return ActingEffect(
-        effect=sized(effect, study),
+        effect=effect_with_sizes(effect, study),
         constants=_usual_constants(effect) | table.constants,
         size=table.size,
         draw=table.draw,

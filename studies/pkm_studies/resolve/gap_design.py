@@ -16,7 +16,12 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
 from pkm_studies import catalogue
 from pkm_studies.base import Place
-from pkm_studies.resolve.conditions import FEED, MINUTE, PASS_SUFFIX, reading_time
+from pkm_studies.resolve.conditions import (
+    FEED_MM_PER_MIN,
+    MINUTE,
+    PASS_SUFFIX,
+    reading_time,
+)
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.resolve.lookup import known_name
 from pkm_studies.study import Study
@@ -136,7 +141,7 @@ def _condition_si(condition: RunCondition) -> dict[str, float]:
     if condition.payload is not None:
         covariates["payload"] = condition.payload
     if condition.feed_mm_min is not None:
-        covariates["feed"] = condition.feed_mm_min * FEED
+        covariates["feed"] = condition.feed_mm_min * FEED_MM_PER_MIN
     if condition.start_min is not None:
         covariates["time"] = condition.start_min * MINUTE
     return covariates

@@ -21,7 +21,7 @@ RUN, RESOLUTION = "_run", "_resolution"
 #: name of what each run seats anew
 SEATING = "seating"
 #: degrees of freedom from which on the scale of a noise is known to a third
-LEAST_OF_SCALE = 4
+MIN_FREEDOM_OF_SCALE = 4
 
 
 def noise_is_a_guess(study: Study, measurement: Measurement, count: int) -> bool:
@@ -31,7 +31,7 @@ def noise_is_a_guess(study: Study, measurement: Measurement, count: int) -> bool
     values remain beyond the parameters.
     """
     unknowns = int(measurement.free.sum())
-    is_tested = count - unknowns >= LEAST_OF_SCALE
+    is_tested = count - unknowns >= MIN_FREEDOM_OF_SCALE
     return study.noise.estimate is True or (study.noise.assumed and is_tested)
 
 

@@ -24,7 +24,7 @@ from pkm_studies.base import Place
 from pkm_studies.resolve import grids, lookup
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.resolve.planned_effects import (
-    NONE,
+    NO_EFFECTS,
     effects_of_planned,
     named_effects,
 )
@@ -77,10 +77,10 @@ def plan_request(
     table = study.plan
     if table is None or not table.measurement:
         return None
-    return request_of(table, study, measurement_with, setups, prediction)
+    return request_of_table(table, study, measurement_with, setups, prediction)
 
 
-def request_of(
+def request_of_table(
     table: PlanTable,
     study: Study,
     measurement_with: MeasurementWith,
@@ -138,7 +138,7 @@ def request_of(
 STATES = 0
 #: combinations of effects that are unknowns of a plan, at most: its search carries a
 #: covariance of them from stage to stage
-UNKNOWNS = 20
+MAX_EFFECT_UNKNOWNS = 20
 
 
 def _effects(
@@ -153,7 +153,7 @@ def _effects(
     Raises InputError for names that are no effects, and where virtual machines are asked
     for, which have none.
     """
-    if table.effects == NONE or not tables:
+    if table.effects == NO_EFFECTS or not tables:
         return None
     place = study.place.key("plan").key("effects")
     if table.virtual_machines:
@@ -176,7 +176,7 @@ def _effects(
         gap,
         prediction,
         np.random.default_rng(STATES),
-        UNKNOWNS,
+        MAX_EFFECT_UNKNOWNS,
         units.factor("min") * _budget_min(table, study.place.key("plan")),
     )
 

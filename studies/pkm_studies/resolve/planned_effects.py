@@ -24,13 +24,13 @@ from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
 
 #: values of `effects` that allow none, and all
-NONE, CATALOGUE = "none", "catalogue"
+NO_EFFECTS, ALL_EFFECTS = "none", "catalogue"
 #: combinations of effects that are unknowns of candidates, at most
-UNKNOWNS = 60
+MAX_EFFECT_UNKNOWNS = 60
 #: courses of a session that are drawn
-COURSES = 8
+DRAWN_COURSES = 8
 #: time that a session lasts where nothing says it, s
-SESSION = 7200.0
+SESSION_SECONDS = 7200.0
 
 
 def named_effects(
@@ -67,7 +67,7 @@ def effects_of_planned(
     prediction: PredictionRequest,
     rng: np.random.Generator,
     most: int,
-    seconds: float = SESSION,
+    seconds: float = SESSION_SECONDS,
 ) -> PlannedEffects | None:
     """What effects do to planned readings and workspace; None where nothing changes.
 
@@ -77,7 +77,7 @@ def effects_of_planned(
     of travel, time or temperatures counts as if it were not recorded.
     """
     problem, courses = planned_courses(
-        measurement, series, request, rng, COURSES, seconds
+        measurement, series, request, rng, DRAWN_COURSES, seconds
     )
     columns = expected_columns(problem, effects)
     if columns is None:

@@ -26,7 +26,7 @@ POINT_FORMS = ("circle", "line", "cube")
 #: poses sampled where a table gives none
 DEFAULT_SAMPLE = 500
 #: columns of the plane's first and second axis
-PLANES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
+CIRCLE_PLANES = {"xy": (0, 1), "yz": (1, 2), "zx": (2, 0)}
 #: a joint may exceed its range by this much (m, rad)
 SLACK = 1e-9
 
@@ -142,7 +142,7 @@ def circle_points(circle: CircleTable) -> tuple[Array, list[str]]:
     closed = math.isclose(circle.arc_deg % 360.0, 0.0)
     shares = np.linspace(0.0, 1.0, circle.count, endpoint=not closed)
     directions = ("ccw", "cw") if circle.direction == "both" else (circle.direction,)
-    first, second = PLANES[circle.plane]
+    first, second = CIRCLE_PLANES[circle.plane]
     points, run = [], []
     for direction in directions:
         sense = 1.0 if direction == "ccw" else -1.0

@@ -25,7 +25,7 @@ from pkm_studies.resolve.gap_design import GapDesignRequest, gap_design_request
 from pkm_studies.resolve.grids import Circles, ReferencePlan
 from pkm_studies.resolve.machine import study_kinematics
 from pkm_studies.resolve.plan import PlanRequest, plan_request
-from pkm_studies.resolve.planned_effects import CATALOGUE, named_effects
+from pkm_studies.resolve.planned_effects import ALL_EFFECTS, named_effects
 from pkm_studies.resolve.prediction import (
     PredictionRequest,
     check_reach,
@@ -100,7 +100,7 @@ class ResolvedStudy:
         """
         request, names = self.gap_or_default, self.study.identify.effects
         place = self.study.place.key("identify").key("effects")
-        named = named_effects(request, names or CATALOGUE, place)
+        named = named_effects(request, names or ALL_EFFECTS, place)
         return dataclasses.replace(request, effects=tuple(named))
 
     def with_dataset(self, dataset: Dataset | None) -> Self:
@@ -168,7 +168,7 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
         gap_design=gap_design_request(study, references, everything),
         warnings=warnings,
     )
-    return resolved.with_dataset(roles.dataset(study, everything, readings))
+    return resolved.with_dataset(roles.readings_dataset(study, everything, readings))
 
 
 def _check_free(study: Study, everything: Measurement) -> None:
@@ -188,7 +188,7 @@ def _check_free(study: Study, everything: Measurement) -> None:
 def with_readings(resolved: ResolvedStudy) -> ResolvedStudy:
     """A study that was resolved without readings, with those that its file names."""
     everything = resolved.measurement_with(resolved.setups)
-    dataset = roles.dataset(resolved.study, everything, None)
+    dataset = roles.readings_dataset(resolved.study, everything, None)
     return resolved.with_dataset(dataset)
 
 

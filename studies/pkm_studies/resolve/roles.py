@@ -92,7 +92,7 @@ def check_stages(study: Study, measurement: Measurement) -> None:
             )
 
 
-def dataset(
+def readings_dataset(
     study: Study, measurement: Measurement, readings: Sequence[Path] | None
 ) -> Dataset | None:
     """The readings: files given to the command, files of the study, or its source."""

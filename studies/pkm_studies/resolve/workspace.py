@@ -50,10 +50,10 @@ def workspace_commands(study: Study, kinematics: Kinematics) -> Array:
 
 def regular_commands(study: Study, kinematics: Kinematics) -> Array:
     """Those of `workspace_commands` at which every pose component has an error."""
-    return regular(kinematics, workspace_commands(study, kinematics))
+    return regular_at(kinematics, workspace_commands(study, kinematics))
 
 
-def regular(kinematics: Kinematics, command: Array) -> Array:
+def regular_at(kinematics: Kinematics, command: Array) -> Array:
     """Those commands (n, n_dof) at which every pose component has an error.
 
     Where a tilt is zero, its direction has none.
@@ -63,7 +63,7 @@ def regular(kinematics: Kinematics, command: Array) -> Array:
     return command[is_regular]
 
 
-def between(kinematics: Kinematics, command: Array, count: int) -> Array:
+def commands_between(kinematics: Kinematics, command: Array, count: int) -> Array:
     """At most `count` further commands (m, n_dof), spread evenly between some (n, n_dof).
 
     They are within half a diagonal of the grid from one of these, so that they stay in
@@ -84,7 +84,7 @@ def between(kinematics: Kinematics, command: Array, count: int) -> Array:
         return command[:0]
     further = np.repeat(command[:1], int(near.sum()), axis=0)
     further[:, varied] = low[varied] + size[varied] * points[near]
-    return regular(kinematics, _reachable(kinematics, further))
+    return regular_at(kinematics, _reachable(kinematics, further))
 
 
 def _reachable(kinematics: Kinematics, command: Array) -> Array:

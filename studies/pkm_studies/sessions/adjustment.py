@@ -28,8 +28,7 @@ from pkm_studies.acceptance import covariances
 from pkm_studies.base import InputError
 from pkm_studies.compensation import adjusted_result, result_study
 from pkm_studies.quantities import component_values
-from pkm_studies.resolve.machine import study_kinematics
-from pkm_studies.resolve.workspace import regular_commands
+from pkm_studies.resolve import regular_commands, study_kinematics
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.study import Study
 from pkm_studies.user_code import Consent

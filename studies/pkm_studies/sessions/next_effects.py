@@ -27,9 +27,9 @@ from oed.noise.law_noise import noise_under
 from oed.noise.process import stated_laws
 from oed.result.verdict import SURE
 from pkm_studies.base import Stream
-from pkm_studies.resolve.planned_effects import (
-    NONE,
-    UNKNOWNS,
+from pkm_studies.resolve import (
+    MAX_EFFECT_UNKNOWNS,
+    NO_EFFECTS,
     effects_of_planned,
     named_effects,
     pose_error_slopes,
@@ -109,7 +109,7 @@ def effects_at(
 ) -> PlannedEffects | None:
     """What the effects of [identify] do to readings taken and candidates; None without."""
     names, resolved = state.study.identify.fitted_effects, state.resolved
-    if names == NONE or resolved.prediction is None:
+    if names == NO_EFFECTS or resolved.prediction is None:
         return None
     request = resolved.gap_or_default
     place = state.study.place.key("identify").key("effects")
@@ -120,7 +120,7 @@ def effects_at(
         request,
         resolved.prediction,
         Stream.PLANNED_COURSES.rng(state.study.seed),
-        UNKNOWNS,
+        MAX_EFFECT_UNKNOWNS,
     )
 
 

@@ -23,7 +23,7 @@ from oed.result import trust
 from pkm_studies import quantities
 from pkm_studies.base import InputError, Silent, Stream
 from pkm_studies.quantities import component_values
-from pkm_studies.resolve import roles
+from pkm_studies.resolve import readings_dataset
 from pkm_studies.sessions.next_effects import (
     Outlook,
     effects_at,
@@ -215,7 +215,7 @@ class Adviser:
         study, resolved = self.base.study, self.base.resolved
         everything = resolved.measurement_with(resolved.setups)
         try:
-            data = roles.dataset(study, everything, [path])
+            data = readings_dataset(study, everything, [path])
         except InputError as error:
             if error.problem != NO_READING:
                 raise

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pkm_studies.base import Silent, Stream
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.stages.design import order, select
 from pkm_studies.stages.gap.virtual_readings import check_coefficients
 from pkm_studies.stages.run_state import RunState, state_of

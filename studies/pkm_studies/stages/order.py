@@ -19,7 +19,7 @@ from oed.result import StudyResult
 from oed.result.verdict import accuracy_verdicts
 from pkm_studies import describe
 from pkm_studies.base import Progress, Silent
-from pkm_studies.resolve.counted import counted
+from pkm_studies.resolve import counted_digests
 from pkm_studies.results import load_result
 from pkm_studies.stages import headline
 from pkm_studies.stages.plan.earlier import read_earlier_session
@@ -239,7 +239,7 @@ def assemble_result(state: RunState) -> StudyResult:
         state.result,
         seed=state.seed,
         machine=info,
-        readings=counted(state.study, readings),
+        readings=counted_digests(state.study, readings),
         setups=[describe.setup_info(machine, setup, series) for setup in setups],
         versions=describe.package_versions(),
         verdicts=accuracy_verdicts(state.result),

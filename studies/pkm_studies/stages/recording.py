@@ -27,9 +27,12 @@ from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
 from oed.result import RecordedChoice, RecordingSection
-from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.planned_effects import COURSES, planned_courses
-from pkm_studies.resolve.prediction import PredictionRequest
+from pkm_studies.resolve import (
+    DRAWN_COURSES,
+    GapRequest,
+    PredictionRequest,
+    planned_courses,
+)
 
 #: readings of a reference run that is repeated at the end, at most
 REFERENCE = 8
@@ -184,7 +187,14 @@ def _courses(
 ) -> tuple[GapProblem, list[Course]]:
     rng = np.random.default_rng(plan.seed)
     return planned_courses(
-        measurement, series, plan.request, rng, COURSES, plan.seconds, bodies, last
+        measurement,
+        series,
+        plan.request,
+        rng,
+        DRAWN_COURSES,
+        plan.seconds,
+        bodies,
+        last,
     )
 
 

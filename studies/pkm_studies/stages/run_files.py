@@ -18,7 +18,7 @@ from oed.posterior.checkpoint import Checkpoint
 from oed.posterior.posterior import Posterior
 from oed.result import StudyResult
 from pkm_studies import files
-from pkm_studies.resolve import conventions
+from pkm_studies.resolve import comments_of
 from pkm_studies.result_folder import (
     RESULT,
     VISIT,
@@ -127,7 +127,7 @@ def _poses_csv(series: Sequence[Series], measurement: Measurement) -> str:
     """Planned readings as a readings file to fill in."""
     empty = np.full(len(measurement.setup_of_readings(series)), np.nan)
     readings = dataset.from_series(series, empty, measurement)
-    return dataset.to_csv(readings, conventions.comments_of(measurement))
+    return dataset.to_csv(readings, comments_of(measurement))
 
 
 def _write_sheet(folder: Path, result: StudyResult, plan: PlanOutcome | None) -> None:

@@ -21,8 +21,12 @@ from oed.noise.prior import LEAST_FREEDOM
 from oed.result import EstimateSection, GoodnessSection, StudyResult
 from pkm_studies import describe
 from pkm_studies.base import Progress, Stream
-from pkm_studies.resolve.noise import LEAST_OF_SCALE, noise_is_a_guess
-from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.resolve import (
+    MIN_FREEDOM_OF_SCALE,
+    ResolvedStudy,
+    noise_is_a_guess,
+    resolve,
+)
 from pkm_studies.study import Study
 
 if TYPE_CHECKING:
@@ -185,7 +189,7 @@ class Measured(Scheduled):
         """Whether the noise law is estimated from the readings.
 
         As [noise] says; by default for recorded readings that leave at least
-        `LEAST_FREEDOM` degrees of freedom, or `LEAST_OF_SCALE` where an assumed noise
+        `LEAST_FREEDOM` degrees of freedom, or `MIN_FREEDOM_OF_SCALE` where an assumed noise
         leaves but its scale to estimate. The noise of a virtual machine is known.
         """
         stated = self.study.noise.estimate
@@ -196,7 +200,7 @@ class Measured(Scheduled):
             determined = self.identifiability.identifiability.rank
         freedom = len(self.readings.y) - determined
         assumed = self.study.noise.assumed
-        return freedom >= (LEAST_OF_SCALE if assumed else LEAST_FREEDOM)
+        return freedom >= (MIN_FREEDOM_OF_SCALE if assumed else LEAST_FREEDOM)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from sample import refused, resolved
 
 from oed.mechanism import AssemblyError, Kinematics
 from pkm_models.machines import delta, linear_delta
-from pkm_studies.resolve.machine import unreachable
+from pkm_studies.resolve import unreachable
 
 STUDY = """\
 schema = 1

@@ -23,8 +23,7 @@ from oed.compensate.effects.remaining_error import (
 from oed.model import Column, Effect
 from pkm_reports.blocks import Table
 from pkm_reports.sections.recording import blocks
-from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.planned_effects import planned_courses
+from pkm_studies.resolve import GapRequest, planned_courses
 from pkm_studies.stages import select_design
 from pkm_studies.stages.headline import recording_sentences
 from pkm_studies.tables import ConditionsTable

@@ -17,7 +17,7 @@ from oed.design.stages.search import search_plan
 from oed.design.stages.stage.prediction import predict_stage
 from oed.measurement import Series
 from pkm_studies.base import InputError, Silent
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.stages.plan.plan import compute_plan
 from pkm_studies.stages.plan.streams import plan_streams
 from pkm_studies.study import load

@@ -32,8 +32,8 @@ from oed.measurement import draw_parameters, draw_readings
 from oed.model import Effect, Instrument, Setup, State
 from pkm_studies import catalogue
 from pkm_studies import study as studies
+from pkm_studies.resolve import gap_request
 from pkm_studies.resolve import machine as machines
-from pkm_studies.resolve.gap import gap_request
 
 
 def _problem(

@@ -15,7 +15,7 @@ from pkm_studies import catalogue, study
 from pkm_studies.base import InputError, Place
 from pkm_studies.commands import main
 from pkm_studies.drafts import write_draft
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.study import schemas
 from pkm_studies.user_code import Origin
 

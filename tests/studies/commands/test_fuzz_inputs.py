@@ -19,7 +19,7 @@ from oed.measurement import Measurement
 from oed.mechanism import AssemblyError
 from pkm_studies import sources
 from pkm_studies.base import InputError
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.study import parse
 
 #: mutations of studies, and of each of two readings files

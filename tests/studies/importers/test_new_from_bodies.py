@@ -24,7 +24,7 @@ from shipped_models import (
 from oed.mechanism import Kinematics
 from oed.model import Machine
 from pkm_studies import study
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve import study_machine
 
 Run = Callable[..., tuple[int, str, str]]
 #: a rotary delta by hand: degrees, nested and turned bodies, universal joints of two

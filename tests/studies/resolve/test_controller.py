@@ -22,7 +22,7 @@ from oed.model import Machine
 from oed.result import StudyResult
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
-from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.resolve import ResolvedStudy, resolve
 from pkm_studies.study import parse
 
 Array = NDArray[np.float64]

@@ -12,11 +12,8 @@ from scipy.spatial.transform import Rotation
 from oed.mechanism import Kinematics
 from oed.model import Machine
 from pkm_studies import catalogue, study
-from pkm_studies.resolve.machine import (
-    ZERO,
-    study_machine,
-    with_nominal,
-)
+from pkm_studies.resolve import study_machine, with_nominal
+from pkm_studies.resolve.machine import ZERO
 
 Run = Callable[..., tuple[int, str, str]]
 #: m; base and platform joints of a platform at home 0.6 m up, and the length of its legs

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from pkm_studies.base import InputError
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.study import load
 
 TUTORIAL = Path(__file__).resolve().parents[3] / "docs" / "tutorial"

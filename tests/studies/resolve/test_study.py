@@ -11,7 +11,7 @@ import sample
 
 from pkm_studies import shipped, study
 from pkm_studies.base import SourceAbsentError
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 
 
 def test_the_grid_varies_its_first_coordinate_slowest() -> None:

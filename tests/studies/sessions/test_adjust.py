@@ -17,7 +17,7 @@ import xarray as xr
 
 from oed.compensate.adjustment import StepProblem, choose_steps, sizes_without
 from pkm_studies.commands import main
-from pkm_studies.resolve.machine import study_machine
+from pkm_studies.resolve import study_machine
 from pkm_studies.study import parse
 
 Run = Callable[..., tuple[int, str, str]]

@@ -13,7 +13,7 @@ from oracles import forecast_data, planar_geometry
 from scipy.interpolate import RegularGridInterpolator
 
 from pkm_studies.commands import main
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.results import load_result
 from pkm_studies.stages.forecast.task import forecast_task
 from pkm_studies.stages.plan.earlier import stored_knowledge

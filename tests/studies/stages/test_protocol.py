@@ -10,7 +10,7 @@ import pytest
 from oed.identifiability import assess
 from pkm_studies import study
 from pkm_studies.base import InputError
-from pkm_studies.resolve.resolved import ResolvedStudy, resolve
+from pkm_studies.resolve import ResolvedStudy, resolve
 from pkm_studies.stages.design.cost import single_stage_plan
 
 STUDY = """

@@ -13,7 +13,7 @@ import sample
 
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.stages.fit.states import (
     beyond_recorded,
     displayed_states,

@@ -20,7 +20,7 @@ from oed import result
 from oed.compensate.effects import answer_fits
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
-from pkm_studies.resolve.gap import gap_request
+from pkm_studies.resolve import gap_request
 from pkm_studies.study import load, parse, schemas
 
 Run = Callable[..., tuple[int, str, str]]

@@ -25,7 +25,7 @@ from pkm_reports import sections, style
 from pkm_reports.sections.figures.gap import confusable
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 
 HERE = Path("before.study.toml")
 STUDY = """\

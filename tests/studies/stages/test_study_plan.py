@@ -24,7 +24,7 @@ from oed.result import AlternativePlan, PlanSection, StudyResult
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.stages.plan.phrases import at_most_better, more_accurate
 
 

@@ -10,7 +10,7 @@ from sample import changed
 from oed.result import ChosenRun, ChosenRuns, StudyResult
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 
 STUDY = """\
 schema = 1

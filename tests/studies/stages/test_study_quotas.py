@@ -25,7 +25,7 @@ from design_sample import (
 
 from pkm_studies import stages, study
 from pkm_studies.base import InputError
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import ResolvedStudy
 
 HIGH = """
 [[design.quota]]

@@ -15,8 +15,7 @@ import sample
 
 from oed.measurement import Series
 from pkm_studies.base import Silent
-from pkm_studies.resolve.conditions import planned_covariates
-from pkm_studies.resolve.gap import gap_request
+from pkm_studies.resolve import gap_request, planned_covariates
 from pkm_studies.stages import start
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.steps.readings import planned_series

@@ -22,7 +22,7 @@ import oed
 from pkm_studies import study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
-from pkm_studies.resolve.resolved import resolve
+from pkm_studies.resolve import resolve
 from pkm_studies.user_code import Consent, permissions
 
 Run = Callable[..., tuple[int, str, str]]

@@ -35,7 +35,7 @@ from pkm_studies.drafts.bodies.limbs import (
 )
 from pkm_studies.drafts.bodies.tree import turn
 from pkm_studies.quantities import column, display_unit
-from pkm_studies.resolve.machine import unreachable, with_nominal
+from pkm_studies.resolve import unreachable, with_nominal
 
 SUFFIXES = (".xml", ".urdf")
 #: first half width of the workspace over the largest length, and largest tilt, rad

@@ -9,7 +9,7 @@ from oed.design.candidates import reading_time
 from oed.identifiability.assessment import Assessment
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AlternativePlan, PlanSection, StageRecord
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import ResolvedStudy
 
 
 def plan_seconds(measurement: Measurement, series: Sequence[Series]) -> float:

@@ -22,8 +22,7 @@ from oed.design.criterion import Compound, Criterion, named
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies.quantities import with_fine_units
-from pkm_studies.resolve.design import DesignRequest
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import DesignRequest, ResolvedStudy
 from pkm_studies.tables import DesignTable
 
 #: criteria to which a column that no reading touches is one more eigenvalue

@@ -16,17 +16,17 @@ from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
 from pkm_studies.base import Stream
 from pkm_studies.quantities import with_fine_units
-from pkm_studies.resolve.design import DesignRequest
-from pkm_studies.resolve.planned_effects import (
-    NONE,
-    SESSION,
-    UNKNOWNS,
+from pkm_studies.resolve import (
+    MAX_EFFECT_UNKNOWNS,
+    NO_EFFECTS,
+    SESSION_SECONDS,
+    DesignRequest,
+    PredictionRequest,
+    ResolvedStudy,
     effects_of_planned,
     named_effects,
     pose_error_slopes,
 )
-from pkm_studies.resolve.prediction import PredictionRequest
-from pkm_studies.resolve.resolved import ResolvedStudy
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.stages.recording import PlanToRecord, recording_section
@@ -44,7 +44,7 @@ def allowed_effects(
     Raises InputError for names that are no effects, and where the design cannot allow for
     any.
     """
-    if table.effects == NONE:
+    if table.effects == NO_EFFECTS:
         return None
     where = check_allowed(resolved, table, request)
     place = resolved.study.place.key("design").key("effects")
@@ -56,7 +56,7 @@ def allowed_effects(
         gap,
         where,
         rng,
-        UNKNOWNS,
+        MAX_EFFECT_UNKNOWNS,
     )
 
 
@@ -161,7 +161,7 @@ def recording(
             request=gap,
             prediction=resolved.prediction,
             information=prior_information(measurement),
-            seconds=SESSION,
+            seconds=SESSION_SECONDS,
             seed=Stream.PLANNED_COURSES.key(resolved.study.seed),
             further={},
         )

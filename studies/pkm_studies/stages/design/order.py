@@ -19,8 +19,13 @@ from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import WorkingOrder
 from pkm_studies.base import Place
-from pkm_studies.resolve import command_ranges, grids
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import (
+    ResolvedStudy,
+    check_tool_workspace,
+    grid_commands,
+    mid_range,
+    solve_held,
+)
 from pkm_studies.tables import DesignTable, OrderTable
 
 #: most random changes tried of a way; together with its readings, the most moves
@@ -324,15 +329,13 @@ def reference_command(
     if not table.reference:
         return None
     at, machine = place.key("reference"), measurement.machine
-    command, hold, keys = grids.grid_commands(table.reference, machine, at)
+    command, hold, keys = grid_commands(table.reference, machine, at)
     if len(command) != 1:
         raise at.error(
             "the reference is one pose", "give one value for each coordinate"
         )
     if hold is not None:
-        command = grids.mid_range(command, hold, machine, setup)
-    command_ranges.check_tool_workspace(
-        measurement.kinematics, command, keys, at, setup.tool
-    )
-    command, _ = grids.solve_held(measurement, name, command, hold, at, strict=True)
+        command = mid_range(command, hold, machine, setup)
+    check_tool_workspace(measurement.kinematics, command, keys, at, setup.tool)
+    command, _ = solve_held(measurement, name, command, hold, at, strict=True)
     return np.asarray(command[0])

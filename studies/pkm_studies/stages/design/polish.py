@@ -13,7 +13,7 @@ from oed.measurement.measurement import Measurement, Series
 from oed.result import PolishSummary
 from pkm_studies.base import Place
 from pkm_studies.describe import field
-from pkm_studies.resolve.design import Ranges
+from pkm_studies.resolve import CommandRanges
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.tables import PolishTable
 
@@ -86,7 +86,7 @@ def _free_ranges(
     series: Sequence[Series],
     retained: Sequence[Series],
     place: Place,
-) -> Ranges:
+) -> CommandRanges:
     """What polishing may move of the set-ups that the plan uses."""
     ranges = study_criteria.request.free_ranges
     fixed = {s.setup for s in retained}
@@ -136,7 +136,7 @@ def _smooth(
 
 
 def _moved_settings(
-    measurement: Measurement, ranges: Ranges
+    measurement: Measurement, ranges: CommandRanges
 ) -> dict[str, dict[str, float]]:
     """Where each free setting stands now, by set-up and column."""
     moved: dict[str, dict[str, float]] = {}

@@ -27,7 +27,7 @@ from pkm_studies.describe import (
     displayed_joints,
     displayed_values,
 )
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.stages.design import effects
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import (

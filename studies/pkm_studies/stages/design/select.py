@@ -34,10 +34,7 @@ from oed.result import (
 )
 from pkm_studies.base import Place
 from pkm_studies.describe import displayed_command
-from pkm_studies.resolve.design import DesignRequest
-from pkm_studies.resolve.grids import Circles
-from pkm_studies.resolve.planned_effects import NONE
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import NO_EFFECTS, Circles, DesignRequest, ResolvedStudy
 from pkm_studies.stages.design import effects, how_many, order, polish, search
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import StudyCriteria
@@ -302,7 +299,7 @@ def check_design(resolved: ResolvedStudy) -> None:
     table, request = resolved.study.design, resolved.design
     if table is None or request is None or not resolved.candidates:
         return
-    if table.effects != NONE:
+    if table.effects != NO_EFFECTS:
         effects.check_allowed(resolved, table, request)
     place = resolved.study.place.key("design")
     study_criteria = StudyCriteria(resolved, table, request)

@@ -13,8 +13,7 @@ from oed.compensate.effects.fit import EffectReadings
 from oed.gap.data.problem import GapProblem
 from oed.model.machine import Machine
 from oed.result import CorrectedSection, MixtureSection
-from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.prediction import check_states
+from pkm_studies.resolve import GapRequest, check_states
 from pkm_studies.stages.fit.states import recorded_states
 from pkm_studies.stages.gap.virtual_readings import covariates_of
 from pkm_studies.stages.run_state import Fitted, Measured

@@ -20,8 +20,7 @@ from oed.dataset import Dataset
 from oed.dataset.file_rows import file_of
 from oed.estimation.run_prediction import RunPrediction
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
-from pkm_studies.resolve.noise import noise_is_a_guess
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import ResolvedStudy, noise_is_a_guess
 from pkm_studies.stages.run_state import Measured
 
 #: runs that a sentence names, at most

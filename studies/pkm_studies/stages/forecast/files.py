@@ -19,7 +19,7 @@ from pkm_studies import csv_table, describe
 from pkm_studies.base import InputError
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.quantities import column, display_unit
-from pkm_studies.resolve import conventions
+from pkm_studies.resolve import readings_comments
 from pkm_studies.stages.forecast.task import ForecastTask
 
 NODES, TABLE = "forecast_nodes.csv", "forecast_table.csv"
@@ -39,7 +39,7 @@ def nodes_csv(task: ForecastTask, nodes: Array) -> str:
     machine, driven = task.kinematics.machine, task.model.driven
     names = error_columns(driven, ERROR)
     commands = [describe.displayed_command(machine, node) for node in nodes]
-    lines = conventions.readings_comments(machine, {}, list(commands[0]))
+    lines = readings_comments(machine, {}, list(commands[0]))
     reference = f"reference: {task.model.reference}"
     about = [
         f"{name}: {component.about or component.name}; {reference}"
@@ -133,7 +133,7 @@ def table_csv(kinematics: Kinematics, forecast: Forecast) -> str:
 def _table_comments(kinematics: Kinematics) -> Iterator[str]:
     machine = kinematics.machine
     names = list(describe.displayed_command(machine, machine.home_command))
-    yield from conventions.readings_comments(machine, {}, names)
+    yield from readings_comments(machine, {}, names)
     yield (
         "correction_...: to add to the joints that the controller has for the command;"
         " interpolate linearly, beyond the grid its border holds"

@@ -17,7 +17,7 @@ from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from pkm_studies import quantities
 from pkm_studies.base import Place
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.tables import ForecastTable
 
 #: places at which errors count, drawn evenly over the box of the workspace

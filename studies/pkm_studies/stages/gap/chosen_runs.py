@@ -18,9 +18,7 @@ from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.result.gap_before import ChosenRun, ChosenRuns, SeparationRecord
-from pkm_studies.resolve import conventions
-from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.gap_design import GapDesignRequest
+from pkm_studies.resolve import GapDesignRequest, GapRequest, comments_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -137,4 +135,4 @@ def poses_csv(
     columns = covariates.drop(columns=["setup", "run", "order"]).assign(time=np.nan)
     empty = np.full(len(measurement.setup_of_readings(series)), np.nan)
     readings = dataset.from_series(series, empty, measurement, columns)
-    return dataset.to_csv(readings, conventions.comments_of(measurement))
+    return dataset.to_csv(readings, comments_of(measurement))

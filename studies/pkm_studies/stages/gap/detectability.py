@@ -14,8 +14,7 @@ from oed.gap.before import detect
 from oed.gap.data import problem
 from oed.measurement.measurement import Measurement, Series
 from oed.result.gap_before import GapBeforeSection
-from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.gap_design import GapDesignRequest
+from pkm_studies.resolve import GapDesignRequest, GapRequest
 from pkm_studies.stages.gap import chosen_runs
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from oed.gap.before.runs import Run
 from oed.gap.before.second_visit import SecondVisit, needs_second_visit, propose
 from oed.gap.data.diagnosis import Diagnosis
 from oed.result import ChosenRun, GapSection, SecondVisitRecord
-from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.resolve import GapRequest
 from pkm_studies.stages.gap.chosen_runs import poses_csv
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
 

@@ -24,7 +24,7 @@ from oed.result.gap import (
     SizeRecord,
 )
 from oed.result.record import finite_or_none
-from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.resolve import GapRequest
 from pkm_studies.stages.gap import sentences, traces
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from oed.base.arrays import Array, Index
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.metric import Metric
 from oed.result.gap import Spot, Trace
-from pkm_studies.resolve.conditions import FEED, PASS_SUFFIX
+from pkm_studies.resolve import FEED_MM_PER_MIN, PASS_SUFFIX
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,7 +111,9 @@ def _trace(
         after=displayed(parts["after"]),
         direction=_constant(rows, "direction", int),
         payload=_constant(rows, "payload", float),
-        feed_mm_min=_constant(rows, "feed", lambda v: round(float(v) / FEED, 6)),
+        feed_mm_min=_constant(
+            rows, "feed", lambda v: round(float(v) / FEED_MM_PER_MIN, 6)
+        ),
         radius_mm=None if radius is None else round(_mm(radius), PLACE_DIGITS),
     )
 

@@ -14,8 +14,12 @@ from oed.gap.data import signature
 from oed.gap.data.state import states as states_of
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import State
-from pkm_studies.resolve.conditions import planned_covariates
-from pkm_studies.resolve.gap import ActingEffect, GapRequest, unknown_coefficient
+from pkm_studies.resolve import (
+    ActingEffect,
+    GapRequest,
+    planned_covariates,
+    unknown_coefficient,
+)
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,8 +17,12 @@ from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
 from oed.result import StudyResult
 from pkm_studies.earlier_result import known_parameters
-from pkm_studies.resolve.plan import PlanRequest, request_of
-from pkm_studies.resolve.resolved import ResolvedStudy, measurement_factory
+from pkm_studies.resolve import (
+    PlanRequest,
+    ResolvedStudy,
+    measurement_factory,
+    request_of_table,
+)
 from pkm_studies.stages.forecast.task import EstimatedParameters
 
 
@@ -106,7 +110,7 @@ def _without_done(
         Kinematics(machine).with_controller(resolved.measurement.kinematics.controller),
         resolved.setups,
     )
-    plan = request_of(
+    plan = request_of_table(
         request.table,
         resolved.study,
         measurement_with,

@@ -17,9 +17,7 @@ from oed.design.stages.search import PlanSearchResult
 from oed.design.stages.sequence.stage_plan import StagePlan
 from oed.design.stages.virtual_machines.propagation import StageRealisation, propagate
 from pkm_studies.base import Progress
-from pkm_studies.resolve.plan import PlanRequest
-from pkm_studies.resolve.planned_effects import named_effects
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import PlanRequest, ResolvedStudy, named_effects
 from pkm_studies.stages.plan.comparison import compare_sequence, predict_readings
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.phrases import (

@@ -19,8 +19,7 @@ from oed.design.stages.sequence.stage_memory import StageMemory
 from oed.design.stages.sequence.stage_plan import StagePlan
 from pkm_studies.base import Place
 from pkm_studies.quantities import with_fine_units
-from pkm_studies.resolve.plan import PlanRequest
-from pkm_studies.resolve.resolved import ResolvedStudy
+from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.streams import plan_streams
 from pkm_studies.tables import PlanTable

@@ -25,9 +25,12 @@ from oed.model.effect import Effect
 from oed.posterior import laplace, posterior
 from pkm_studies import catalogue
 from pkm_studies.base import Stream
-from pkm_studies.resolve.effect_sizes import sized
-from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.workspace import regular_commands, workspace_axes
+from pkm_studies.resolve import (
+    GapRequest,
+    effect_with_sizes,
+    regular_commands,
+    workspace_axes,
+)
 from pkm_studies.stages.corrected import alarm, coefficients
 from pkm_studies.stages.corrected import section as sections
 from pkm_studies.stages.fit.effects import readings_with_covariates
@@ -84,7 +87,8 @@ def _effects(
         origin = state.study.origin
         names = dict.fromkeys(state.with_effects)
         return [
-            sized(catalogue.effect(name, origin, place), state.study) for name in names
+            effect_with_sizes(catalogue.effect(name, origin, place), state.study)
+            for name in names
         ]
     if gap is None or not gap.effect_likely:
         return []

@@ -7,7 +7,7 @@ from oed.identifiability.information import Scaling
 from oed.result import PolishSummary
 from pkm_studies import describe
 from pkm_studies.base import Stream
-from pkm_studies.resolve.plan import PlanRequest
+from pkm_studies.resolve import PlanRequest
 from pkm_studies.stages import headline
 from pkm_studies.stages.design import cost, section, select
 from pkm_studies.stages.fit import identifiability

@@ -8,9 +8,13 @@ from oed.base import units
 from oed.design.rules import Rules
 from oed.measurement.measurement import Measurement
 from pkm_studies.base import Stream
-from pkm_studies.resolve.gap import GapRequest
-from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
-from pkm_studies.resolve.planned_effects import CATALOGUE, NONE
+from pkm_studies.resolve import (
+    ALL_EFFECTS,
+    NO_EFFECTS,
+    GapDesignRequest,
+    GapRequest,
+    with_planned_readings,
+)
 from pkm_studies.stages.gap import detectability, second_visit, section
 from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
 from pkm_studies.stages.run_state import Fitted, RunState, ScheduledT
@@ -78,9 +82,9 @@ def diagnose_gap(state: Fitted) -> Fitted:
     command names the effects; of those of a virtual machine where the study asks for it.
     """
     is_recorded = state.resolved.dataset is not None
-    by_default = CATALOGUE if is_recorded else NONE
+    by_default = ALL_EFFECTS if is_recorded else NO_EFFECTS
     effects = state.study.identify.effects
-    is_asked = (by_default if effects is None else effects) not in (NONE, [])
+    is_asked = (by_default if effects is None else effects) not in (NO_EFFECTS, [])
     is_asked = is_asked and not state.with_effects
     if state.resolved.gap is None and not is_asked:
         return state

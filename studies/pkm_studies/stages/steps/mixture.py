@@ -10,7 +10,7 @@ from oed.compensate.effects.expected_columns import expected_columns
 from oed.gap.data.signature import untestable
 from oed.result import CorrectedSection, PredictionSection
 from pkm_studies.base import Stream
-from pkm_studies.resolve.workspace import regular_commands
+from pkm_studies.resolve import regular_commands
 from pkm_studies.stages.corrected.section import NO_HELP, without_tables
 from pkm_studies.stages.fit.effects import readings_with_covariates, states_in_use
 from pkm_studies.stages.gap import mixture as sections

@@ -21,7 +21,7 @@ from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
 from pkm_studies.base import Stream
-from pkm_studies.resolve.gap import GapRequest
+from pkm_studies.resolve import GapRequest
 from pkm_studies.stages.fit.effects import session_states
 from pkm_studies.stages.gap.virtual_readings import empty_readings
 from pkm_studies.stages.predict import accuracy, knowledge
