@@ -70,7 +70,7 @@ class Problem:
 
 def effects_of(bench: world.Bench, rng: np.random.Generator) -> PlannedEffects:
     """What all effects of a bench's machine do to its session, at expected sizes."""
-    place = SimpleNamespace(
+    location = SimpleNamespace(
         command=_workspace(bench), table=SimpleNamespace(reference="best_fit")
     )
     request = SimpleNamespace(gravity=bench.gravity)
@@ -79,7 +79,7 @@ def effects_of(bench: world.Bench, rng: np.random.Generator) -> PlannedEffects:
         bench.series,
         bench.effects,
         request,
-        place,
+        location,
         rng,
         MAX_EFFECT_UNKNOWNS,
     )

@@ -16,7 +16,7 @@ import numpy as np
 
 from pkm_campaign.case import COLUMNS, EXPECTED
 from pkm_studies import catalogue
-from pkm_studies.base import Place, shorten
+from pkm_studies.base import Location, shorten
 from pkm_studies.user_code import Origin
 
 #: characters of a failure that are shown
@@ -47,8 +47,8 @@ class UserFunction:
 
 @functools.cache
 def _loaded(function: UserFunction, field: str) -> Callable[..., Any]:
-    place = Place(function.file, field)
-    return catalogue.function(function.reference, function.origin, place)
+    location = Location(function.file, field)
+    return catalogue.function(function.reference, function.origin, location)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

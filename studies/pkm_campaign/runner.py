@@ -49,7 +49,7 @@ def run_cases(
             done += 1
             progress(done / len(every))
     except CaseFunctionError as error:
-        raise campaign.place.key("case").error(
+        raise campaign.location.key("case").error(
             str(error), "mend the function; the other cases stay", campaign.case
         ) from error
     return broken

@@ -13,7 +13,7 @@ from pkm_campaign.case import COLUMNS, Figures
 from pkm_campaign.case_function import CaseFunction, UserFunction
 from pkm_campaign.virtual_machine import VirtualMachine
 from pkm_studies import files, shipped
-from pkm_studies.base import InputError, Name, Place, shorten
+from pkm_studies.base import InputError, Location, Name, shorten
 from pkm_studies.resolve import resolve
 from pkm_studies.study import (
     Study,
@@ -77,9 +77,9 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     consent: Consent = Consent.RECORDED
 
     @property
-    def place(self) -> Place:
+    def location(self) -> Location:
         """The file, for errors."""
-        return Place(str(self.path))
+        return Location(str(self.path))
 
     def settings(self) -> list[dict[str, Any]]:
         """Every combination of the varied values, in the order of the file."""
@@ -107,7 +107,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         Raises InputError for more than it has.
         """
         if seeds > self.seeds:
-            raise self.place.key("seeds").error(
+            raise self.location.key("seeds").error(
                 f"{self.seeds} cases of each combination, and --seeds {seeds}",
                 f"raise `seeds` to {seeds}, or leave the option away for all",
             )
@@ -133,7 +133,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """
         if self.varied is None:
             raise LookupError("a campaign of a function varies no study")
-        return with_setting(self.varied, setting, self.place.key("vary"))
+        return with_setting(self.varied, setting, self.location.key("vary"))
 
 
 def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
@@ -146,16 +146,16 @@ def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:
     Raises InputError that names file, field, value and remedy.
     """
     path = _shipped_or(path)
-    place = Place(str(path))
+    location = Location(str(path))
     text = files.read_text(path, limit=LIMIT, what="campaign file")
-    table = tables_of(text, place)
-    tables = decode_table(CampaignFile, table, place)
+    table = tables_of(text, location)
+    tables = decode_table(CampaignFile, table, location)
     if tables.schema != SCHEMA:
         remedy = "this program reads schema = 1"
-        raise place.key("schema").error("unknown version", remedy, tables.schema)
+        raise location.key("schema").error("unknown version", remedy, tables.schema)
     study = None
-    if _is_of_study(tables, place):
-        study = _study(tables, path, place, consent)
+    if _is_of_study(tables, location):
+        study = _study(tables, path, location, consent)
     fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
     campaign = Campaign(**fields, path=path, text=text, varied=study, consent=consent)
     _check_settings(campaign)
@@ -169,32 +169,34 @@ def _shipped_or(path: Path) -> Path:
     return file if is_name and not path.exists() and file.is_file() else path
 
 
-def _is_of_study(tables: CampaignFile, place: Place) -> bool:
+def _is_of_study(tables: CampaignFile, location: Location) -> bool:
     """Whether the cases are machines of a study. Raises InputError where both, or none."""
     if bool(tables.study) == bool(tables.case):
         problem = "give study, or case for a function of your own; one of them"
-        raise place.key("study").error(
+        raise location.key("study").error(
             "no study and no case" if not tables.study else "study and case", problem
         )
     if tables.study and tables.summary:
         remedy = "leave it out, or give a function as case"
-        raise place.key("summary").error("a study has its own summary", remedy)
+        raise location.key("summary").error("a study has its own summary", remedy)
     if tables.case and tables.diagnose:
         remedy = "leave it out: the case function does what it likes"
-        raise place.key("diagnose").error(
+        raise location.key("diagnose").error(
             "only machines of a study are diagnosed", remedy
         )
     return bool(tables.study)
 
 
-def _study(tables: CampaignFile, path: Path, place: Place, consent: Consent) -> Study:
+def _study(
+    tables: CampaignFile, path: Path, location: Location, consent: Consent
+) -> Study:
     """The varied study, beside the campaign or shipped. Raises InputError."""
     neighbour = path.parent / tables.study
     is_neighbour = neighbour.is_file()
     file = neighbour if is_neighbour else shipped.study_path(Path(tables.study))
     study = load(file, consent)
     if study.prediction is None:
-        raise place.key("study").error(
+        raise location.key("study").error(
             "the study does not say where accuracy counts",
             "add [prediction] with a workspace to it",
             tables.study,
@@ -204,15 +206,15 @@ def _study(tables: CampaignFile, path: Path, place: Place, consent: Consent) -> 
 
 def _check_settings(campaign: Campaign) -> None:
     """Raises InputError for no values, too many cases, and fields that do not fit."""
-    place = campaign.place
+    location = campaign.location
     for field, values in campaign.vary.items():
         if not values:
-            at = place.key("vary").key(field)
+            at = location.key("vary").key(field)
             raise at.error("no values", "list the values to try")
     settings = campaign.settings()
     if len(settings) * campaign.seeds > MOST_CASES:
         problem = f"{len(settings)} combinations with {campaign.seeds} machines each"
-        raise place.key("seeds").error(problem, f"stay below {MOST_CASES} cases")
+        raise location.key("seeds").error(problem, f"stay below {MOST_CASES} cases")
     if campaign.varied is None:
         _check_functions(campaign)
         return
@@ -224,14 +226,14 @@ def _check_settings(campaign: Campaign) -> None:
                 f"{k} = {shorten(repr(v), 40)}" for k, v in setting.items()
             )
             problem = f"with {words}: {error}"
-            raise place.key("vary").error(problem, "change this value") from error
+            raise location.key("vary").error(problem, "change this value") from error
 
 
 def _check_functions(campaign: Campaign) -> None:
     """Raises InputError for functions that are not there, and names of other columns."""
     for name in campaign.vary:
         if name in COLUMNS:
-            at = campaign.place.key("vary").key(name)
+            at = campaign.location.key("vary").key(name)
             raise at.error("this names another column", "choose another name")
     campaign.user_function(campaign.case).load("case")
     if campaign.summary:

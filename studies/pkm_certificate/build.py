@@ -26,7 +26,7 @@ from oed.result.certificate import (
 from oed.result.verdict import GEOMETRY_ALONE, accuracy_verdicts
 from pkm_studies import quantities
 from pkm_studies.acceptance import PromisedAccuracy, covariances, promised_accuracy
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.earlier_result import corrects_effects, mixture_of
 from pkm_studies.study import Study
 
@@ -58,11 +58,11 @@ def certificate(
     head: CertificateHead,
     tolerance: Mapping[str, float],
     file: str,
-    place: Place,
+    location: Location,
 ) -> Certificate:
     """All that the certificate of a result states.
 
-    tolerance  by name and unit, as the user gives it at `place`
+    tolerance  by name and unit, as the user gives it at `location`
     file       result.json
 
     Raises InputError for a result that certifies no machine, and for unknown names.
@@ -89,7 +89,7 @@ def certificate(
         predicted=list(_predicted(result, promised)),
         verified_poses=_measured_poses(result),
         verified=list(_verified(result)),
-        conformity=list(_conformities(result, section, promised, tolerance, place)),
+        conformity=list(_conformities(result, section, promised, tolerance, location)),
         conditions=conditions(result),
     )
 
@@ -203,12 +203,12 @@ def _conformities(
     section: EstimateSection | CorrectedSection,
     promised: PromisedAccuracy,
     tolerance: Mapping[str, float],
-    place: Place,
+    location: Location,
 ) -> Iterator[Conformity]:
     """Conformity with each tolerance, or with what an acceptance test promised."""
     known = {p.name: p.unit for p in promised.machine.parameters}
     known |= {c.name: c.unit for c in promised.machine.components}
-    stated = quantities.read_values(tolerance, known, place)
+    stated = quantities.read_values(tolerance, known, location)
     if not stated and result.acceptance is not None:
         demands = result.acceptance.components
         stated = {n: d.promised * units.factor(d.unit) for n, d in demands.items()}
@@ -234,7 +234,7 @@ def _conformities(
             unit = known[name]
             yield _predicted_conformity(result, name, basis, largest, unit, alone)
         else:
-            raise place.error(
+            raise location.error(
                 f"nothing is known of {name} that a tolerance could be compared with",
                 f"remove it, or name one of {', '.join([*parts, *section.parameters])}",
             )
@@ -312,6 +312,6 @@ def _of_parameter(
     return Conformity(quantity, "identified", largest, unit, probability)
 
 
-def tolerance_place(path: Path) -> Place:
+def tolerance_place(path: Path) -> Location:
     """Where tolerances stand."""
-    return Place(str(path), "tolerance")
+    return Location(str(path), "tolerance")

@@ -18,7 +18,7 @@ from oed.result.certificate import (
     UsedInstrument,
 )
 from pkm_studies import files
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.study import decode_table, tables_of
 from pkm_studies.tables import Positive, StudyTable
 
@@ -147,18 +147,18 @@ def read(path: Path) -> tuple[CertificateHead, dict[str, float]]:
 
     Where the file is absent, it is written with empty texts to fill in.
     """
-    place = Place(str(path))
+    location = Location(str(path))
     if not path.exists() and path.parent.is_dir():
         files.write_whole(path, TEMPLATE)
-        raise place.error(
+        raise location.error(
             "a certificate states what no calibration knows: laboratory, customer,"
             " dates, serial number. This file is written with empty texts",
             "fill them in, and call the command again",
         )
     text = files.read_text(path, limit=LIMIT, what="certificate file")
-    table = tables_of(text, place)
-    file = decode_table(HeadFile, table, place)
-    _check(file, place)
+    table = tables_of(text, location)
+    file = decode_table(HeadFile, table, location)
+    _check(file, location)
     return _head(file), file.tolerance
 
 
@@ -181,11 +181,11 @@ def _head(file: HeadFile) -> CertificateHead:
     )
 
 
-def _check(file: HeadFile, place: Place) -> None:
+def _check(file: HeadFile, location: Location) -> None:
     """Raises InputError for a needed text that is empty, and for dates that are none."""
     if not file.person:
-        raise place.key("person").error("missing", "add a [[person]] with a name")
-    for at, table in _tables(file, place):
+        raise location.key("person").error("missing", "add a [[person]] with a name")
+    for at, table in _tables(file, location):
         for field in msgspec.structs.fields(table):
             value = getattr(table, field.name)
             if isinstance(value, str) and CONTROL.search(value):
@@ -196,27 +196,29 @@ def _check(file: HeadFile, place: Place) -> None:
                 raise at.key(field.encode_name).error(
                     "empty", "a certificate has to state it: fill it in"
                 )
-    dates = [_date(getattr(file, key), place.key(key)) for key in ("begin", "end")]
+    dates = [_date(getattr(file, key), location.key(key)) for key in ("begin", "end")]
     if file.issued:
-        dates.append(_date(file.issued, place.key("issued")))
+        dates.append(_date(file.issued, location.key("issued")))
     if dates != sorted(dates):
-        raise place.key("end").error(
+        raise location.key("end").error(
             "begin, end and issued are not in this order", "correct the dates", file.end
         )
 
 
-def _tables(file: HeadFile, place: Place) -> Iterator[tuple[Place, msgspec.Struct]]:
+def _tables(
+    file: HeadFile, location: Location
+) -> Iterator[tuple[Location, msgspec.Struct]]:
     """All tables with their places."""
-    yield place, file
+    yield location, file
     for key in ("item", "laboratory", "customer"):
-        yield place.key(key), getattr(file, key)
+        yield location.key(key), getattr(file, key)
     for key in ("person", "instrument"):
         for i, table in enumerate(getattr(file, key)):
-            yield place.key(key).item(i), table
+            yield location.key(key).item(i), table
 
 
-def _date(text: str, place: Place) -> datetime.date:
+def _date(text: str, location: Location) -> datetime.date:
     try:
         return datetime.date.fromisoformat(text)
     except ValueError:
-        raise place.error("no date", "write it as in 2026-03-01", text) from None
+        raise location.error("no date", "write it as in 2026-03-01", text) from None

@@ -19,7 +19,7 @@ from oed.model.machine import Dimension, Machine
 from pkm_page import typed
 from pkm_reports.view import PageView, ViewLine
 from pkm_studies import catalogue, files, shipped
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.drafts import (
     SHARES,
     default_instrument,
@@ -129,7 +129,7 @@ class StudyForm:
         if form.instrument not in self.instruments(form.machine):
             raise _error("instrument", "it cannot read this machine", "choose another")
         tool = catalogue.instrument(
-            form.instrument, self.origin, Place("form")
+            form.instrument, self.origin, Location("form")
         ).for_machine(machine)
         if tool.single:
             tool = tool.take_channels([tool.channels[0].name])
@@ -170,7 +170,7 @@ class StudyForm:
         self._model(form.machine)
         table = MachineTable(model=form.machine, geometry=geometry)
         try:
-            return described_machine(table, self.origin, Place("form", "machine"))
+            return described_machine(table, self.origin, Location("form", "machine"))
         except InputError as error:
             keys = [field.key for field in self.sizes(form.machine)]
             raise FieldError(_field_of(error, keys), error) from error
@@ -178,7 +178,7 @@ class StudyForm:
     def _model(self, name: str) -> Machine:
         if name not in self.machines():
             raise _error("machine", "no such machine", "choose one of the list")
-        model: Machine = catalogue.machine(name, self.origin, Place("form"))
+        model: Machine = catalogue.machine(name, self.origin, Location("form"))
         return model
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from pkm_studies.base import Place, shorten
+from pkm_studies.base import Location, shorten
 from pkm_studies.study import AS_PUBLISHED, Row, read_csv, read_json
 
 TOWERS = "abc"
@@ -49,11 +49,11 @@ def _distances(path: Path, steps: StepSizes) -> Iterator[Row]:
 
 def _joints(row: Row, prefix: str, steps: StepSizes, path: Path) -> Row:
     """Joints q1_mm to q3_mm from steps of the towers; repr keeps every digit."""
-    place = Place(str(path), f"session {row['session']}, i {row['i']}")
+    location = Location(str(path), f"session {row['session']}, i {row['i']}")
     try:
         sizes = steps[row["session"]]
         travel = [float(row[prefix + t]) * sizes[k] for k, t in enumerate(TOWERS)]
     except (KeyError, ValueError, IndexError, TypeError) as error:
         problem = f"no step size or no number: {shorten(str(error), 80)}"
-        raise place.error(problem, AS_PUBLISHED) from None
+        raise location.error(problem, AS_PUBLISHED) from None
     return {f"q{k + 1}_mm": repr(value) for k, value in enumerate(travel)}

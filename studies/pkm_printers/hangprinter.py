@@ -21,7 +21,7 @@ from pkm_printers import gcode, words
 from pkm_printers.gcode import Command
 from pkm_printers.rrf_sequence import execution_order
 from pkm_printers.words import HARMLESS, READ, Word, WordTable, costs, refused, same
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
     ImportedSession,
@@ -109,7 +109,9 @@ class HangprinterImporter:
             nominal=_nominal(anchors, spools),
             geometry={"buildup_mm": _numbers(spools, "Q")[0]},
         )
-        machine = described_machine(table, Origin.command(request.consent), Place(""))
+        machine = described_machine(
+            table, Origin.command(request.consent), Location("")
+        )
         file = next(t.file for t in tables if set(MOTORS) <= set(t.header))
         check_motor_unit(machine, motors, places, file)
         setups = [{"name": "lines", "instrument": "redundancy"}]
@@ -176,18 +178,18 @@ def _nominal(anchors: Command, spools: Command) -> dict[str, float]:
             "R needs four radii", "give the full command", "M666 R"
         )
     for i, motor in enumerate(MOTORS, start=1):
-        place = _numbers(anchors, motor)
-        if len(place) == 1:  # the upper anchor of three-number versions: its height
-            place = [0.0, 0.0, *place]
-        if len(place) != len("xyz") or np.abs(place).max() > LARGEST:
+        location = _numbers(anchors, motor)
+        if len(location) == 1:  # the upper anchor of three-number versions: its height
+            location = [0.0, 0.0, *location]
+        if len(location) != len("xyz") or np.abs(location).max() > LARGEST:
             problem = "an anchor has x, y and z, in mm"
             raise anchors.line_of(motor).error(
                 problem, "give the full command", f"M669 {motor}"
             )
-        for axis, value in zip("xyz", place, strict=True):
+        for axis, value in zip("xyz", location, strict=True):
             nominal[f"anchor{i}{axis}_mm"] = value
         nominal[f"radius{i}_mm"] = radii[i - 1]
-        nominal[f"line{i}_mm"] = round(float(np.linalg.norm(place)), 6)
+        nominal[f"line{i}_mm"] = round(float(np.linalg.norm(location)), 6)
     return nominal
 
 
@@ -240,11 +242,11 @@ def _rows(motors: Array, places: Array) -> list[Row]:
         for row in motors
     ]
     rows: list[Row] = []
-    for k, place in enumerate(places):
+    for k, location in enumerate(places):
         label = {"setup": "camera", "run": "1", "order": str(k + 1)}
         read = {
             f"read_{axis}_mm": repr(float(value))
-            for axis, value in zip("xyz", place, strict=True)
+            for axis, value in zip("xyz", location, strict=True)
         }
         rows.append(label | joints[k] | read)
     for k, pose in enumerate(joints):

@@ -27,7 +27,7 @@ from pkm_printers.words import (
     costs,
     same,
 )
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import plain_number
 from pkm_studies.importers import (
     ImportedSession,
@@ -129,7 +129,9 @@ class MaslowImporter:
                 "reach_mm": round(REACH * float(np.ptp(anchors, axis=0).min()), 1),
             },
         )
-        machine = described_machine(table, Origin.command(request.consent), Place(""))
+        machine = described_machine(
+            table, Origin.command(request.consent), Location("")
+        )
         setup = {"name": "belts", "instrument": "redundancy"}
         noise = {"assumed": True, "gap1_mm": 0.5, "gap2_mm": 0.5}
         text = imported_study(

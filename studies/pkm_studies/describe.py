@@ -57,13 +57,13 @@ def parameter_labels(kinematics: Kinematics, x: Array, q: Array) -> list[Drawing
     moved = [_moved_point(kinematics, x, q, k) for k in range(len(names))]
     places = _with_joined_points(kinematics, x, q, moved)
     members: dict[tuple[float, ...], list[str]] = {}
-    for name, place in zip(names, places, strict=True):
-        if place is not None and name not in kinematics.machine.frame:
-            key = tuple(np.round(place / SAME_PLACE) * SAME_PLACE)
+    for name, location in zip(names, places, strict=True):
+        if location is not None and name not in kinematics.machine.frame:
+            key = tuple(np.round(location / SAME_PLACE) * SAME_PLACE)
             members.setdefault(key, []).append(name)
     return [
-        DrawingLabel([float(v) for v in place], shortened(group), group)
-        for place, group in members.items()
+        DrawingLabel([float(v) for v in location], shortened(group), group)
+        for location, group in members.items()
     ]
 
 
@@ -123,7 +123,7 @@ def _with_joined_points(
     scale = np.abs(by_p).max(axis=1, keepdims=True)
     in_row = np.abs(by_p) > LEAST_SLOPE * scale
     places = list(moved)
-    known = {k: place for k, place in enumerate(moved) if place is not None}
+    known = {k: location for k, location in enumerate(moved) if location is not None}
     for k in range(len(places)):
         rows = np.flatnonzero(in_row[:, k])
         sharing = [j for j in known if in_row[rows, j].any()]
@@ -320,9 +320,9 @@ def _far_end(setup: Setup, tool_points: Array, row: Index) -> list[float] | None
     """The other end of what is measured, m, if it has a place."""
     if len(row) == 2:
         return [float(v) for v in tool_points[row[1]]]
-    place = [setup.settings.get(f"at_{axis}") for axis in "xyz"]
-    known = [float(v) for v in place if v is not None]
-    return known if len(known) == len(place) else None
+    location = [setup.settings.get(f"at_{axis}") for axis in "xyz"]
+    known = [float(v) for v in location if v is not None]
+    return known if len(known) == len(location) else None
 
 
 def _points(line: Array) -> list[list[float]]:

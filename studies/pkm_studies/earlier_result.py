@@ -19,7 +19,7 @@ from oed.result import (
     ParameterEstimate,
     StudyResult,
 )
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
 
@@ -29,26 +29,26 @@ SAME = 1e-9
 
 
 def named_result(
-    study: Study, name: str, place: Place, machine: Machine
+    study: Study, name: str, location: Location, machine: Machine
 ) -> tuple[StudyResult, Path]:
     """The result in a folder that a study names at a place, and the folder.
 
     A relative name starts at the study's file. Raises InputError where there is no
     result with an identification, or one of another machine.
     """
-    folder = result_folder(study, name, place)
+    folder = result_folder(study, name, location)
     result = load_result(folder)
     difference = machine_difference(result.machine, machine)
     if difference is not None:
         problem = f"it is the result of another machine: {difference}"
-        raise place.error(problem, "name a result of this machine", name)
+        raise location.error(problem, "name a result of this machine", name)
     if result.final_estimate is None:
         remedy = "make it with `oed identify STUDY --readings CSV --out DIR`"
-        raise place.error("nothing was identified there", remedy, name)
+        raise location.error("nothing was identified there", remedy, name)
     return result, folder
 
 
-def result_folder(study: Study, name: str, place: Place) -> Path:
+def result_folder(study: Study, name: str, location: Location) -> Path:
     """The folder that a study names at a place. Raises InputError without a result."""
     folder = study.folder / name
     if not (folder / "result.json").is_file():
@@ -56,7 +56,7 @@ def result_folder(study: Study, name: str, place: Place) -> Path:
         if not folder.is_dir():
             problem = f"there is no folder {folder}"
         remedy = "name the folder of an `oed identify`, relative to the study's file"
-        raise place.error(problem, remedy, name)
+        raise location.error(problem, remedy, name)
     return folder
 
 
@@ -181,16 +181,18 @@ def _section(
     stored: StudyResult, machine: str, free: Sequence[str], folder: Path
 ) -> EstimateSection | CorrectedSection:
     """The estimate of a stored result, all of the free parameters in it."""
-    place = Place(str(folder / "result.json")).key("estimate")
+    location = Location(str(folder / "result.json")).key("estimate")
     section = stored.final_estimate
     if section is None:
-        raise place.error("nothing was identified there", "make it with `oed identify`")
+        raise location.error(
+            "nothing was identified there", "make it with `oed identify`"
+        )
     remedy = f"give a result for {machine} of this study"
     absent = [name for name in free if name not in section.parameters]
     if absent:
-        raise place.error(f"it has no estimate of {absent[0]}", remedy)
+        raise location.error(f"it has no estimate of {absent[0]}", remedy)
     if stored.machine.name != machine:
-        raise place.error(f"it is about {stored.machine.name}", remedy)
+        raise location.error(f"it is about {stored.machine.name}", remedy)
     return section
 
 
@@ -215,7 +217,7 @@ def read_draws(path: Path, free: list[str]) -> Array | None:
         if len(draws) < 2 or not np.isfinite(draws).all():
             raise ValueError("draws are missing")
     except Exception as error:  # as many kinds as HDF5 and its readers have
-        raise Place(str(path)).error(
+        raise Location(str(path)).error(
             f"these are no draws of a posterior: {error}",
             "restore the file, or make the result again; without it, the covariance of"
             " the estimate counts",

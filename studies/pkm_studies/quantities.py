@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from oed.base import units
-from pkm_studies.base import InputError, Place, suggest
+from pkm_studies.base import InputError, Location, suggest
 
 if TYPE_CHECKING:
     from oed.model.machine import Machine
@@ -28,39 +28,41 @@ def display_unit(si: str) -> str:
     return "deg" if si == "rad" else units.display(si)
 
 
-def split_key(key: str, known: Mapping[str, str], place: Place) -> tuple[str, str]:
+def split_key(
+    key: str, known: Mapping[str, str], location: Location
+) -> tuple[str, str]:
     """Name and unit of a key; `known` gives each name's SI unit. Raises InputError."""
     stem, _, unit = key.rpartition("_")
     if stem in known and unit in allowed_units(known[stem]):
         return stem, unit
     if key in known and known[key] == "1":
         return key, "1"
-    raise _refusal(key, stem, unit, known, place)
+    raise _refusal(key, stem, unit, known, location)
 
 
 def _refusal(
-    key: str, stem: str, unit: str, known: Mapping[str, str], place: Place
+    key: str, stem: str, unit: str, known: Mapping[str, str], location: Location
 ) -> InputError:
     name = stem if stem in known else key
     if name not in known:
         columns = [column(n, si) for n, si in known.items()]
-        return place.key(key).error("unknown field", suggest(key, columns))
+        return location.key(key).error("unknown field", suggest(key, columns))
     problem = "the unit is missing in the name"
     if name == stem:
         problem = f'"{unit}" is no unit for {stem}'
     allowed = ", ".join(f"{name}_{u}" for u in allowed_units(known[name]))
-    return place.key(key).error(problem, f"allowed: {allowed}")
+    return location.key(key).error(problem, f"allowed: {allowed}")
 
 
 def read_values(
-    table: Mapping[str, float], known: Mapping[str, str], place: Place
+    table: Mapping[str, float], known: Mapping[str, str], location: Location
 ) -> dict[str, float]:
     """SI values by name; `known` gives each name's SI unit. Raises InputError."""
     values: dict[str, float] = {}
     for key, value in table.items():
-        name, unit = split_key(key, known, place)
+        name, unit = split_key(key, known, location)
         if name in values:
-            raise place.key(key).error(
+            raise location.key(key).error(
                 f"{name} is given twice", "keep one of the two", value
             )
         values[name] = float(units.to_si(value, unit))
@@ -99,10 +101,10 @@ def format_as(value: float, si: str, key: str) -> str:
     return f"{float(units.from_si(value, unit)):.9g} {unit}"
 
 
-def check_not_negative(value: float, place: Place) -> None:
+def check_not_negative(value: float, location: Location) -> None:
     """Raises InputError for a tolerance below 0."""
     if value < 0.0:
-        raise place.error(
+        raise location.error(
             "a tolerance is a standard deviation", "give a number >= 0", value
         )
 
@@ -113,17 +115,19 @@ def component_values(text: str, option: str, machine: Machine) -> dict[str, floa
     Raises InputError.
     """
     known = {c.name: c.unit for c in machine.components}
-    place = Place(option)
+    location = Location(option)
     values = {}
     for entry in filter(None, text.replace(",", " ").split()):
         key, _, number = entry.partition("=")
-        name, unit = split_key(key, known, place)
+        name, unit = split_key(key, known, location)
         try:
             value = float(number)
         except ValueError:
             value = -1.0
         if not 0.0 < value < math.inf:
-            raise place.key(key).error("not a positive number", "write z_um=30", number)
+            raise location.key(key).error(
+                "not a positive number", "write z_um=30", number
+            )
         values[name] = float(units.to_si(value, unit))
     return values
 

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 
 from pkm_studies import files
-from pkm_studies.base import InputError, Place, check_name, suggest
+from pkm_studies.base import InputError, Location, check_name, suggest
 from pkm_studies.study import SUFFIX
 
 NAME_LINE = re.compile(r'^name = ".*"$', re.MULTILINE)
@@ -81,7 +81,7 @@ def copy(name: str, source: str, out: Path) -> Path:
 def new_path(name: str, out: Path) -> Path:
     """The file of a new study. Raises InputError for a bad name or an existing file."""
     name = name.removesuffix(SUFFIX)
-    check_name(name, Place("", "NAME"))
+    check_name(name, Location("", "NAME"))
     path = out / f"{name}{SUFFIX}"
     if path.exists():
         raise InputError(

@@ -25,12 +25,12 @@ def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Da
     else:
         data = _from_source(table.source, table, study, measurement)
     for field, names in (("fit", table.fit or []), ("predict", table.predict)):
-        place = study.place.key("readings").key(field)
+        location = study.location.key("readings").key(field)
         for i, name in enumerate(names):
             if name not in data.setups:
                 remedy = suggest(name, data.setups, "set-ups with readings")
                 problem = "no reading was taken in this set-up"
-                raise place.item(i).error(problem, remedy, name)
+                raise location.item(i).error(problem, remedy, name)
     return data
 
 
@@ -95,13 +95,13 @@ def _from_source(
     source: str, table: ReadingsTable, study: Study, measurement: Measurement
 ) -> Dataset:
     """Readings of a collection in the set-ups that the study knows."""
-    place = study.place.key("readings")
+    location = study.location.key("readings")
     collections = project_plugins("sources")
     if source not in collections:
         remedy = suggest(source, collections)
-        raise place.key("source").error("no such source", remedy, source)
+        raise location.key("source").error("no such source", remedy, source)
     if table.path is None:
-        raise place.key("path").error(
+        raise location.key("path").error(
             "missing", f"say where {source} is, relative to the study"
         )
     folder = (study.folder / table.path).resolve()
@@ -109,14 +109,14 @@ def _from_source(
         raise SourceAbsentError(
             f"{source} is not there (looked in {folder})",
             "put the data there, or change the path",
-            file=place.file,
+            file=location.file,
             field="readings.path",
         )
     rows: list[Row] = list(collections[source].load()(folder))
     known = [row for row in rows if row["setup"] in measurement.setups]
     if not known:
         names = dict.fromkeys(row["setup"] for row in rows)
-        raise study.place.key("setup").error(
+        raise study.location.key("setup").error(
             "no set-up has readings in the source", suggest("", names, "it has")
         )
     return _build(known, str(folder), measurement)

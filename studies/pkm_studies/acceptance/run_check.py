@@ -21,7 +21,7 @@ from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
 from oed.result import CorrectedSection, EstimateSection, RunCurve
 from pkm_studies import result_folder
-from pkm_studies.base import Place, Silent
+from pkm_studies.base import Location, Silent
 from pkm_studies.compensation import result_study
 from pkm_studies.results import load_result, refuse_bad_fit
 from pkm_studies.stages import compensated_series, measured_curves, start
@@ -63,20 +63,24 @@ def check_folder(
     nothing.
     """
     result = load_result(folder)
-    place = Place(str(folder / "result.json"))
+    location = Location(str(folder / "result.json"))
     section = result.final_estimate
     if section is None or not section.covariance:
-        raise place.error("this result has no estimate", "identify the machine first")
+        raise location.error(
+            "this result has no estimate", "identify the machine first"
+        )
     refuse_bad_fit(result)
     study = result_study(result, folder, study_file, consent)
     state = start(study, None, Silent(), [readings])
     data = state.resolved.dataset
     if data is None:
-        raise place.error(f"{readings} has no readings", "give readings of the study")
+        raise location.error(
+            f"{readings} has no readings", "give readings of the study"
+        )
     measurement = state.resolved.measurement_with(set(data.setups))
     check = _compare(measurement, data.series, data.y, section)
     if check is None:
-        raise place.error(
+        raise location.error(
             "the compensated machine's joints are not known at these readings",
             "record commands within reach, not joints",
         )

@@ -1,7 +1,7 @@
 """What the whole package rests on: refusals of bad input, names, progress, random streams.
 
 InputError         bad input: what, where (file, field, value), and the remedy
-Place              a file and a field in it, which make such an error
+Location           a file and a field in it, which make such an error
 SourceAbsentError  published readings that are not on this computer
 shorten            a text or value cut to the length of a sentence
 suggest            the nearest of some names, as a remedy
@@ -20,7 +20,7 @@ from oed.base.lazy import door
 if TYPE_CHECKING:
     from pkm_studies.base.errors import (
         InputError,
-        Place,
+        Location,
         SourceAbsentError,
         shorten,
         suggest,

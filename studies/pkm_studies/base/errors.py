@@ -61,19 +61,19 @@ class SourceAbsentError(InputError):
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class Place:
+class Location:
     """File and field of a value."""
 
     file: str
     field: str = ""
 
-    def key(self, name: str) -> Place:
+    def key(self, name: str) -> Location:
         """A field of the table at this place."""
-        return Place(self.file, f"{self.field}.{name}" if self.field else name)
+        return Location(self.file, f"{self.field}.{name}" if self.field else name)
 
-    def item(self, index: int) -> Place:
+    def item(self, index: int) -> Location:
         """An entry, by its index from 0, of the list at this place."""
-        return Place(self.file, f"{self.field}[{index + 1}]")
+        return Location(self.file, f"{self.field}[{index + 1}]")
 
     def error(self, problem: str, remedy: str, value: object = _MISSING) -> InputError:
         """The error to raise for a value at this place."""

@@ -24,7 +24,7 @@ from types import ModuleType
 from typing import Any
 
 from pkm_studies import user_code
-from pkm_studies.base import Place, shorten, suggest
+from pkm_studies.base import Location, shorten, suggest
 from pkm_studies.plugins import GROUPS, plugins, project_plugins
 from pkm_studies.user_code import Origin
 
@@ -76,7 +76,7 @@ def listing(kind: str) -> list[CatalogueEntry]:
 
 
 def machine(
-    reference: str, origin: Origin, place: Place, *, assembled: bool = True
+    reference: str, origin: Origin, location: Location, *, assembled: bool = True
 ) -> Any:
     """The `oed.model.machine.Machine` that `reference` names. Raises InputError.
 
@@ -85,27 +85,27 @@ def machine(
     from oed.model.machine import Machine
     from pkm_studies.catalogue import machine_check as soundness
 
-    machine = lookup(reference, "machines", Machine, origin, place)
+    machine = lookup(reference, "machines", Machine, origin, location)
     if ":" in reference or user_code.is_file(reference):
-        soundness.check_machine(machine, place, assembled=assembled)
+        soundness.check_machine(machine, location, assembled=assembled)
     return machine
 
 
-def instrument(reference: str, origin: Origin, place: Place) -> Any:
+def instrument(reference: str, origin: Origin, location: Location) -> Any:
     """The `oed.model.instrument.Instrument` that `reference` names. Raises InputError."""
     from oed.model.instrument import Instrument
 
-    return lookup(reference, "instruments", Instrument, origin, place)
+    return lookup(reference, "instruments", Instrument, origin, location)
 
 
-def effect(reference: str, origin: Origin, place: Place) -> Any:
+def effect(reference: str, origin: Origin, location: Location) -> Any:
     """The `oed.model.effect.Effect` that `reference` names. Raises InputError."""
     from oed.model.effect import Effect
 
-    return lookup(reference, "effects", Effect, origin, place)
+    return lookup(reference, "effects", Effect, origin, location)
 
 
-def function(reference: str, origin: Origin, place: Place) -> Callable[..., Any]:
+def function(reference: str, origin: Origin, location: Location) -> Callable[..., Any]:
     """The function that `path/to/file.py:name` or `package.module:name` names.
 
     Raises InputError.
@@ -113,24 +113,24 @@ def function(reference: str, origin: Origin, place: Place) -> Callable[..., Any]
     module_name, _, name = reference.rpartition(":")
     if not module_name or name.endswith(".py"):
         remedy = "write path/to/file.py:function"
-        raise place.error("this names no function", remedy, reference)
-    module = _module(module_name, origin, place)
+        raise location.error("this names no function", remedy, reference)
+    module = _module(module_name, origin, location)
     item: Callable[..., Any] | None = getattr(module, name, None)
     if callable(item):
         return item
     there = [n for n, v in vars(module).items() if inspect.isfunction(v)]
-    raise place.error(
+    raise location.error(
         f"there is no function {name} in it",
         suggest(name, there, "there is"),
         reference,
     )
 
 
-def criterion(name: str, place: Place) -> str:
+def criterion(name: str, location: Location) -> str:
     """The name of a known criterion. Raises InputError."""
     known = _criteria()
     if name not in known:
-        raise place.error("no such criterion", suggest(name, known), name)
+        raise location.error("no such criterion", suggest(name, known), name)
     return name
 
 
@@ -184,7 +184,7 @@ def _installed(kind: str) -> Iterator[tuple[EntryPoint, Any]]:
 
 
 def lookup(
-    reference: str, kind: str, wanted: type, origin: Origin, place: Place
+    reference: str, kind: str, wanted: type, origin: Origin, location: Location
 ) -> Any:
     """The item of a kind that `reference` names, of the class `wanted`.
 
@@ -192,8 +192,8 @@ def lookup(
     """
     module_name = user_code.file_name(reference)
     if not module_name:
-        return _by_short_name(reference, kind, place)
-    module = _module(module_name, origin, place)
+        return _by_short_name(reference, kind, location)
+    module = _module(module_name, origin, location)
     usual = ATTRIBUTES.get(kind, kind.removesuffix("s"))
     attribute = reference[len(module_name) + 1 :] or usual
     item = getattr(module, attribute, None)
@@ -205,10 +205,10 @@ def lookup(
         if item is not None
         else f"there is no {attribute} in it"
     )
-    raise place.error(problem, suggest(attribute, there, "there is"), reference)
+    raise location.error(problem, suggest(attribute, there, "there is"), reference)
 
 
-def _by_short_name(name: str, kind: str, place: Place) -> Any:
+def _by_short_name(name: str, kind: str, location: Location) -> Any:
     item = _shipped_item(name, kind)
     if item is not None:
         return item
@@ -218,7 +218,7 @@ def _by_short_name(name: str, kind: str, place: Place) -> Any:
             suggest(name, sorted(items), "known")
             + ", or a file of your own: path/to/file.py:attribute"
         )
-        raise place.error(f"no such {kind.removesuffix('s')}", remedy, name)
+        raise location.error(f"no such {kind.removesuffix('s')}", remedy, name)
     return items[name][1]
 
 
@@ -240,12 +240,12 @@ def _shipped_item(name: str, kind: str) -> Any | None:
     return next((item for item in named if item.name == name), None)
 
 
-def _module(name: str, origin: Origin, place: Place) -> ModuleType:
+def _module(name: str, origin: Origin, location: Location) -> ModuleType:
     """A file's module, or one of an entry point; none else is imported."""
     if name.endswith(user_code.SUFFIX):
-        return user_code.run_file(name, origin, place)
+        return user_code.run_file(name, origin, location)
     if name not in _named_modules():
-        raise place.error(
+        raise location.error(
             "this module belongs to no installed machine, instrument, effect or format",
             "name a file in the study's folder, path/to/file.py:attribute, or a module"
             " of an entry point pkm_oed.* of an installed package",
@@ -254,7 +254,7 @@ def _module(name: str, origin: Origin, place: Place) -> ModuleType:
     try:
         return importlib.import_module(name)
     except Exception as error:  # a package's module may raise anything
-        raise place.error(
+        raise location.error(
             f"importing it failed with {type(error).__name__}:"
             f" {shorten(str(error), LONGEST_REASON)}",
             "mend or uninstall the package that provides it",

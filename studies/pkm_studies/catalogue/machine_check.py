@@ -13,7 +13,7 @@ from oed.mechanism.closest_closure import closure_at_guess
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.expressions import symbols
 from oed.model.machine import Machine
-from pkm_studies.base import Place, shorten
+from pkm_studies.base import Location, shorten
 
 #: the machine's default for `read_error`, which reads translations
 DEFAULT_READ_ERROR = {f.name: f.default for f in dataclasses.fields(Machine)}[
@@ -21,24 +21,26 @@ DEFAULT_READ_ERROR = {f.name: f.default for f in dataclasses.fields(Machine)}[
 ]
 
 
-def check_machine(machine: Machine, place: Place, *, assembled: bool = True) -> None:
+def check_machine(
+    machine: Machine, location: Location, *, assembled: bool = True
+) -> None:
     """Raises InputError that names the function that does not fit.
 
     Also where the home pose does not assemble, if it must be `assembled`.
     """
-    _check_closure(machine, place)
-    _check_sizes(machine, place)
-    _check_read_error(machine, place)
-    _check_numbers(machine, place)
+    _check_closure(machine, location)
+    _check_sizes(machine, location)
+    _check_read_error(machine, location)
+    _check_numbers(machine, location)
     if assembled:
-        _check_home(machine, place)
+        _check_home(machine, location)
 
 
-def _check_home(machine: Machine, place: Place) -> None:
+def _check_home(machine: Machine, location: Location) -> None:
     try:
         Kinematics(machine).inverse(machine.home_command)
     except AssemblyError as error:
-        raise place.error(
+        raise location.error(
             f"the home pose does not assemble; at its guess, {_equations(machine)}",
             "a large one names the strut whose ends or length are wrong; where all are"
             " large, guess is wrong or a length common to all; look at it: oed check FILE"
@@ -55,52 +57,52 @@ def _equations(machine: Machine) -> str:
     )
 
 
-def _check_closure(machine: Machine, place: Place) -> None:
+def _check_closure(machine: Machine, location: Location) -> None:
     x, q, p, c = _named_symbols(machine)
     equations = _call(
-        "closure", lambda: ca.vertcat(*machine.closure(x, q, p)).numel(), place
+        "closure", lambda: ca.vertcat(*machine.closure(x, q, p)).numel(), location
     )
     needed = len(x) + len(q) - len(c)
     if equations < needed:
         counts = f"{len(x)} pose + {len(q)} joint - {len(c)} command coordinates"
-        raise place.error(
+        raise location.error(
             f"closure gives {equations} equations, not {needed}",
             f"there must be one for each: {counts}",
         )
 
 
-def _check_sizes(machine: Machine, place: Place) -> None:
+def _check_sizes(machine: Machine, location: Location) -> None:
     x, q, p, c = _named_symbols(machine)
-    rotation, point = _call("platform", lambda: machine.platform(x), place)
-    _check_same("platform (rotation)", ca.SX(rotation).shape, (3, 3), place)
-    _check_same("platform (point)", ca.SX(point).numel(), 3, place)
-    target = _call("target", lambda: len(machine.target(c)), place)
-    _check_same("target", target, len(c), place)
+    rotation, point = _call("platform", lambda: machine.platform(x), location)
+    _check_same("platform (rotation)", ca.SX(rotation).shape, (3, 3), location)
+    _check_same("platform (point)", ca.SX(point).numel(), 3, location)
+    target = _call("target", lambda: len(machine.target(c)), location)
+    _check_same("target", target, len(c), location)
     commanded = _call(
-        "commanded", lambda: len(machine.commanded(x, ca.SX.zeros(3))), place
+        "commanded", lambda: len(machine.commanded(x, ca.SX.zeros(3))), location
     )
-    _check_same("commanded", commanded, len(c), place)
+    _check_same("commanded", commanded, len(c), location)
     guess = _call(
-        "guess", lambda: tuple(len(part) for part in machine.start(c, p)), place
+        "guess", lambda: tuple(len(part) for part in machine.start(c, p)), location
     )
     sizes = len(x), len(q)
-    _check_same("guess (values for pose and joints)", guess, sizes, place)
+    _check_same("guess (values for pose and joints)", guess, sizes, location)
 
 
-def _check_read_error(machine: Machine, place: Place) -> None:
+def _check_read_error(machine: Machine, location: Location) -> None:
     _, _, _, c = _named_symbols(machine)
     twist = [ca.SX(0.0)] * 6
-    count = _call("read_error", lambda: len(machine.read_error(c, twist)), place)
-    _check_same("read_error", count, len(machine.components), place)
+    count = _call("read_error", lambda: len(machine.read_error(c, twist)), location)
+    _check_same("read_error", count, len(machine.components), location)
     rotations = [k.name for k in machine.components if k.unit != "m"]
     if machine.read_error is DEFAULT_READ_ERROR and rotations:
-        raise place.error(
+        raise location.error(
             f"{', '.join(rotations)} would be read as a translation",
             "give read_error: twist[3:] are the rotations",
         )
 
 
-def _check_numbers(machine: Machine, place: Place) -> None:
+def _check_numbers(machine: Machine, location: Location) -> None:
     """Raises InputError where the closure is no number at the guess for home.
 
     Functions of `math` and NumPy give no number for a symbol without an error.
@@ -122,7 +124,7 @@ def _check_numbers(machine: Machine, place: Place) -> None:
             "use ca.cos, ca.sqrt and so on, not those of math, and a guess where roots"
             " and arcs have a value"
         )
-        raise place.error("closure is not a number at the guess for home", remedy)
+        raise location.error("closure is not a number at the guess for home", remedy)
 
 
 def _named_symbols(machine: Machine) -> tuple[Any, Any, Any, Any]:
@@ -132,24 +134,24 @@ def _named_symbols(machine: Machine) -> tuple[Any, Any, Any, Any]:
     return x, q, p, c
 
 
-def _call(name: str, function: Callable[[], Any], place: Place) -> Any:
+def _call(name: str, function: Callable[[], Any], location: Location) -> Any:
     """The value of a machine's function; what it raises becomes an InputError."""
     try:
         return function()
     except KeyError as error:
-        raise place.error(
+        raise location.error(
             f"{name} asks for {error}, which the machine has not", "check the name"
         ) from error
     except Exception as error:
         reason = shorten(str(error), 120)
-        raise place.error(
+        raise location.error(
             f"{name} fails with {type(error).__name__}: {reason}",
             "mend it in the machine's file",
         ) from error
 
 
-def _check_same(name: str, value: object, wanted: object, place: Place) -> None:
+def _check_same(name: str, value: object, wanted: object, location: Location) -> None:
     if value != wanted:
-        raise place.error(
+        raise location.error(
             f"{name} gives {value}, not {wanted}", "give one for each coordinate"
         )

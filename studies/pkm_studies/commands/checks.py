@@ -14,7 +14,7 @@ from oed.checks import Severity, blind
 from oed.dataset import Dataset
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from pkm_studies import catalogue, shipped, sources
-from pkm_studies.base import InputError, Place, SourceAbsentError, Stream
+from pkm_studies.base import InputError, Location, SourceAbsentError, Stream
 from pkm_studies.resolve import (
     ResolvedStudy,
     check_effect_names,
@@ -74,10 +74,10 @@ def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
 
 def _check_machine(path: Path, consent: Consent) -> Verdict:
     """A machine's file: its functions fit one another, and its home pose assembles."""
-    place = Place(str(path))
-    machine = catalogue.machine(str(path), Origin.command(consent), place)
+    location = Location(str(path))
+    machine = catalogue.machine(str(path), Origin.command(consent), location)
     kinematics = Kinematics(machine)
-    check_home(kinematics, place)
+    check_home(kinematics, location)
     return Verdict(
         f"sound: {machine.name} has {len(machine.joints)} joints and"
         f" {len(machine.parameters)} parameters, and closes at its home pose",

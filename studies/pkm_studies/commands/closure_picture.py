@@ -12,7 +12,7 @@ from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from oed.result.closest_closure import ClosestClosure
 from pkm_studies import catalogue, files, shipped
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.resolve import study_machine
 from pkm_studies.study import load
 from pkm_studies.user_code import Consent, Origin
@@ -43,9 +43,9 @@ def draw(path: Path, picture: Path, consent: Consent = Consent.RECORDED) -> str:
 def _machine(path: Path, consent: Consent) -> Machine:
     """The machine as stated, whether or not it assembles."""
     if path.suffix == ".py":
-        place = Place(str(path))
+        location = Location(str(path))
         machine: Machine = catalogue.machine(
-            str(path), Origin.command(consent), place, assembled=False
+            str(path), Origin.command(consent), location, assembled=False
         )
         return machine
     return study_machine(load(shipped.study_path(path), consent), assembled=False)

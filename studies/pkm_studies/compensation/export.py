@@ -24,7 +24,7 @@ from oed.model.machine import Machine
 from oed.result import StudyResult, trust, verdict
 from oed.result.verdict import accuracy_verdicts
 from pkm_studies import catalogue, files
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.catalogue import Compensation, ControllerFormat, MeasuringPose, Texts
 from pkm_studies.compensation import identified, table_grid
 from pkm_studies.compensation.budget import BUDGET_FILE, complete_budget
@@ -212,7 +212,7 @@ def export_folder(
 def named_format(reference: str, origin: Origin) -> ControllerFormat:
     """The format that `reference` names. Raises InputError."""
     controller: ControllerFormat = catalogue.lookup(
-        reference, "formats", ControllerFormat, origin, Place("--to")
+        reference, "formats", ControllerFormat, origin, Location("--to")
     )
     return controller
 

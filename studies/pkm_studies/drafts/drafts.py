@@ -9,7 +9,7 @@ from pathlib import Path
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
 from pkm_studies import catalogue, files, shipped
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.drafts import template
 from pkm_studies.drafts.axis_lines import SHARES
 from pkm_studies.drafts.bodies import families
@@ -46,12 +46,12 @@ def model_of(machine: str, origin: Origin, loops: Path | None = None) -> Startin
         name = described.machine.name
         table = families.study_tables(described)
         return StartingModel(name, described.machine, table, described.sentences)
-    place = Place("oed new").key("--machine")
+    location = Location("oed new").key("--machine")
     if loops is not None:
-        raise place.error(
+        raise location.error(
             "only URDF needs a table of loops", "leave out --loops", machine
         )
-    return StartingModel(machine, catalogue.machine(machine, origin, place))
+    return StartingModel(machine, catalogue.machine(machine, origin, location))
 
 
 def default_instrument(model: Machine, origin: Origin) -> tuple[str, list[str]]:
@@ -60,17 +60,17 @@ def default_instrument(model: Machine, origin: Origin) -> tuple[str, list[str]]:
     It is the first of DEFAULTS, or of the catalogue, whose settings all have defaults.
     Raises InputError where none can read it.
     """
-    place = Place("oed new")
+    location = Location("oed new")
     names = [entry.name for entry in catalogue.listing("instruments")]
     tools = {
-        name: catalogue.instrument(name, origin, place).for_machine(model)
+        name: catalogue.instrument(name, origin, location).for_machine(model)
         for name in names
     }
     able = [name for name in names if tools[name].unfit(model) is None]
     ready = [n for n in able if all(s.default is not None for s in tools[n].settings)]
     chosen = next((name for name in DEFAULTS if name in ready), None)
     if chosen is None and not able:
-        raise place.key("--instrument").error(
+        raise location.key("--instrument").error(
             f"no instrument of the catalogue can read {model.name}",
             "write one, see the reference, and name its file with --instrument",
         )
@@ -88,15 +88,15 @@ def write_draft(
     Raises InputError for a bad name, an existing file, and an instrument that cannot
     read the machine.
     """
-    place = Place("oed new")
+    location = Location("oed new")
     start = model_of(machine, origin) if isinstance(machine, str) else machine
     model = start.machine
     path = shipped.new_path(model.name if name is None else name, origin.folder)
-    listed = catalogue.instrument(instrument, origin, place.key("--instrument"))
+    listed = catalogue.instrument(instrument, origin, location.key("--instrument"))
     tool = listed.for_machine(model)
     reason = tool.unfit(model)
     if reason is not None:
-        raise place.key("--instrument").error(
+        raise location.key("--instrument").error(
             f"it cannot read {model.name}: {reason}", "take another", instrument
         )
     if tool.single:

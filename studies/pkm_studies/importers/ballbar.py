@@ -18,7 +18,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import column_map
 from pkm_studies.importers.ballbar_circles import MeasuredCircle, measured_circles
@@ -66,11 +66,11 @@ class BallbarImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """All runs of all files. Raises InputError."""
-        given, place = column_map.load(request)
-        model = column_map.model(request, given, place)
+        given, location = column_map.load(request)
+        model = column_map.model(request, given, location)
         tables = read_tables(request.files)
-        columns = trace_columns(given, tables[0], place)
-        circles = measured_circles(given, tables, columns, place)
+        columns = trace_columns(given, tables[0], location)
+        circles = measured_circles(given, tables, columns, location)
         runs = [
             _CircleRun(number, circle, trace, thin(*trace, circle.facts.readings))
             for number, (circle, trace) in enumerate(_pairs(circles), start=1)
@@ -83,7 +83,7 @@ class BallbarImporter:
         )
         return ImportedSession(
             study=_study(request, complete, circles, model, runs),
-            rows=_rows(runs, complete, model, place),
+            rows=_rows(runs, complete, model, location),
             statements=_statements(runs, columns, tables),
             column_map=column_map.text(complete),
         )
@@ -120,18 +120,18 @@ def _study(
 
 
 def _rows(
-    runs: Sequence[_CircleRun], given: ColumnMap, model: Model, place: Place
+    runs: Sequence[_CircleRun], given: ColumnMap, model: Model, location: Location
 ) -> list[Row]:
     """One row a mean, commanded where the circle has its angle."""
     machine = model.machine
     known = {c.name: c.unit for c in machine.command}
-    fixed = read_values(given.fixed, known, place.key("fixed"))
+    fixed = read_values(given.fixed, known, location.key("fixed"))
     tool = units.to_si(given.tool_mm, "mm")
     solver = ToolPoints(Kinematics(machine), tool.tolist())
     rows: list[Row] = []
     for run in runs:
         points = _points(run.mean.angle, run.circle.facts)
-        commands = solver.commands(points, fixed, place.key("circle"))
+        commands = solver.commands(points, fixed, location.key("circle"))
         rows += [_row(run, i, command, machine) for i, command in enumerate(commands)]
     return rows
 

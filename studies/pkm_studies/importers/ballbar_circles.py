@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.ballbar_traces import BarTrace, run_numbers, traces
 from pkm_studies.importers.map_tables import CircleFacts, CircleOfFiles, ColumnMap
@@ -35,14 +35,14 @@ def measured_circles(
     given: ColumnMap,
     tables: Sequence[CsvTable],
     columns: dict[str, str],
-    place: Place,
+    location: Location,
 ) -> list[MeasuredCircle]:
     """The circles of [circle], which has all runs, or of [[circles]].
 
     Raises InputError where a run belongs to no circle, or to two.
     """
     if given.circle is not None and given.circles:
-        raise place.key("circles").error(
+        raise location.key("circles").error(
             "[circle] is given as well", "move it into a table [[circles]] of its own"
         )
     if given.circle is not None:
@@ -50,32 +50,32 @@ def measured_circles(
         runs = [run for t in tables for run in traces(t, columns, facts).values()]
         return [MeasuredCircle(facts, given.setup, runs)]
     if not given.circles:
-        raise place.key("circle").error(
+        raise location.key("circle").error(
             "missing",
             "give a --map file with [circle] centre_mm = [x, y, z] and radius_mm, or"
             " [[circles]] of several",
         )
-    return _several(given, tables, columns, place.key("circles"))
+    return _several(given, tables, columns, location.key("circles"))
 
 
 def _several(
     given: ColumnMap,
     tables: Sequence[CsvTable],
     columns: dict[str, str],
-    place: Place,
+    location: Location,
 ) -> list[MeasuredCircle]:
-    names = _setups(given, place)
+    names = _setups(given, location)
     taken: dict[str, set[int]] = {table.file: set() for table in tables}
     circles = []
     for k, facts in enumerate(given.circles):
         runs: list[BarTrace] = []
-        for table in _tables_of(k, given.circles, tables, place.item(k)):
+        for table in _tables_of(k, given.circles, tables, location.item(k)):
             measured = traces(table, columns, facts, facts.runs or None)
-            _check_runs(facts, measured, taken[table.file], table, place.item(k))
+            _check_runs(facts, measured, taken[table.file], table, location.item(k))
             taken[table.file] |= set(measured)
             runs += measured.values()
         circles.append(MeasuredCircle(facts, names[k], runs))
-    _check_all_taken(given.circles[-1], tables, columns, taken, place)
+    _check_all_taken(given.circles[-1], tables, columns, taken, location)
     return circles
 
 
@@ -83,20 +83,20 @@ def _tables_of(
     k: int,
     circles: Sequence[CircleOfFiles],
     tables: Sequence[CsvTable],
-    place: Place,
+    location: Location,
 ) -> Iterator[CsvTable]:
     """The files of circle k: those that it names, else the k-th. Raises InputError."""
     by_name = {Path(table.file).name: table for table in tables}
     if not circles[k].files:
         if len(circles) != len(tables) or any(c.files for c in circles):
-            raise place.key("files").error(
+            raise location.key("files").error(
                 f"{len(circles)} circles are in {len(tables)} files",
                 f"name the files of each circle: {', '.join(by_name)}",
             )
         yield tables[k]
     for i, name in enumerate(circles[k].files):
         if name not in by_name:
-            at, remedy = place.key("files").item(i), ", ".join(by_name)
+            at, remedy = location.key("files").item(i), ", ".join(by_name)
             raise at.error("this file is not imported", f"there are {remedy}", name)
         yield by_name[name]
 
@@ -106,17 +106,17 @@ def _check_runs(
     measured: dict[int, BarTrace],
     taken: set[int],
     table: CsvTable,
-    place: Place,
+    location: Location,
 ) -> None:
     """Raises InputError for runs that the file lacks, or another circle has."""
     name = Path(table.file).name
     for number in facts.runs:
         if number not in measured:
-            raise place.key("runs").error(
+            raise location.key("runs").error(
                 f"{name} has no such run", "a run ends where the angle turns", number
             )
     for number in sorted(taken & set(measured)):
-        raise place.key("runs").error(
+        raise location.key("runs").error(
             f"run {number} of {name} belongs to another circle as well",
             "name the runs of each circle: runs = [1, 2]",
         )
@@ -127,17 +127,17 @@ def _check_all_taken(
     tables: Sequence[CsvTable],
     columns: dict[str, str],
     taken: dict[str, set[int]],
-    place: Place,
+    location: Location,
 ) -> None:
     """Raises InputError for a file or run that belongs to no circle."""
     for table in tables:
         name = Path(table.file).name
         if not taken[table.file]:
             remedy = "name it in files of a circle, or leave the file out"
-            raise place.error(f"{name} belongs to no circle", remedy)
+            raise location.error(f"{name} belongs to no circle", remedy)
         numbers = run_numbers(table, columns, facts)
         for number in sorted(set(numbers) - taken[table.file]):
-            raise place.error(
+            raise location.error(
                 f"run {number} of {name} belongs to no circle",
                 "add it to runs of a circle, or cut it from the file",
             )
@@ -146,7 +146,7 @@ def _check_all_taken(
 # -- set-ups ---------------------------------------------------------------------------
 
 
-def _setups(given: ColumnMap, place: Place) -> list[str]:
+def _setups(given: ColumnMap, location: Location) -> list[str]:
     """The set-up of each circle: one for each place of the cup and bar."""
     mounted: dict[str, object] = {}
     names = []
@@ -158,7 +158,7 @@ def _setups(given: ColumnMap, place: Place) -> list[str]:
         name = circle.setup or _name(given.setup, mounting, mounted)
         if mounted.setdefault(name, mounting) != mounting:
             raise (
-                place.item(k)
+                location.item(k)
                 .key("setup")
                 .error(
                     "another circle of this set-up has its cup or bar elsewhere",

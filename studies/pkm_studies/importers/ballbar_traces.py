@@ -13,7 +13,7 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.map_tables import CircleFacts, ColumnMap
 from pkm_studies.quantities import column as usual_column
@@ -47,18 +47,20 @@ class BarTrace(NamedTuple):
         return 1 if self.angle[-1] > self.angle[0] else -1
 
 
-def trace_columns(given: ColumnMap, table: CsvTable, place: Place) -> dict[str, str]:
+def trace_columns(
+    given: ColumnMap, table: CsvTable, location: Location
+) -> dict[str, str]:
     """Column of the CSV by quantity with unit. Raises InputError."""
     columns = {}
     for name, source in given.columns.items():
         if not isinstance(source, str):
-            at = place.key("columns").key(name)
+            at = location.key("columns").key(name)
             problem = "a column of a ball bar takes no factor or offset"
             raise at.error(problem, "state its unit in the name, as in deviation_um")
         columns[name] = source
-        read_values({name: 0.0}, QUANTITIES, place.key("columns"))
+        read_values({name: 0.0}, QUANTITIES, location.key("columns"))
         if source not in table.header:
-            at, remedy = place.key("columns").key(name), ", ".join(table.header)
+            at, remedy = location.key("columns").key(name), ", ".join(table.header)
             problem = "the file has no such column"
             raise at.error(problem, f"the file has {remedy}", source)
     stems = {name.rpartition("_")[0] for name in columns}
@@ -67,11 +69,11 @@ def trace_columns(given: ColumnMap, table: CsvTable, place: Place) -> dict[str, 
             if quantity not in stems and any(w in header.lower() for w in words):
                 columns[f"{quantity}_{_unit_in(header, quantity) or unit}"] = header
                 stems.add(quantity)
-    _check_single(columns, given, table, place)
+    _check_single(columns, given, table, location)
     for wanted in (("deviation",), ("angle", "time")):
         if not stems & set(wanted):
             name = usual_column(wanted[0], QUANTITIES[wanted[0]])
-            raise place.key("columns").error(
+            raise location.key("columns").error(
                 f"no column for {' or '.join(wanted)}",
                 f"add {name} to [columns] of a --map file; the file has"
                 f" {', '.join(table.header)}",
@@ -80,7 +82,7 @@ def trace_columns(given: ColumnMap, table: CsvTable, place: Place) -> dict[str, 
 
 
 def _check_single(
-    columns: dict[str, str], given: ColumnMap, table: CsvTable, place: Place
+    columns: dict[str, str], given: ColumnMap, table: CsvTable, location: Location
 ) -> None:
     """Raises InputError for a second column of deviations that the map leaves open."""
     if any(name.startswith("deviation") for name in given.columns):
@@ -89,7 +91,7 @@ def _check_single(
     words, _ = WORDS["deviation"]
     second = [h for h in others if any(w in h.lower() for w in words)]
     if second:
-        raise place.key("columns").error(
+        raise location.key("columns").error(
             f"two columns of deviations: {second[0]} as well",
             "write the runs below each other, with angles that fall on a clockwise run,"
             " or name one column: deviation_um",
@@ -178,7 +180,7 @@ def _angle_of_time(time: Array, circle: CircleFacts) -> Array:
     """Angle (n,), rad, of a trace over time at constant feed. Raises InputError."""
     if circle.feed_mm_min is None:
         raise (
-            Place("--map")
+            Location("--map")
             .key("circle")
             .key("feed_mm_min")
             .error(

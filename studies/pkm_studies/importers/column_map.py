@@ -21,7 +21,7 @@ from oed.model.instrument import Instrument
 from oed.model.machine import Machine
 from pkm_studies import catalogue, files, user_code
 from pkm_studies import study as studies
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.drafts import prediction_table
 from pkm_studies.importers import column_sources
 from pkm_studies.importers.base import ImportRequest, readings_name
@@ -47,17 +47,19 @@ class Model(NamedTuple):
         return plain.model if plain == self.table else self.table
 
 
-def load(request: ImportRequest) -> tuple[ColumnMap, Place]:
+def load(request: ImportRequest) -> tuple[ColumnMap, Location]:
     """The user's map, or an empty one. Raises InputError."""
     if request.map is None:
-        return ColumnMap(), Place("--map")
-    place = Place(str(request.map))
+        return ColumnMap(), Location("--map")
+    location = Location(str(request.map))
     text = files.read_text(request.map, limit=LIMIT, what="column map")
-    table = tables_of(text, place)
-    return column_sources.expanded(decode_table(ColumnMap, table, place), place), place
+    table = tables_of(text, location)
+    return column_sources.expanded(
+        decode_table(ColumnMap, table, location), location
+    ), location
 
 
-def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
+def model(request: ImportRequest, column_map: ColumnMap, location: Location) -> Model:
     """The machine of --machine, or of the map. Raises InputError.
 
     --machine is a model, a file of the user's, or a study whose machine is meant.
@@ -67,9 +69,9 @@ def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
         machine = study_machine(study)
         return _model(machine, study.machine, study.folder, request)
     described: str | MachineTable | None = request.machine
-    origin, at = Origin.command(request.consent), Place("--machine")
+    origin, at = Origin.command(request.consent), Location("--machine")
     if described is None:
-        described, at = column_map.machine, place.key("machine")
+        described, at = column_map.machine, location.key("machine")
         origin = _map_origin(request)
     if described is None:
         raise at.error("missing", "give --machine, or machine in the map")
@@ -84,7 +86,7 @@ def model(request: ImportRequest, column_map: ColumnMap, place: Place) -> Model:
 def instrument(
     request: ImportRequest,
     column_map: ColumnMap,
-    place: Place,
+    location: Location,
     machine: Machine,
     default: str | None = None,
 ) -> tuple[Instrument, str]:
@@ -93,7 +95,7 @@ def instrument(
     It has the channels that it has on the machine.
     """
     reference = column_map.instrument or default
-    at = place.key("instrument")
+    at = location.key("instrument")
     if reference is None:
         raise at.error("missing", "name one of `oed list instruments` in a --map file")
     origin = _map_origin(request)

@@ -14,7 +14,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.dataset.columns import LABELS, SIGMA, UNITLESS
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.map_tables import ColumnMap, ColumnSource
 
@@ -23,11 +23,11 @@ BRACES = re.compile(r"\{([^{}]*)\}")
 DIGITS = 14
 
 
-def expanded(given: ColumnMap, place: Place) -> ColumnMap:
+def expanded(given: ColumnMap, location: Location) -> ColumnMap:
     """The map with one entry a column, plain ones as their name. Raises InputError."""
     columns: dict[str, str | ColumnSource] = {}
     for name, entry in given.columns.items():
-        at = place.key("columns").key(name)
+        at = location.key("columns").key(name)
         for single, source in _singles(name, source_of(entry), at):
             if single in columns:
                 raise at.error(f"{single} is given twice", "remove one of the two")
@@ -72,7 +72,7 @@ def sentence(name: str, entry: str | ColumnSource) -> str:
 
 
 def _singles(
-    name: str, source: ColumnSource, at: Place
+    name: str, source: ColumnSource, at: Location
 ) -> Sequence[tuple[str, ColumnSource]]:
     """An entry with braces as single ones. Raises InputError."""
     parts, others = _parts(name, at), _parts(source.column, at)
@@ -89,7 +89,7 @@ def _singles(
     ]
 
 
-def _parts(text: str, at: Place) -> list[str]:
+def _parts(text: str, at: Location) -> list[str]:
     """The names that a name with braces stands for. Raises InputError."""
     pairs = BRACES.findall(text)
     if not pairs:
@@ -100,7 +100,7 @@ def _parts(text: str, at: Place) -> list[str]:
     return [BRACES.sub(lambda _, c=choice: c, text) for choice in choices]  # type: ignore[misc]
 
 
-def _list(value: float | list[float], count: int, at: Place) -> list[float]:
+def _list(value: float | list[float], count: int, at: Location) -> list[float]:
     numbers = value if isinstance(value, list) else [value] * count
     if len(numbers) != count:
         problem = f"{len(numbers)} numbers for {count} columns"
@@ -112,7 +112,7 @@ def _number(value: float | list[float]) -> float:
     return value[0] if isinstance(value, list) else value
 
 
-def _check(name: str, source: ColumnSource, at: Place) -> None:
+def _check(name: str, source: ColumnSource, at: Location) -> None:
     """Raises InputError for a factor that leaves nothing, and for k of no spread."""
     is_spread = name.startswith(SIGMA)
     if source.factor == 0.0:

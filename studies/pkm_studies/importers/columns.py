@@ -24,7 +24,7 @@ from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine
-from pkm_studies.base import InputError, Place, suggest
+from pkm_studies.base import InputError, Location, suggest
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
     column_map,
@@ -56,15 +56,15 @@ class ColumnsImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Machine, instrument and columns of the map. Raises InputError."""
-        given, place = column_map.load(request)
-        model = column_map.model(request, given, place)
-        tool, reference = column_map.instrument(request, given, place, model.machine)
+        given, location = column_map.load(request)
+        model = column_map.model(request, given, location)
+        tool, reference = column_map.instrument(request, given, location, model.machine)
         table = joined(read_tables(request.files))
-        columns = mapped_columns(given, table, model.machine, tool, place)
+        columns = mapped_columns(given, table, model.machine, tool, location)
         complete = msgspec.structs.replace(
             given, machine=model.described, instrument=reference, columns=columns
         )
-        read = rows(table, columns, given, tool, place)
+        read = rows(table, columns, given, tool, location)
         placed, left_out = without_partial_joints(read, model.machine)
         if given.orientation is not None:
             nominal_poses.check_orientations(
@@ -145,7 +145,11 @@ def joined(tables: Sequence[CsvTable]) -> CsvTable:
 
 
 def mapped_columns(
-    given: ColumnMap, table: CsvTable, machine: Machine, tool: Instrument, place: Place
+    given: ColumnMap,
+    table: CsvTable,
+    machine: Machine,
+    tool: Instrument,
+    location: Location,
 ) -> dict[str, str | ColumnSource]:
     """Source in the CSV by column of the readings. Raises InputError.
 
@@ -156,7 +160,7 @@ def mapped_columns(
     known |= sigma_units(tool.channels)
     known |= dict.fromkeys(tension_columns(machine), "N")
     columns = dict(given.columns)
-    at = place.key("columns")
+    at = location.key("columns")
     for name, source in column_sources.names(columns).items():
         if not _is_known(name, known):
             possible = [column_name(stem, unit) for stem, unit in known.items()]
@@ -172,9 +176,9 @@ def mapped_columns(
         if is_free and _is_known(name, known):
             columns[name] = name
     channels = {channel.name: channel.unit for channel in tool.channels}
-    read_values(given.noise, channels, place.key("noise"))
+    read_values(given.noise, channels, location.key("noise"))
     settings = {setting.name: setting.unit for setting in tool.settings}
-    read_values(given.settings, settings, place.key("settings"))
+    read_values(given.settings, settings, location.key("settings"))
     is_read = read_channels(tool, columns) or given.orientation is not None
     if not is_read and tool.implied is None:
         channel = tool.channels[0]
@@ -211,7 +215,7 @@ def rows(
     columns: Mapping[str, str | ColumnSource],
     given: ColumnMap,
     tool: Instrument,
-    place: Place,
+    location: Location,
 ) -> list[Row]:
     """Rows of the readings file; cells that are no numbers raise InputError."""
     cells: dict[str, list[str]] = {}
@@ -223,7 +227,7 @@ def rows(
         _check_sizes(values, name, column_sources.source_of(source).column, table)
         cells[name] = ["" if value != value else repr(float(value)) for value in values]
     if given.orientation is not None:
-        at = place.key("orientation")
+        at = location.key("orientation")
         angles = orientations.angle_columns(given.orientation, tool, table, at)
         for name in angles:
             if _stem(name) in {_stem(other) for other in cells}:

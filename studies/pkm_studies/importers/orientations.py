@@ -12,7 +12,7 @@ from oed.base import orientation, units
 from oed.base.arrays import Array, Mask
 from oed.base.orientation import Orientation
 from oed.model.instrument import Instrument
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers.base import Row
 from pkm_studies.importers.map_tables import OrientationColumns
@@ -41,16 +41,16 @@ def source_columns(given: OrientationColumns | None) -> tuple[str, ...]:
 
 
 def angle_columns(
-    given: OrientationColumns, tool: Instrument, table: CsvTable, place: Place
+    given: OrientationColumns, tool: Instrument, table: CsvTable, location: Location
 ) -> dict[str, list[str]]:
     """Cells of the instrument's angles, by readings column; empty where one is missing.
 
     Raises InputError.
     """
-    form = _form(given, place)
+    form = _form(given, location)
     stated = tool.orientation
     if stated is None:
-        raise place.error(
+        raise location.error(
             f"{tool.name} reads no orientation",
             "take an instrument that does: see `oed list instruments`",
         )
@@ -223,12 +223,12 @@ def _other_orientation(angle: float, how: str, remedy: str, file: str) -> InputE
     )
 
 
-def _form(given: OrientationColumns, place: Place) -> str:
+def _form(given: OrientationColumns, location: Location) -> str:
     stated = [form for form in FORMS if getattr(given, form) is not None]
     if len(stated) == 1:
         return stated[0]
     problem = "one form is needed" if not stated else "two forms are given"
-    raise place.error(problem, f"give one of {', '.join(FORMS)}")
+    raise location.error(problem, f"give one of {', '.join(FORMS)}")
 
 
 def _check_quaternions(

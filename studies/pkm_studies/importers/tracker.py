@@ -26,7 +26,7 @@ from oed.base.arrays import Array
 from oed.dataset.columns import SIGMA
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Instrument
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.csv_table import CsvTable
 from pkm_studies.importers import (
     column_map,
@@ -87,21 +87,21 @@ class TrackerImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Poses and points, in the machine's frame. Raises InputError."""
-        given, place = column_map.load(request)
-        model = column_map.model(request, given, place)
+        given, location = column_map.load(request)
+        model = column_map.model(request, given, location)
         tool, reference = column_map.instrument(
-            request, given, place, model.machine, INSTRUMENT
+            request, given, location, model.machine, INSTRUMENT
         )
         table = columns.joined(read_tables(request.files))
         given = msgspec.structs.replace(given, columns=with_measured(given, table))
-        mapped = columns.mapped_columns(given, table, model.machine, tool, place)
+        mapped = columns.mapped_columns(given, table, model.machine, tool, location)
         complete = msgspec.structs.replace(
             given, machine=model.described, instrument=reference, columns=mapped
         )
-        rows = columns.rows(table, mapped, given, tool, place)
+        rows = columns.rows(table, mapped, given, tool, location)
         rows, left_out = columns.without_partial_joints(rows, model.machine)
         kinematics = Kinematics(model.machine)
-        rows, sentence = _registered(rows, given, kinematics, tool, table, place)
+        rows, sentence = _registered(rows, given, kinematics, tool, table, location)
         return columns.session(
             request,
             complete,
@@ -137,7 +137,7 @@ def _registered(
     kinematics: Kinematics,
     tool: Instrument,
     table: CsvTable,
-    place: Place,
+    location: Location,
 ) -> tuple[list[Row], list[str]]:
     """Rows with the readings in the machine's frame, and what was done.
 
@@ -146,7 +146,7 @@ def _registered(
     if given.registration == "known":
         nominal_poses.check_orientations(rows, given, kinematics, tool, table)
         return rows, ["Frame: the points are taken to be in the machine's frame."]
-    angles = _orientation_columns(rows, tool, place)
+    angles = _orientation_columns(rows, tool, location)
     names = [nominal_poses.channel_column(rows, channel) for channel in CHANNELS]
     measured = nominal_poses.si_numbers(rows, names)
     _, wanted = nominal_poses.nominal_frames(rows, kinematics, given)
@@ -192,7 +192,7 @@ def _turned_sigma(row: Row, by: Rotation) -> dict[str, str]:
 
 
 def _orientation_columns(
-    rows: list[Row], tool: Instrument, place: Place
+    rows: list[Row], tool: Instrument, location: Location
 ) -> dict[str, str]:
     """Columns of the instrument's angles by angle; none where none was read.
 
@@ -205,7 +205,7 @@ def _orientation_columns(
     axis = () if stated is None else stated.axis_names
     complete = stated is not None and set(by_stem) <= set(stated.names)
     if others and not (complete and set(axis) <= set(by_stem)):
-        raise place.key("registration").error(
+        raise location.key("registration").error(
             f"{others[0]} would stay in the instrument's frame",
             'turn the points beforehand and state registration = "known"',
         )

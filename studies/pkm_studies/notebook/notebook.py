@@ -248,7 +248,7 @@ def predict(
     state = source.state
     study, request = state.study, state.resolved.prediction
     if request is None:
-        raise study.place.key("prediction").error(
+        raise study.location.key("prediction").error(
             "the study does not say where accuracy counts",
             "add [prediction] with a workspace, see `oed schema study`",
         )

@@ -95,8 +95,8 @@ class DesignView(View[Scheduled]):
 
         rows: list[dict[str, Any]] = []
         for pose in self.section.poses:
-            place = {"setup": pose.setup, "run": pose.run, "order": pose.order}
-            rows.append({**place, **pose.command, **pose.reading})
+            location = {"setup": pose.setup, "run": pose.run, "order": pose.order}
+            rows.append({**location, **pose.command, **pose.reading})
         return pd.DataFrame(rows)
 
     def plot(self, axes: Axes | None = None) -> Axes:

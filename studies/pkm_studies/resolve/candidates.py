@@ -16,7 +16,7 @@ from oed.design.segments import Capsule
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from pkm_studies import quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.quantities import format_value
 from pkm_studies.resolve import command_ranges, grids, lookup
 from pkm_studies.resolve.grids import Circles, ReferencePlan
@@ -34,7 +34,7 @@ def within_limits(
     table: LimitsTable,
     measurement: Measurement,
     series: Series,
-    place: Place,
+    location: Location,
     *,
     whole_runs: bool,
 ) -> tuple[Series, dict[str, int]]:
@@ -44,22 +44,22 @@ def within_limits(
     limit cannot be checked, or no reading is left.
     """
     try:
-        limits = _limits(table, measurement, series.setup, place)
+        limits = _limits(table, measurement, series.setup, location)
         verdict = feasible.check_readings(measurement, series, limits)
         allowed, reasons = verdict.allowed.copy(), dict(verdict.refusal_counts)
         if table.travel_chance is not None:
-            likely = _likely(table, measurement, series, place)
+            likely = _likely(table, measurement, series, location)
             allowed &= likely
             if not likely.all():
                 reasons[UNLIKELY] = int((~likely).sum())
     except ValueError as error:
-        raise place.error(str(error), "mend or remove this limit") from error
+        raise location.error(str(error), "mend or remove this limit") from error
     if whole_runs:
         broken = set(series.run[~allowed])
         allowed = np.array([run not in broken for run in series.run])
     if not allowed.any():
         counts = "; ".join(f"{count} {reason}" for reason, count in reasons.items())
-        raise place.error(
+        raise location.error(
             f"no candidate of {series.setup} is left: {counts}",
             "widen the limits, or move the candidates",
         )
@@ -67,11 +67,11 @@ def within_limits(
 
 
 def _likely(
-    table: LimitsTable, measurement: Measurement, series: Series, place: Place
+    table: LimitsTable, measurement: Measurement, series: Series, location: Location
 ) -> Mask:
     """Held readings (n,) that stay within the travel with the wanted probability."""
     if table.travel_mm is None:
-        raise place.key("travel_chance").error(
+        raise location.key("travel_chance").error(
             "a chance to stay within which travel?", "give travel_mm as well"
         )
     if measurement.setups[series.setup].instrument.fixed_reading is None:
@@ -83,60 +83,60 @@ def _likely(
 
 
 def _limits(
-    table: LimitsTable, measurement: Measurement, name: str, place: Place
+    table: LimitsTable, measurement: Measurement, name: str, location: Location
 ) -> feasible.ReadingLimits:
     """The limits that apply to a set-up."""
     setup = measurement.setups[name]
     has_cup = setup.teach is not None or {"at_x", "at_y", "at_z"} <= {*setup.settings}
     cup_cone, tool_cone, cup = None, None, None
     if has_cup:
-        cup_cone = _cone(table.cup_cone, place.key("cup_cone"))
-        tool_cone = _cone(table.tool_cone, place.key("tool_cone"))
+        cup_cone = _cone(table.cup_cone, location.key("cup_cone"))
+        tool_cone = _cone(table.tool_cone, location.key("tool_cone"))
         cup = _point(cup_place(measurement, name))
     travel = None
     if table.travel_mm is not None and setup.instrument.fixed_reading is not None:
         travel = _metres(table.travel_mm)
     return feasible.ReadingLimits(
-        joints=_joint_ranges(table, measurement, place.key("joints")),
+        joints=_joint_ranges(table, measurement, location.key("joints")),
         singularity=table.singularity,
         travel=travel,
         base_cone=cup_cone,
         platform_cone=tool_cone,
         cup=cup,
-        surroundings=_surroundings(table, has_cup, place),
+        surroundings=_surroundings(table, has_cup, location),
     )
 
 
 def _joint_ranges(
-    table: LimitsTable, measurement: Measurement, place: Place
+    table: LimitsTable, measurement: Measurement, location: Location
 ) -> dict[str, tuple[float, float]]:
     known = {c.name: c.unit for c in measurement.machine.joints}
     ranges = {}
     for key, span in table.joints.items():
-        name, unit = quantities.split_key(key, known, place)
+        name, unit = quantities.split_key(key, known, location)
         low, high = units.to_si(span.from_, unit), units.to_si(span.to, unit)
         ranges[name] = float(low), float(high)
     return ranges
 
 
-def _cone(table: ConeTable | None, place: Place) -> feasible.DirectionCone | None:
+def _cone(table: ConeTable | None, location: Location) -> feasible.DirectionCone | None:
     if table is None:
         return None
     if not any(table.axis):
-        raise place.key("axis").error(
+        raise location.key("axis").error(
             "a cone needs an axis that is not zero", "give a direction, as [0, 0, 1]"
         )
     return feasible.DirectionCone(table.axis, math.radians(table.half_angle_deg))
 
 
 def _surroundings(
-    table: LimitsTable, has_cup: bool, place: Place
+    table: LimitsTable, has_cup: bool, location: Location
 ) -> Surroundings | None:
     obstacles = _obstacles(table)
     if not obstacles:
         return None
     if table.links_mm is None and table.bar_mm is None:
-        raise place.error(
+        raise location.error(
             "obstacles are given, but nothing that moves near them",
             "give links_mm, bar_mm or both",
         )
@@ -192,9 +192,9 @@ def candidates(
     every: list[Series] = []
     refusals: Counter[str] = Counter()
     warnings: list[str] = []
-    place = study.place.key("design")
+    location = study.location.key("design")
     for i, table in enumerate(study.design.candidates):
-        at = place.key("candidates").item(i)
+        at = location.key("candidates").item(i)
         lookup.known_name(table.setup, measurement.setups, at.key("setup"))
         series, lost = grids.grid_series(table, measurement, at, strict=False)
         if lost:
@@ -204,7 +204,7 @@ def candidates(
                 f" because {table.setup} cannot hold its reading there"
             )
         count = len(series)
-        series, reasons = _within_limits(study.design, measurement, series, place)
+        series, reasons = _within_limits(study.design, measurement, series, location)
         for reason, number in reasons.items():
             refusals[reason] += number
             warnings.append(
@@ -218,7 +218,7 @@ def candidates(
 
 
 def _within_limits(
-    table: DesignTable, measurement: Measurement, series: Series, place: Place
+    table: DesignTable, measurement: Measurement, series: Series, location: Location
 ) -> tuple[Series, dict[str, int]]:
     """The series within [design.limits], and its refusals by reason."""
     if table.limits is None:
@@ -227,12 +227,14 @@ def _within_limits(
         table.limits,
         measurement,
         series,
-        place.key("limits"),
+        location.key("limits"),
         whole_runs=table.whole_runs,
     )
 
 
-def _hold_warnings(measurement: Measurement, series: Series, place: Place) -> list[str]:
+def _hold_warnings(
+    measurement: Measurement, series: Series, location: Location
+) -> list[str]:
     """A warning where an instrument such as a ball bar cannot hold its reading."""
     setup = measurement.setups[series.setup]
     if setup.instrument.fixed_reading is None:
@@ -251,7 +253,7 @@ def _hold_warnings(measurement: Measurement, series: Series, place: Place) -> li
     low, high = readings.min(), readings.max()
     span = f"{format_value(low, unit)} to {format_value(high, unit)}"
     return [
-        f"{place.field}: at {count} of {len(readings)} poses {setup.name} would read"
+        f"{location.field}: at {count} of {len(readings)} poses {setup.name} would read"
         f" {span}, but it holds {format_value(length, unit)}: let one coordinate be"
         ' "hold", or give poses that keep it'
     ]
@@ -262,9 +264,9 @@ def references(study: Study, measurement: Measurement) -> tuple[ReferencePlan, .
     tables = study.design.reference if study.design else []
     plans: dict[str, list[Series]] = {}
     for i, table in enumerate(tables):
-        place = study.place.key("design").key("reference").item(i)
-        lookup.known_name(table.setup, measurement.setups, place.key("setup"))
-        series, _ = grids.grid_series(table, measurement, place, strict=True)
+        location = study.location.key("design").key("reference").item(i)
+        lookup.known_name(table.setup, measurement.setups, location.key("setup"))
+        series, _ = grids.grid_series(table, measurement, location, strict=True)
         plans.setdefault(table.name, []).append(series)
     return tuple(
         ReferencePlan(name=name, series=tuple(series)) for name, series in plans.items()
@@ -282,20 +284,20 @@ def circles(
 
     plans  reference plans, one of which may be read as well
     """
-    place = study.place.key("kappa").item(i)
+    location = study.location.key("kappa").item(i)
     setups = [s.name for s in study.setup]
-    name = lookup.known_name(table.setup, setups, place.key("setup"))
-    further = _further(table, plans, place)
+    name = lookup.known_name(table.setup, setups, location.key("setup"))
+    further = _further(table, plans, location)
     measurement = measurement_with({name, *(s.setup for s in further)})
     machine = measurement.machine
     columns = [c.name for c in machine.command]
-    key, across, (lower, upper) = _spacing(table, machine, place)
-    around = _angle_around(table, machine, across, place)
+    key, across, (lower, upper) = _spacing(table, machine, location)
+    around = _angle_around(table, machine, across, location)
     ends = np.tile(machine.home_command, (2, 1))
     ends[:, columns.index(across)] = lower, upper
     tool = measurement.setups[table.setup].tool
     command_ranges.check_tool_workspace(
-        measurement.kinematics, ends, {across: key}, place, tool
+        measurement.kinematics, ends, {across: key}, location, tool
     )
     return Circles(
         title=table.title or f"{table.setup}: circles over {across}",
@@ -308,24 +310,24 @@ def circles(
         hold=table.coordinate,
         lower=lower,
         upper=upper,
-        place=place,
+        location=location,
         further=further,
     )
 
 
 def _further(
-    table: KappaTable, plans: Sequence[ReferencePlan], place: Place
+    table: KappaTable, plans: Sequence[ReferencePlan], location: Location
 ) -> tuple[Series, ...]:
     """The readings of the reference plan that the table names, if any."""
     if table.with_ is None:
         return ()
     by_name = {plan.name: plan.series for plan in plans}
-    at = place.key("with")
+    at = location.key("with")
     return by_name[lookup.known_name(table.with_, by_name, at, "reference plan")]
 
 
 def _spacing(
-    table: KappaTable, machine: Machine, place: Place
+    table: KappaTable, machine: Machine, location: Location
 ) -> tuple[str, str, tuple[float, float]]:
     """Key and name of the coordinate that spaces the circles, and its range, SI."""
     if len(table.coordinates) != 1:
@@ -333,21 +335,25 @@ def _spacing(
         example = (
             f"{quantities.column(first.name, first.unit)} = {{ from = ..., to = ... }}"
         )
-        raise place.error("one range spaces the circles", f"give one, as in {example}")
+        raise location.error(
+            "one range spaces the circles", f"give one, as in {example}"
+        )
     key, span = next(iter(table.coordinates.items()))
-    name, unit = quantities.split_key(key, command_ranges.command_units(machine), place)
+    name, unit = quantities.split_key(
+        key, command_ranges.command_units(machine), location
+    )
     ends = float(units.to_si(span.from_, unit)), float(units.to_si(span.to, unit))
     return key, name, ends
 
 
 def _angle_around(
-    table: KappaTable, machine: Machine, across: str, place: Place
+    table: KappaTable, machine: Machine, across: str, location: Location
 ) -> str:
     """The angle that runs round each circle: the one coordinate not used otherwise."""
-    place = place.key("coordinate")
+    location = location.key("coordinate")
     columns = [c.name for c in machine.command]
     if table.coordinate is not None:
-        lookup.known_name(table.coordinate, columns, place, "coordinate")
+        lookup.known_name(table.coordinate, columns, location, "coordinate")
     others = [c for c in machine.command if c.name not in (across, table.coordinate)]
     if len(others) != 1 or others[0].unit != "rad":
         problem = (
@@ -355,5 +361,5 @@ def _angle_around(
             " round"
         )
         remedy = f"coordinates are {', '.join(columns)}"
-        raise place.error(problem, remedy, table.coordinate or "")
+        raise location.error(problem, remedy, table.coordinate or "")
     return others[0].name

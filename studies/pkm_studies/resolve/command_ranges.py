@@ -9,7 +9,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.quantities import format_as
 
 
@@ -22,13 +22,13 @@ def check_workspace(
     machine: Machine,
     command: Array,
     keys: Mapping[str, str],
-    place: Place,
+    location: Location,
 ) -> None:
     """Raises InputError for the first command outside the machine's workspace."""
     for _, name, value, lower, upper in machine.out_of_range(command)[:1]:
         unit, key = command_units(machine)[name], keys.get(name, name)
         stated, low, high = (format_as(v, unit, key) for v in (value, lower, upper))
-        raise place.key(key).error(
+        raise location.key(key).error(
             f"{stated} is outside the workspace of {machine.name}",
             f"{name} goes from {low} to {high}",
         )
@@ -38,7 +38,7 @@ def check_tool_workspace(
     kinematics: Kinematics,
     command: Array,
     keys: Mapping[str, str],
-    place: Place,
+    location: Location,
     tool: Sequence[float],
 ) -> None:
     """The same of a tool's commands.
@@ -51,4 +51,4 @@ def check_tool_workspace(
     if outside:
         rows = command[sorted(outside)]
         at_reference = kinematics.at_reference_tool(rows, np.array(tool))
-        check_workspace(machine, at_reference, keys, place)
+        check_workspace(machine, at_reference, keys, location)

@@ -19,7 +19,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL
 from oed.model.machine import Machine
 from pkm_studies import csv_table, files
-from pkm_studies.base import InputError, Place, suggest
+from pkm_studies.base import InputError, Location, suggest
 from pkm_studies.earlier_result import SAME, controller_values, named_result
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.study import Study
@@ -43,32 +43,32 @@ def with_held(study: Study, kinematics: Kinematics) -> Kinematics:
     name = study.machine.controller
     if name is None:
         return kinematics
-    place = study.place.key("machine").key("controller")
+    location = study.location.key("machine").key("controller")
     path, machine = study.folder / name, kinematics.machine
     if not path.is_file():
         if path.suffix in (".json", ".csv"):
-            raise place.error(f"there is no file {path}", REMEDY, name)
-        result, _ = named_result(study, name, place, machine)
+            raise location.error(f"there is no file {path}", REMEDY, name)
+        result, _ = named_result(study, name, location, machine)
         values, _ = controller_values(result, machine)
         return kinematics.with_controller(Controller(values))
     rows: Rows | None
     if path.suffix == ".json":
-        rows = _json_rows(path, place, name, machine)
+        rows = _json_rows(path, location, name, machine)
     elif path.suffix != ".csv":
-        raise place.error("this is no table of parameters", REMEDY, name)
+        raise location.error("this is no table of parameters", REMEDY, name)
     else:
         with csv_table.named_errors(str(path)):
-            rows = _csv_rows(path, place, name)
+            rows = _csv_rows(path, location, name)
     if rows is None:
-        return kinematics.with_controller(_tabled(kinematics, path, place))
-    values = _parameters(rows, machine, place, name)
+        return kinematics.with_controller(_tabled(kinematics, path, location))
+    values = _parameters(rows, machine, location, name)
     return kinematics.with_controller(Controller(values))
 
 
 # -- parameters ------------------------------------------------------------------------
 
 
-def _json_rows(path: Path, place: Place, name: str, machine: Machine) -> Rows:
+def _json_rows(path: Path, location: Location, name: str, machine: Machine) -> Rows:
     """Rows {parameter: value, unit, nominal} of a compensation.json."""
     text = files.read_text(path, limit=LIMIT, what="parameter table")
     try:
@@ -76,13 +76,13 @@ def _json_rows(path: Path, place: Place, name: str, machine: Machine) -> Rows:
         rows: Rows = {str(n): dict(r) for n, r in document["parameters"].items()}
         other = str(document.get("machine", machine.name))
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        raise place.error("this is no table of parameters", REMEDY, name) from None
+        raise location.error("this is no table of parameters", REMEDY, name) from None
     if other != machine.name:
-        raise _other_machine(place, name, f"{machine.name} for {other}")
+        raise _other_machine(location, name, f"{machine.name} for {other}")
     return rows
 
 
-def _csv_rows(path: Path, place: Place, name: str) -> Rows | None:
+def _csv_rows(path: Path, location: Location, name: str) -> Rows | None:
     """The same of a table of parameters; None of a table of another kind."""
     text = files.read_text(path, limit=LIMIT, what="parameter table")
     reader = csv.DictReader(text.splitlines())
@@ -93,34 +93,34 @@ def _csv_rows(path: Path, place: Place, name: str) -> Rows | None:
         parameter = str(row["name"])
         if parameter in rows:
             problem = f"{path.name} has several rows of {parameter}"
-            raise place.error(problem, "leave one of them", name)
+            raise location.error(problem, "leave one of them", name)
         rows[parameter] = row
     if not rows:
-        raise place.error(f"{path.name} has no row", REMEDY, name)
+        raise location.error(f"{path.name} has no row", REMEDY, name)
     return rows
 
 
-def _parameters(rows: Rows, machine: Machine, place: Place, name: str) -> Array:
+def _parameters(rows: Rows, machine: Machine, location: Location, name: str) -> Array:
     """Parameters (np,), SI; those without a row are nominal. Raises InputError."""
     values, known = machine.nominal.copy(), [p.name for p in machine.parameters]
     for parameter, row in rows.items():
         if parameter not in known:
             problem = f"{machine.name} has no parameter {parameter}"
-            raise place.error(problem, suggest(parameter, known, "parameters"), name)
+            raise location.error(problem, suggest(parameter, known, "parameters"), name)
         k = known.index(parameter)
         si = machine.parameters[k].unit
         number, nominal = _number(row, "value"), _number(row, "nominal")
         unit = str(row.get("unit"))
         if unit not in units.UNITS or units.si_unit(unit) != si or number is None:
             problem = f"{parameter} has no number in a unit such as {display_unit(si)}"
-            raise place.error(problem, REMEDY, name)
+            raise location.error(problem, REMEDY, name)
         values[k] = units.to_si(number, unit)
         drawn = units.number(machine.nominal[k], unit)
         if nominal is not None and not math.isclose(
             nominal, drawn, rel_tol=SAME, abs_tol=SAME
         ):
             words = f"{parameter} = {drawn:.9g} for {nominal:.9g} {unit}"
-            raise _other_machine(place, name, words)
+            raise _other_machine(location, name, words)
     return values
 
 
@@ -133,15 +133,15 @@ def _number(row: Mapping[str, Any], key: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _other_machine(place: Place, name: str, words: str) -> InputError:
+def _other_machine(location: Location, name: str, words: str) -> InputError:
     problem = f"it is the table of another machine: {words}"
-    return place.error(problem, "name a table of this machine", name)
+    return location.error(problem, "name a table of this machine", name)
 
 
 # -- joint corrections -----------------------------------------------------------------
 
 
-def _tabled(kinematics: Kinematics, path: Path, place: Place) -> Controller:
+def _tabled(kinematics: Kinematics, path: Path, location: Location) -> Controller:
     """A controller with nominal parameters that adds the corrections of a table."""
     machine = kinematics.machine
     joints = [(f"correction_{j.name}", j.unit) for j in machine.joints]
@@ -149,7 +149,7 @@ def _tabled(kinematics: Kinematics, path: Path, place: Place) -> Controller:
     absent = [c for c in (column(*joint) for joint in joints) if c not in rows.header]
     if absent:
         problem = f"{path} has neither parameters nor a column {absent[0]}"
-        raise place.error(problem, REMEDY, path.name)
+        raise location.error(problem, REMEDY, path.name)
     knots, turns = _knots(machine, path.with_name(f"{path.stem}_grid.csv"))
     values = np.column_stack([_column(rows, *joint) for joint in joints])
     commands = np.column_stack([_column(rows, c.name, c.unit) for c in machine.command])
@@ -159,7 +159,7 @@ def _tabled(kinematics: Kinematics, path: Path, place: Place) -> Controller:
     slack = SAME_COMMAND * np.array(factors)
     if nodes.shape != commands.shape or (np.abs(nodes - commands) > slack).any():
         problem = f"the rows of {path} are not those of its grid"
-        raise place.error(problem, "take both files as they were written", path.name)
+        raise location.error(problem, "take both files as they were written", path.name)
     names = tuple(c.name for c in machine.command)
     table = InterpolationTable(names, knots, values.reshape(*shape, -1), turns)
 

@@ -120,7 +120,7 @@ def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
     machine = study_machine(study)
     setups = {}
     for i, table in enumerate(study.setup):
-        at = study.place.key("setup").item(i).key("instrument")
+        at = study.location.key("setup").item(i).key("instrument")
         listed: Instrument = catalogue.instrument(table.instrument, study.origin, at)
         setups[table.name] = listed.for_machine(machine)
     return lambda header: readings_comments(machine, setups, header)

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 
 from oed.dataset.digests import SAME, shared
 from oed.result import StudyResult
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.earlier_result import result_folder
 from pkm_studies.results import load_result
 from pkm_studies.study import Study
@@ -15,15 +15,15 @@ from pkm_studies.study import Study
 DOUBTFUL = 0.2
 
 
-def prior_results(study: Study) -> Iterator[tuple[Place, str, StudyResult]]:
+def prior_results(study: Study) -> Iterator[tuple[Location, str, StudyResult]]:
     """Results that [prior] takes, each with the place and the name in the study.
 
     Raises InputError.
     """
-    prior, place = study.prior, study.place.key("prior")
-    named = [(place.key("from").item(i), name) for i, name in enumerate(prior.from_)]
+    prior, location = study.prior, study.location.key("prior")
+    named = [(location.key("from").item(i), name) for i, name in enumerate(prior.from_)]
     if prior.earlier is not None:
-        named.append((place.key("earlier"), prior.earlier))
+        named.append((location.key("earlier"), prior.earlier))
     for at, name in named:
         yield at, name, load_result(result_folder(study, name, at))
 
@@ -36,10 +36,10 @@ def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
     Raises InputError where the readings are those of a result, or have those in them.
     """
     sentences = []
-    for place, name, result in prior_results(study):
+    for location, name, result in prior_results(study):
         share = shared(new, result.readings)
         if share >= SAME:
-            raise place.error(
+            raise location.error(
                 "the readings are among those that this result rests on: they would"
                 " count twice",
                 "give the readings of another session, or take its result out of"

@@ -14,7 +14,7 @@ from oed.design.quotas import QuotaSet
 from oed.design.weights import WEIGHED
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies import quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve import command_ranges, lookup, quotas
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
@@ -70,101 +70,103 @@ def design_request(
     table = study.design
     if table is None:
         return None
-    place = study.place.key("design")
-    _check_fields(study, table, place)
+    location = study.location.key("design")
+    _check_fields(study, table, location)
     return DesignRequest(
-        interest=_interest(table, measurement, place.key("interest")),
-        combination=_combination(table, measurement, place.key("combination")),
-        accuracy=_accuracy(table, measurement, place.key("accuracy")),
-        least_distance=_least_distance(table, measurement, place.key("apart")),
-        retained=_retained(study, table, measurement, references, place),
-        free_ranges=_free_ranges(table, measurement, place.key("polish").key("free")),
-        quotas=quotas.quota_set(table, measurement, candidates, place),
+        interest=_interest(table, measurement, location.key("interest")),
+        combination=_combination(table, measurement, location.key("combination")),
+        accuracy=_accuracy(table, measurement, location.key("accuracy")),
+        least_distance=_least_distance(table, measurement, location.key("apart")),
+        retained=_retained(study, table, measurement, references, location),
+        free_ranges=_free_ranges(
+            table, measurement, location.key("polish").key("free")
+        ),
+        quotas=quotas.quota_set(table, measurement, candidates, location),
     )
 
 
 # -- fields that need each other -------------------------------------------------------
 
 
-def _check_fields(study: Study, table: DesignTable, place: Place) -> None:
-    _check_criteria(study, table, place)
-    _check_prior(table, place)
+def _check_fields(study: Study, table: DesignTable, location: Location) -> None:
+    _check_criteria(study, table, location)
+    _check_prior(table, location)
     if table.branch_nodes:
-        _check_branching(table, place)
-    _check_method(table, place)
+        _check_branching(table, location)
+    _check_method(table, location)
     if table.how_many is not None:
-        _check_needs(study, table, "I", place.key("how_many"))
+        _check_needs(study, table, "I", location.key("how_many"))
     if table.polish is not None and table.polish.enabled:
-        _check_polish(study, table, place.key("polish"))
+        _check_polish(study, table, location.key("polish"))
     if table.keep is not None and table.keep_readings is not None:
-        raise place.key("keep").error(
+        raise location.key("keep").error(
             "keep_readings is given as well", "keep one of the two", table.keep
         )
 
 
-def _check_polish(study: Study, table: DesignTable, place: Place) -> None:
+def _check_polish(study: Study, table: DesignTable, location: Location) -> None:
     if table.judged_by not in POLISHED:
-        raise place.error(
+        raise location.error(
             f"criterion {table.judged_by} has no slope to polish along",
             f"take one of {', '.join(POLISHED)}, or leave polishing out",
         )
     if study.machine.controller is not None:
-        raise place.error(
+        raise location.error(
             "polishing moves poses of a controller with nominal numbers",
             "leave polishing out: [machine] controller holds others",
         )
 
 
-def _check_criteria(study: Study, table: DesignTable, place: Place) -> None:
+def _check_criteria(study: Study, table: DesignTable, location: Location) -> None:
     for name in table.compound:
-        at = place.key("compound").key(name)
+        at = location.key("compound").key(name)
         lookup.known_name(name, CRITERIA, at, "criterion")
     for i, name in enumerate(table.compare):
-        at = place.key("compare").item(i)
+        at = location.key("compare").item(i)
         lookup.known_name(name, CRITERIA, at, "criterion")
     if table.compound and table.criterion != "D":
-        raise place.key("compound").error(
+        raise location.key("compound").error(
             "a criterion is given as well", "keep criterion or compound"
         )
     if table.prior and table.scaling != "tolerance":
-        raise place.key("prior").error(
+        raise location.key("prior").error(
             "tolerances enter in their own unit",
             'write scaling = "tolerance" as well',
         )
     field = "compound" if table.compound else "criterion"
     for name in table.criteria:
-        _check_needs(study, table, name, place.key(field))
+        _check_needs(study, table, name, location.key(field))
     for name in table.compare:
-        _check_needs(study, table, name, place.key("compare"))
+        _check_needs(study, table, name, location.key("compare"))
 
 
-def _check_prior(table: DesignTable, place: Place) -> None:
+def _check_prior(table: DesignTable, location: Location) -> None:
     """Raises InputError for fields that make sense only with prior tolerances."""
     if table.prior:
         return
     if table.robust is not None:
         problem = "without tolerances, not all drawn machines see the same directions"
-        raise place.key("robust").error(problem, USE_PRIOR)
+        raise location.key("robust").error(problem, USE_PRIOR)
     if table.setups_max is not None:
         problem = (
             "each set-up adds unknown parameters: without tolerances, fewer set-ups"
             " always leave fewer"
         )
-        raise place.key("setups_max").error(problem, USE_PRIOR, table.setups_max)
+        raise location.key("setups_max").error(problem, USE_PRIOR, table.setups_max)
 
 
-def _check_branching(table: DesignTable, place: Place) -> None:
+def _check_branching(table: DesignTable, location: Location) -> None:
     """Raises InputError for fields that a tree's bound does not hold under."""
-    nodes, place = table.branch_nodes, place.key("branch_nodes")
+    nodes, location = table.branch_nodes, location.key("branch_nodes")
     rough = [name for name in table.criteria if name not in SMOOTH]
     if rough:
         problem = f"branch and bound needs a smooth criterion, not {', '.join(rough)}"
         remedy = f"take one of {', '.join(SMOOTH)}, or leave branch_nodes out"
-        raise place.error(problem, remedy, nodes)
+        raise location.error(problem, remedy, nodes)
     for name, given in _given_rules(table).items():
         if given:
             problem = f"branch and bound does not know the rule {name}"
-            raise place.error(problem, f"leave branch_nodes or {name} out", nodes)
+            raise location.error(problem, f"leave branch_nodes or {name} out", nodes)
 
 
 def _given_rules(table: DesignTable) -> Mapping[str, bool]:
@@ -179,17 +181,17 @@ def _given_rules(table: DesignTable) -> Mapping[str, bool]:
     }
 
 
-def _check_method(table: DesignTable, place: Place) -> None:
+def _check_method(table: DesignTable, location: Location) -> None:
     """Raises InputError for fields that do not go with the method."""
     if table.method == "exchange":
         if table.solver is not None:
-            raise place.key("solver").error(
+            raise location.key("solver").error(
                 "only weights have a solver",
                 'write method = "relaxed", or leave solver out',
                 table.solver,
             )
         return
-    at = place.key("method")
+    at = location.key("method")
     if table.judged_by not in WEIGHED:
         raise at.error(
             f"weights are for {', '.join(WEIGHED)}, not {table.judged_by}",
@@ -208,17 +210,19 @@ def _check_method(table: DesignTable, place: Place) -> None:
             raise at.error(problem, f"leave method or {name} out", table.method)
 
 
-def _check_needs(study: Study, table: DesignTable, name: str, place: Place) -> None:
+def _check_needs(
+    study: Study, table: DesignTable, name: str, location: Location
+) -> None:
     """Raises InputError where a criterion lacks its workspace, prior or combination."""
     if name in ("I", "G") and study.prediction is None:
-        raise place.error(
+        raise location.error(
             "accuracy over which workspace?", "add a [prediction] table", name
         )
     if name in ("I", "G") and not table.prior:
         problem = "accuracy depends on the tolerances of what no reading sees"
-        raise place.error(problem, USE_PRIOR, name)
+        raise location.error(problem, USE_PRIOR, name)
     if name == "c" and not table.combination:
-        raise place.error(
+        raise location.error(
             "which combination?", "add combination = { PARAMETER = 1.0 }", name
         )
 
@@ -227,44 +231,44 @@ def _check_needs(study: Study, table: DesignTable, name: str, place: Place) -> N
 
 
 def _interest(
-    table: DesignTable, measurement: Measurement, place: Place
+    table: DesignTable, measurement: Measurement, location: Location
 ) -> tuple[str, ...]:
     free = measurement.free_names
     if not table.interest:
         return tuple(name for name in free if "." not in name)
-    return tuple(lookup.matching_names(table.interest, free, place))
+    return tuple(lookup.matching_names(table.interest, free, location))
 
 
 def _combination(
-    table: DesignTable, measurement: Measurement, place: Place
+    table: DesignTable, measurement: Measurement, location: Location
 ) -> dict[str, float]:
     free = measurement.free_names
     for name in table.combination:
-        lookup.known_name(name, free, place.key(name), "parameter")
+        lookup.known_name(name, free, location.key(name), "parameter")
     if table.combination and not any(table.combination.values()):
-        raise place.error("all coefficients are 0", "give one that is not")
+        raise location.error("all coefficients are 0", "give one that is not")
     return dict(table.combination)
 
 
 def _accuracy(
-    table: DesignTable, measurement: Measurement, place: Place
+    table: DesignTable, measurement: Measurement, location: Location
 ) -> dict[str, float]:
     machine = measurement.machine
     known = {c.name: c.unit for c in machine.components}
     if table.accuracy:
-        return quantities.read_values(table.accuracy, known, place)
+        return quantities.read_values(table.accuracy, known, location)
     angle = 1.0 / machine.lever
     return {name: 1.0 if unit == "m" else angle for name, unit in known.items()}
 
 
 def _least_distance(
-    table: DesignTable, measurement: Measurement, place: Place
+    table: DesignTable, measurement: Measurement, location: Location
 ) -> Array | None:
     if not table.apart:
         return None
     machine = measurement.machine
     values = quantities.read_values(
-        table.apart, command_ranges.command_units(machine), place
+        table.apart, command_ranges.command_units(machine), location
     )
     return np.array([values.get(c.name, 0.0) for c in machine.command])
 
@@ -274,11 +278,11 @@ def _retained(
     table: DesignTable,
     measurement: Measurement,
     references: Sequence[ReferencePlan],
-    place: Place,
+    location: Location,
 ) -> tuple[Series, ...]:
     if table.keep is not None:
         plans = {plan.name: plan for plan in references}
-        at = place.key("keep")
+        at = location.key("keep")
         return plans[lookup.known_name(table.keep, plans, at, "reference plan")].series
     if table.keep_readings is None:
         return ()
@@ -289,13 +293,13 @@ def _retained(
 
 
 def _free_ranges(
-    table: DesignTable, measurement: Measurement, place: Place
+    table: DesignTable, measurement: Measurement, location: Location
 ) -> CommandRanges:
     if table.polish is None:
         return {}
     ranges: dict[str, dict[str, tuple[float, float]]] = {}
     for name, limits in table.polish.free.items():
-        at = place.key(name)
+        at = location.key(name)
         setup = measurement.setups[lookup.known_name(name, measurement.setups, at)]
         known = {s.name: s.unit for s in setup.instrument.settings}
         known |= dict.fromkeys(("tool_x", "tool_y", "tool_z"), "m")

@@ -21,13 +21,13 @@ def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
     `effects` are those of the study; all of the catalogue are known as well.
     """
     known = {e.name: e for e in effects}
-    place = study.place.key("effects")
+    location = study.location.key("effects")
     for entry in catalogue.listing("effects"):
         if entry.name not in known:
-            known[entry.name] = catalogue.effect(entry.name, study.origin, place)
+            known[entry.name] = catalogue.effect(entry.name, study.origin, location)
     for field in study.effects:
         name = _effect_of(field, known)
-        at = place.key(field)
+        at = location.key(field)
         if name is None:
             remedy = suggest(field, [f"{n}_{_names(e)[0]}" for n, e in known.items()])
             raise at.error("this begins with the name of no effect", remedy)

@@ -10,7 +10,7 @@ import numpy as np
 from oed.model.effect import Effect
 from oed.model.machine import Machine
 from pkm_studies import catalogue
-from pkm_studies.base import InputError, Place, suggest
+from pkm_studies.base import InputError, Location, suggest
 from pkm_studies.resolve.effect_sizes import check_sizes, effect_with_sizes
 from pkm_studies.study import Study
 from pkm_studies.tables import ActingTable, ConditionsTable, GapTable
@@ -26,7 +26,7 @@ class ActingEffect:
     size          factor of all coefficients, in prior standard deviations
     draw          whether coefficients are drawn from the prior
     coefficients  by name, in prior standard deviations; None: the textbook's form
-    place         its table, for errors
+    location      its table, for errors
     """
 
     effect: Effect
@@ -34,7 +34,7 @@ class ActingEffect:
     size: float
     draw: bool
     coefficients: Mapping[str, float] | None
-    place: Place
+    location: Location
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,29 +67,31 @@ def gap_request(study: Study, machine: Machine) -> GapRequest:
     Raises InputError for unknown effects and constants, and for gravity of length 0.
     """
     table = GapTable() if study.gap is None else study.gap
-    place = study.place.key("gap")
+    location = study.location.key("gap")
     if not np.linalg.norm(table.gravity) > 0.0:
-        raise place.key("gravity").error(
+        raise location.key("gravity").error(
             "gravity has no direction", "give where it pulls: [0, 0, -1]"
         )
     acting = [
-        _acting_effect(study, entry, machine, place.key("acting").item(i))
+        _acting_effect(study, entry, machine, location.key("acting").item(i))
         for i, entry in enumerate(table.acting)
     ]
     return GapRequest(
-        effects=_tried_effects(study, table, place),
+        effects=_tried_effects(study, table, location),
         gravity=table.gravity,
         acting=tuple(acting),
         conditions=table.conditions,
     )
 
 
-def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect, ...]:
+def _tried_effects(
+    study: Study, table: GapTable, location: Location
+) -> tuple[Effect, ...]:
     """Effects in the order named; of two with one name, the later replaces the first."""
     effects: dict[str, Effect] = {}
     named: set[str] = set()
     for i, entry in enumerate(table.effects):
-        at = place.key("effects").item(i)
+        at = location.key("effects").item(i)
         names = [entry]
         if entry == ALL:
             names = [e.name for e in catalogue.listing("effects")]
@@ -100,7 +102,7 @@ def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect,
                 named.add(effect.name)
     for i, name in enumerate(table.without):
         if name not in effects:
-            at = place.key("without").item(i)
+            at = location.key("without").item(i)
             raise at.error("no such effect is tried", suggest(name, effects), name)
     check_sizes(study, effects.values())
     instruments = _instruments(study)
@@ -110,7 +112,7 @@ def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect,
         if name not in table.without and (name in named or e.is_offered(instruments))
     )
     if not tried:
-        raise place.key("effects").error(
+        raise location.key("effects").error(
             "no effect is left to try", 'name some, or "all"'
         )
     return tried
@@ -118,7 +120,7 @@ def _tried_effects(study: Study, table: GapTable, place: Place) -> tuple[Effect,
 
 def _instruments(study: Study) -> list[str]:
     """Names of the instruments of the study's set-ups."""
-    at = study.place.key("setup")
+    at = study.location.key("setup")
     return [
         catalogue.instrument(
             table.instrument, study.origin, at.item(i).key("instrument")
@@ -128,17 +130,19 @@ def _instruments(study: Study) -> list[str]:
 
 
 def _acting_effect(
-    study: Study, table: ActingTable, machine: Machine, place: Place
+    study: Study, table: ActingTable, machine: Machine, location: Location
 ) -> ActingEffect:
-    effect: Effect = catalogue.effect(table.effect, study.origin, place.key("effect"))
+    effect: Effect = catalogue.effect(
+        table.effect, study.origin, location.key("effect")
+    )
     reason = effect.unfit(machine)
     if reason is not None:
-        raise place.key("effect").error(
+        raise location.key("effect").error(
             f"it cannot act on {machine.name}: {reason}", "take another", table.effect
         )
     for name in table.constants:
         if name not in effect.constants:
-            at = place.key("constants").key(name)
+            at = location.key("constants").key(name)
             raise at.error("no such constant", suggest(name, effect.constants))
     return ActingEffect(
         effect=effect_with_sizes(effect, study),
@@ -146,7 +150,7 @@ def _acting_effect(
         size=table.size,
         draw=table.draw,
         coefficients=table.coefficients or None,
-        place=place,
+        location=location,
     )
 
 
@@ -158,7 +162,9 @@ def _usual_constants(effect: Effect) -> dict[str, float]:
     return usual
 
 
-def unknown_coefficient(place: Place, name: str, known: Sequence[str]) -> InputError:
+def unknown_coefficient(
+    location: Location, name: str, known: Sequence[str]
+) -> InputError:
     """The error for a coefficient that an effect does not have on this machine."""
-    at = place.key("coefficients").key(name)
+    at = location.key("coefficients").key(name)
     return at.error("the effect has no such coefficient here", suggest(name, known))

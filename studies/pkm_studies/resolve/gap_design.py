@@ -15,7 +15,7 @@ from oed.gap.before.runs import Run
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
 from pkm_studies import catalogue
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve.conditions import (
     FEED_MM_PER_MIN,
     MINUTE,
@@ -35,20 +35,20 @@ def candidate_runs(
     plans: Mapping[str, ReferencePlan],
     measurement: Measurement,
     timing: ConditionsTable,
-    place: Place,
+    location: Location,
 ) -> tuple[tuple[Run, ...], int]:
     """Runs of the retained plan, then candidate runs; the number of retained ones.
 
     Raises InputError for plans that do not exist.
     """
-    _check_plans(table, plans, place)
+    _check_plans(table, plans, location)
 
     def runs_of_plan(name: str, conditions: Sequence[RunCondition]) -> list[Run]:
         """Runs of a reference plan under each condition."""
         prefix = name if len(plans) > 1 else ""
         runs: list[Run] = []
         for series in plans[name].series:
-            runs += runs_of(series, prefix, conditions, measurement, timing, place)
+            runs += runs_of(series, prefix, conditions, measurement, timing, location)
         return runs
 
     retained: list[Run] = []
@@ -62,19 +62,19 @@ def candidate_runs(
 
 
 def _check_plans(
-    table: GapDesignTable, plans: Mapping[str, ReferencePlan], place: Place
+    table: GapDesignTable, plans: Mapping[str, ReferencePlan], location: Location
 ) -> None:
     if not plans:
-        raise place.error(
+        raise location.error(
             "there are no runs to choose from",
             "add [[design.reference]] plans with `runs_by`",
         )
     for i, name in enumerate(table.candidates):
-        known_name(name, plans, place.key("candidates").item(i), "plan")
+        known_name(name, plans, location.key("candidates").item(i), "plan")
     if table.keep is not None:
-        known_name(table.keep, plans, place.key("keep"), "plan")
+        known_name(table.keep, plans, location.key("keep"), "plan")
     if table.keep is not None and table.keep in table.candidates:
-        raise place.key("keep").error(
+        raise location.key("keep").error(
             "a plan is kept or a candidate, not both", "remove it from one", table.keep
         )
 
@@ -85,7 +85,7 @@ def runs_of(
     conditions: Sequence[RunCondition],
     measurement: Measurement,
     timing: ConditionsTable,
-    place: Place,
+    location: Location,
 ) -> list[Run]:
     """Each run of a series under each condition; `plan` starts their names.
 
@@ -100,7 +100,7 @@ def runs_of(
         rows = np.flatnonzero(series.run == label)
         command = _commands(series, rows)
         if np.isnan(command).any():
-            raise place.key("candidates").error(
+            raise location.key("candidates").error(
                 "runs of recorded joints cannot be planned anew", "give commands"
             )
         for condition in conditions:
@@ -166,7 +166,7 @@ class GapDesignRequest:
     runs: tuple[Run, ...]
     retained: tuple[int, ...]
     rules: Rules | None
-    place: Place
+    location: Location
     table: GapDesignTable
     timing: ConditionsTable
 
@@ -185,12 +185,12 @@ def gap_design_request(
     """
     if study.gap is None or study.gap.design is None:
         return None
-    table, place = study.gap.design, study.place.key("gap").key("design")
+    table, location = study.gap.design, study.location.key("gap").key("design")
     timing, plans = study.gap.conditions, {plan.name: plan for plan in references}
-    wanted = _effects(study, table.find, measurement, place.key("find"))
-    rivals = _effects(study, table.rivals, measurement, place.key("rivals"))
+    wanted = _effects(study, table.find, measurement, location.key("find"))
+    rivals = _effects(study, table.rivals, measurement, location.key("rivals"))
     if len({e.name for e in (*wanted, *rivals)}) < 2:
-        raise place.key("find").error(
+        raise location.key("find").error(
             "there is nothing to tell apart", "name two effects, or rivals", table.find
         )
     follows_plan = (
@@ -201,18 +201,18 @@ def gap_design_request(
     )
     keep = None if follows_plan else table.keep
     runs, count = candidate_runs(
-        msgspec.structs.replace(table, keep=keep), plans, measurement, timing, place
+        msgspec.structs.replace(table, keep=keep), plans, measurement, timing, location
     )
     rules = None
     if not follows_plan:
-        rules = _rules(table, runs, count, measurement, timing, place)
+        rules = _rules(table, runs, count, measurement, timing, location)
     return GapDesignRequest(
         wanted=wanted,
         rivals=rivals,
         runs=runs,
         retained=tuple(range(count)),
         rules=rules,
-        place=place,
+        location=location,
         table=table,
         timing=timing,
     )
@@ -231,35 +231,37 @@ def with_planned_readings(
 
     Raises InputError where no time remains.
     """
-    table, timing, place = request.table, request.timing, request.place
+    table, timing, location = request.table, request.timing, request.location
     if table.runs is None and table.budget_min is None:
         if remaining < 1.0:
             problem = (
                 "[plan] uses all its time: none remains for runs that separate effects"
             )
             remedy = "give budget_min, which is taken from the plan's time, or runs"
-            raise place.error(problem, remedy)
+            raise location.error(problem, remedy)
         table = msgspec.structs.replace(table, budget_min=remaining / MINUTE)
     retained: list[Run] = []
     for s in series:
-        retained += runs_of(s, PLAN, table.conditions[:1], measurement, timing, place)
+        retained += runs_of(
+            s, PLAN, table.conditions[:1], measurement, timing, location
+        )
     runs = (*retained, *request.runs)
-    rules = _rules(table, runs, len(retained), measurement, timing, place)
+    rules = _rules(table, runs, len(retained), measurement, timing, location)
     return dataclasses.replace(
         request, runs=runs, retained=tuple(range(len(retained))), rules=rules
     )
 
 
 def _effects(
-    study: Study, names: Sequence[str], measurement: Measurement, place: Place
+    study: Study, names: Sequence[str], measurement: Measurement, location: Location
 ) -> tuple[Effect, ...]:
     machine = measurement.machine
     effects: list[Effect] = []
     for i, name in enumerate(names):
-        effect: Effect = catalogue.effect(name, study.origin, place.item(i))
+        effect: Effect = catalogue.effect(name, study.origin, location.item(i))
         reason = effect.unfit(machine)
         if reason is not None:
-            raise place.item(i).error(
+            raise location.item(i).error(
                 f"it cannot occur on {machine.name}: {reason}", "take another", name
             )
         effects.append(effect)
@@ -275,13 +277,13 @@ def _rules(
     retained: int,
     measurement: Measurement,
     timing: ConditionsTable,
-    place: Place,
+    location: Location,
 ) -> Rules:
     """Rules for the runs added to the first `retained`, whose set-ups are mounted."""
-    _check_number(table, len(runs) - retained, place)
+    _check_number(table, len(runs) - retained, location)
     timed = [run for run in runs if "time" in run.condition]
     if timed and len(timed) < len(runs):
-        raise place.key("conditions").error(
+        raise location.key("conditions").error(
             "some runs have a time and some have none", "give start_min to all or none"
         )
     cost = np.array([run.seconds for run in runs])
@@ -304,13 +306,13 @@ def _rules(
     return Rules(size=table.runs, time=time, setups=mounting)
 
 
-def _check_number(table: GapDesignTable, candidates: int, place: Place) -> None:
+def _check_number(table: GapDesignTable, candidates: int, location: Location) -> None:
     if table.runs is None and table.budget_min is None:
-        raise place.error(
+        raise location.error(
             "it does not say how many runs to choose", "give runs = 4, or budget_min"
         )
     if table.runs is not None and table.runs > candidates:
-        raise place.key("runs").error(
+        raise location.key("runs").error(
             f"there are only {candidates} candidate runs",
             "choose fewer, or give more conditions",
             table.runs,

@@ -20,7 +20,7 @@ from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate, Machine
 from pkm_studies import quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.quantities import format_value
 from pkm_studies.resolve import poses
 from pkm_studies.resolve.command_ranges import check_tool_workspace, command_units
@@ -74,7 +74,7 @@ class Circles:
     hold: str | None
     lower: float
     upper: float
-    place: Place
+    location: Location
     further: tuple[Series, ...] = ()
 
     def every_series(self) -> list[list[Series]]:
@@ -91,7 +91,7 @@ class Circles:
             self.setup,
             np.vstack(commands),
             self.hold,
-            self.place,
+            self.location,
             strict=True,
         )
         parts = np.split(held, ends[:-1])
@@ -114,14 +114,16 @@ class Circles:
     def _series(self, command: Array, m: int, n: int) -> Series:
         numbers = np.repeat(np.arange(1, m + 1), n)
         labels = [f"circle {number}" for number in numbers]
-        return planned_series(self.measurement, self.setup, command, labels, self.place)
+        return planned_series(
+            self.measurement, self.setup, command, labels, self.location
+        )
 
 
 # -- commands --------------------------------------------------------------------------
 
 
 def grid_commands(
-    axes: Mapping[str, Axis], machine: Machine, place: Place
+    axes: Mapping[str, Axis], machine: Machine, location: Location
 ) -> tuple[Array, str | None, dict[str, str]]:
     """Commands of a grid, the coordinate to hold, and the key of each coordinate.
 
@@ -132,8 +134,8 @@ def grid_commands(
     keys: dict[str, str] = {}
     hold: str | None = None
     for key, axis in axes.items():
-        at = place.key(key)
-        name, unit = _coordinate(key, axis, machine, place)
+        at = location.key(key)
+        name, unit = _coordinate(key, axis, machine, location)
         if name in keys:
             raise at.error(f"{name} is given twice", f"keep {keys[name]} or {key}")
         keys[name] = key
@@ -145,14 +147,14 @@ def grid_commands(
                 )
             hold = name
         values[name] = units.to_si(_axis_values(axis, at), unit)
-    _check_complete(values, machine, place)
+    _check_complete(values, machine, location)
     axis_values = [values[c.name] for c in machine.command]
     mesh = np.meshgrid(*axis_values, indexing="ij")
     return np.column_stack([m.ravel() for m in mesh]), hold, keys
 
 
 def _check_complete(
-    values: Mapping[str, Array], machine: Machine, place: Place
+    values: Mapping[str, Array], machine: Machine, location: Location
 ) -> None:
     """Raises InputError for a coordinate without values, and for too many poses."""
     for c in machine.command:
@@ -161,35 +163,35 @@ def _check_complete(
             remedy = (
                 f'give {key}, or {c.name} = "hold" where the instrument leads the tool'
             )
-            raise place.key(key).error("missing", remedy)
+            raise location.key(key).error("missing", remedy)
     count = math.prod(len(v) for v in values.values())
     if count > MAX_POSES:
         remedy = f"take at most {MAX_POSES}: fewer values a coordinate"
-        raise place.error(f"the grid has {count} poses", remedy)
+        raise location.error(f"the grid has {count} poses", remedy)
 
 
 def _coordinate(
-    key: str, axis: Axis, machine: Machine, place: Place
+    key: str, axis: Axis, machine: Machine, location: Location
 ) -> tuple[str, str]:
     """Name and unit of a grid's key; a held coordinate needs no unit."""
     known = command_units(machine)
     if axis == "hold" and key in known:
         return key, known[key]
-    return quantities.split_key(key, known, place)
+    return quantities.split_key(key, known, location)
 
 
-def _axis_values(axis: Axis, place: Place) -> Array:
+def _axis_values(axis: Axis, location: Location) -> Array:
     if isinstance(axis, str):
         return np.zeros(1)
     if isinstance(axis, Span):
         if axis.count > MAX_POSES:
-            raise place.key("count").error(
+            raise location.key("count").error(
                 "too many values", f"take at most {MAX_POSES}", axis.count
             )
         return np.linspace(axis.from_, axis.to, axis.count, endpoint=axis.endpoint)
     values = np.atleast_1d(np.asarray(axis, dtype=float))
     if not values.size:
-        raise place.error("the list is empty", "give at least one value")
+        raise location.error("the list is empty", "give at least one value")
     return values
 
 
@@ -198,7 +200,7 @@ def solve_held(
     setup: str,
     command: Array,
     hold: str | None,
-    place: Place,
+    location: Location,
     *,
     strict: bool,
 ) -> tuple[Array, int]:
@@ -209,16 +211,16 @@ def solve_held(
     """
     if hold is None:
         return command, 0
-    place = place.key(hold)
+    location = location.key(hold)
     instrument = measurement.setups[setup].instrument
     if instrument.fixed_reading is None:
         problem = f"{instrument.name} holds no reading by design"
-        raise place.error(problem, f"give {hold} values with a unit", "hold")
+        raise location.error(problem, f"give {hold} values with a unit", "hold")
     try:
         solved, solvable = commands_at_fixed_reading(measurement, setup, command, hold)
     except AssemblyError as error:
         problem = reach_problem(error, measurement.machine)
-        raise place.error(problem, "narrow the grid", "hold") from error
+        raise location.error(problem, "narrow the grid", "hold") from error
     lost = int((~solvable).sum())
     if lost == len(command) or (strict and lost):
         first = command[np.flatnonzero(~solvable)[0]]
@@ -232,7 +234,7 @@ def solve_held(
             f" holds, the first at {', '.join(others)}"
         )
         remedy = "move the grid or the teach pose, or take another bar"
-        raise place.error(problem, remedy, "hold")
+        raise location.error(problem, remedy, "hold")
     return solved[solvable], lost
 
 
@@ -244,7 +246,7 @@ def planned_series(
     setup: str,
     command: Array,
     run: Sequence[str],
-    place: Place,
+    location: Location,
 ) -> Series:
     """Readings at commands, in the passes that the set-up's protocol asks for.
 
@@ -254,57 +256,60 @@ def planned_series(
         series = measurement.series(setup, command, run)
     except AssemblyError as error:
         problem = reach_problem(error, measurement.machine)
-        raise place.error(problem, REACH_REMEDY) from error
+        raise location.error(problem, REACH_REMEDY) from error
     if not len(series):
-        raise place.error(
+        raise location.error(
             "every run is one point: its reference, and no reading",
             "add poses along the run, or choose another runs_by",
         )
-    check_joint_range(measurement.machine, series.command, series.q, place)
+    check_joint_range(measurement.machine, series.command, series.q, location)
     return series.expand_passes(measurement.setups[setup].protocol)
 
 
 def run_labels(
-    command: Array, by: str | None, coordinates: Sequence[Coordinate], place: Place
+    command: Array,
+    by: str | None,
+    coordinates: Sequence[Coordinate],
+    location: Location,
 ) -> list[str]:
     """Run of each pose: "1", or one for each value of coordinate `by` (`z=1146mm`)."""
     if by is None:
         return ["1"] * len(command)
     names = [c.name for c in coordinates]
-    known_name(by, names, place.key("runs_by"), "coordinate")
+    known_name(by, names, location.key("runs_by"), "coordinate")
     k = names.index(by)
     values = [format_value(value, coordinates[k].unit) for value in command[:, k]]
     return [f"{by}={value.replace(' ', '')}" for value in values]
 
 
 def grid_series(
-    table: GridTable, measurement: Measurement, place: Place, *, strict: bool
+    table: GridTable, measurement: Measurement, location: Location, *, strict: bool
 ) -> tuple[Series, int]:
     """Series of a grid's table, and the number of poses dropped (see `solve_held`)."""
     machine = measurement.machine
     setup = measurement.setups[table.setup]
-    kind = poses.form(table, place)
+    kind = poses.form(table, location)
     if table.pairs_mm is not None:
-        command, run = _pairs(table, measurement.kinematics, setup, place)
-        return planned_series(measurement, table.setup, command, run, place), 0
+        command, run = _pairs(table, measurement.kinematics, setup, location)
+        return planned_series(measurement, table.setup, command, run, location), 0
     if kind is not None:
         given = poses.given_poses(
-            table, kind, measurement.kinematics, setup.tool, place
+            table, kind, measurement.kinematics, setup.tool, location
         )
         keys = dict.fromkeys(command_units(machine), kind)
         check_tool_workspace(
-            measurement.kinematics, given.command, keys, place, setup.tool
+            measurement.kinematics, given.command, keys, location, setup.tool
         )
-        return planned_series(measurement, table.setup, *given, place), 0
-    command, hold, keys = grid_commands(table.coordinates, machine, place)
+        return planned_series(measurement, table.setup, *given, location), 0
+    command, hold, keys = grid_commands(table.coordinates, machine, location)
     if hold is not None:
         command = mid_range(command, hold, machine, setup)
-    check_tool_workspace(measurement.kinematics, command, keys, place, setup.tool)
+    check_tool_workspace(measurement.kinematics, command, keys, location, setup.tool)
     command, lost = solve_held(
-        measurement, table.setup, command, hold, place, strict=strict
+        measurement, table.setup, command, hold, location, strict=strict
     )
-    run = run_labels(command, table.runs_by, machine.command, place)
-    return planned_series(measurement, table.setup, command, run, place), lost
+    run = run_labels(command, table.runs_by, machine.command, location)
+    return planned_series(measurement, table.setup, command, run, location), lost
 
 
 def mid_range(command: Array, hold: str, machine: Machine, setup: Setup) -> Array:
@@ -317,11 +322,11 @@ def mid_range(command: Array, hold: str, machine: Machine, setup: Setup) -> Arra
 
 
 def _pairs(
-    table: GridTable, kinematics: Kinematics, setup: Setup, place: Place
+    table: GridTable, kinematics: Kinematics, setup: Setup, location: Location
 ) -> tuple[Array, list[str]]:
     """Commands and runs of point pairs: two poses a run, of which the first is zero."""
     if table.coordinates or table.runs_by is not None:
-        raise place.key("pairs_mm").error(
+        raise location.key("pairs_mm").error(
             "pairs say all about the poses", "remove the coordinates and runs_by"
         )
     machine = kinematics.machine
@@ -332,10 +337,14 @@ def _pairs(
             "pairs are for instruments that compare two poses, on machines commanded in"
             " x, y, z"
         )
-        raise place.key("pairs_mm").error(problem, "give a grid of coordinates instead")
+        raise location.key("pairs_mm").error(
+            problem, "give a grid of coordinates instead"
+        )
     points = units.to_si(np.array(table.pairs_mm, dtype=float), "mm").reshape(-1, 3)
     if not points.size:
-        raise place.key("pairs_mm").error("the list is empty", "give at least one pair")
+        raise location.key("pairs_mm").error(
+            "the list is empty", "give at least one pair"
+        )
     keys = dict.fromkeys(command_units(machine), "pairs_mm")
-    check_tool_workspace(kinematics, points, keys, place, setup.tool)
+    check_tool_workspace(kinematics, points, keys, location, setup.tool)
     return points, [f"pair {i // 2 + 1}" for i in range(len(points))]

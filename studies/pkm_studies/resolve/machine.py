@@ -15,7 +15,7 @@ from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.adjustment import Adjustment
 from oed.model.machine import Coordinate, Dimension, Machine
 from pkm_studies import catalogue, quantities, user_code
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve import lookup, reach
 from pkm_studies.study import Study
 from pkm_studies.tables import AdjustTable, MachineTable
@@ -27,7 +27,9 @@ from pkm_studies.user_code import Origin
 AMOUNTS = ("step", "sd", "most")
 
 
-def with_adjustments(table: MachineTable, machine: Machine, place: Place) -> Machine:
+def with_adjustments(
+    table: MachineTable, machine: Machine, location: Location
+) -> Machine:
     """The machine with the study's adjustments in place of the model's, if it has any.
 
     Raises InputError for names and units that do not fit, and for amounts below 0.
@@ -37,7 +39,7 @@ def with_adjustments(table: MachineTable, machine: Machine, place: Place) -> Mac
     held = machine.frame if table.fixed is None else ()
     adjustments: dict[str, Adjustment] = {}
     for i, entry in enumerate(table.adjust):
-        at = place.key("adjust").item(i)
+        at = location.key("adjust").item(i)
         adjustments |= _of_table(entry, machine, held, at)
     parameters = tuple(
         dataclasses.replace(p, adjust=adjustments.get(p.name))
@@ -47,20 +49,20 @@ def with_adjustments(table: MachineTable, machine: Machine, place: Place) -> Mac
 
 
 def _of_table(
-    table: AdjustTable, machine: Machine, held: Collection[str], place: Place
+    table: AdjustTable, machine: Machine, held: Collection[str], location: Location
 ) -> dict[str, Adjustment]:
     """The adjustments of one table by parameter.
 
     held  parameters that only choose the base frame
     """
     units = {p.name: p.unit for p in machine.parameters}
-    at = place.key("parameters")
+    at = location.key("parameters")
     names, unit = lookup.names_of_one_unit(table.parameters, units, at)
     known = dict.fromkeys(AMOUNTS, unit)
-    amounts = quantities.read_values(table.amounts, known, place)
+    amounts = quantities.read_values(table.amounts, known, location)
     for key, value in table.amounts.items():
         if value < 0.0 or (value == 0.0 and key.startswith("most")):
-            raise place.key(key).error("no such amount", "give a number > 0", value)
+            raise location.key(key).error("no such amount", "give a number > 0", value)
     conventions = [name for name in names if name in held]
     if conventions:
         raise at.error(
@@ -94,11 +96,11 @@ REACH_REMEDY = (
 
 def study_kinematics(study: Study) -> Kinematics:
     """The kinematics of the model with the study's numbers. Raises InputError."""
-    place = study.place.key("machine")
-    machine, changed = _described(study.machine, study.origin, place, assembled=True)
+    location = study.location.key("machine")
+    machine, changed = _described(study.machine, study.origin, location, assembled=True)
     kinematics = Kinematics(machine)
     if changed:
-        check_home(kinematics, place)
+        check_home(kinematics, location)
     return kinematics
 
 
@@ -107,38 +109,38 @@ def study_machine(study: Study, *, assembled: bool = True) -> Machine:
 
     assembled  whether it must assemble at home
     """
-    place = study.place.key("machine")
-    return described_machine(study.machine, study.origin, place, assembled=assembled)
+    location = study.location.key("machine")
+    return described_machine(study.machine, study.origin, location, assembled=assembled)
 
 
 def described_machine(
-    table: MachineTable, origin: Origin, place: Place, *, assembled: bool = True
+    table: MachineTable, origin: Origin, location: Location, *, assembled: bool = True
 ) -> Machine:
     """The machine of a table [machine]. Raises InputError.
 
     origin     of the table: where a model's file lies, and whether it may run
-    place      of the table, for errors
+    location   of the table, for errors
     assembled  whether it must assemble at home
     """
-    machine, changed = _described(table, origin, place, assembled=assembled)
+    machine, changed = _described(table, origin, location, assembled=assembled)
     if assembled and changed:
-        check_home(Kinematics(machine), place)
+        check_home(Kinematics(machine), location)
     return machine
 
 
 def _described(
-    table: MachineTable, origin: Origin, place: Place, *, assembled: bool
+    table: MachineTable, origin: Origin, location: Location, *, assembled: bool
 ) -> tuple[Machine, bool]:
     """The machine of a table, and whether it is another than one of the catalogue."""
-    at = place.key("model")
+    at = location.key("model")
     model: Machine = catalogue.machine(table.model, origin, at, assembled=assembled)
-    machine = _of_family(table, model, place)
-    machine = _with_nominal(table, machine, place)
-    machine = _with_ranges(table, machine, place)
+    machine = _of_family(table, model, location)
+    machine = _with_nominal(table, machine, location)
+    machine = _with_ranges(table, machine, location)
     changed = machine is not model or user_code.is_file(table.model)
     if table.drive is not None:
         machine = dataclasses.replace(machine, drive=table.drive)
-    return with_adjustments(table, machine, place), changed
+    return with_adjustments(table, machine, location), changed
 
 
 def has_own_numbers(table: MachineTable) -> bool:
@@ -193,22 +195,22 @@ def unreachable(kinematics: Kinematics) -> str | None:
     )
 
 
-def _of_family(table: MachineTable, model: Machine, place: Place) -> Machine:
+def _of_family(table: MachineTable, model: Machine, location: Location) -> Machine:
     """The machine that [machine.geometry] describes."""
-    place = place.key("geometry")
+    location = location.key("geometry")
     if not table.geometry:
         return model
     if model.family is None:
         problem = f"{model.name} has one geometry"
-        raise place.error(problem, "give its numbers as [machine.nominal]")
+        raise location.error(problem, "give its numbers as [machine.nominal]")
     known = {d.name: d for d in model.family.dimensions}
     geometry = {}
     for key, value in table.geometry.items():
         name, unit = quantities.split_key(
-            key, {n: d.unit for n, d in known.items()}, place
+            key, {n: d.unit for n, d in known.items()}, location
         )
-        array = _array(value, place.key(key))
-        _check_shape(array, known[name], place.key(key))
+        array = _array(value, location.key(key))
+        _check_shape(array, known[name], location.key(key))
         geometry[name] = (
             units.to_si(array, unit)
             if array.ndim
@@ -218,18 +220,18 @@ def _of_family(table: MachineTable, model: Machine, place: Place) -> Machine:
         return model.family.build(geometry)
     except ValueError as error:
         names = ", ".join(quantities.column(d.name, d.unit) for d in known.values())
-        raise place.error(str(error), f"the table may have {names}") from error
+        raise location.error(str(error), f"the table may have {names}") from error
 
 
-def _array(value: object, place: Place) -> Array:
+def _array(value: object, location: Location) -> Array:
     try:
         return np.asarray(value, dtype=float)
     except ValueError:
         remedy = "give lists of the same length, one a point"
-        raise place.error("the rows differ in length", remedy) from None
+        raise location.error("the rows differ in length", remedy) from None
 
 
-def _check_shape(array: Array, dimension: Dimension, place: Place) -> None:
+def _check_shape(array: Array, dimension: Dimension, location: Location) -> None:
     """One number for all limbs, or the full shape. Raises InputError."""
     wanted = dimension.shape
     fits = len(wanted) == array.ndim and all(
@@ -240,15 +242,15 @@ def _check_shape(array: Array, dimension: Dimension, place: Place) -> None:
         counts = " x ".join("any" if n is None else str(n) for n in wanted) or "1"
         given = " x ".join(map(str, array.shape)) or "1"
         problem = f"{given} numbers, where {counts} belong"
-        raise place.error(problem, f"give {dimension.about}")
+        raise location.error(problem, f"give {dimension.about}")
 
 
-def _with_nominal(table: MachineTable, model: Machine, place: Place) -> Machine:
+def _with_nominal(table: MachineTable, model: Machine, location: Location) -> Machine:
     if not table.nominal:
         return model
     known = {p.name: p.unit for p in model.parameters}
     return with_nominal(
-        model, quantities.read_values(table.nominal, known, place.key("nominal"))
+        model, quantities.read_values(table.nominal, known, location.key("nominal"))
     )
 
 
@@ -275,14 +277,14 @@ def with_nominal(model: Machine, nominal: Mapping[str, float]) -> Machine:
     return dataclasses.replace(model.with_parameters(parameters), joints=tuple(joints))
 
 
-def _with_ranges(table: MachineTable, model: Machine, place: Place) -> Machine:
+def _with_ranges(table: MachineTable, model: Machine, location: Location) -> Machine:
     """The machine with the study's workspace, joint ranges and home."""
     if not (table.workspace or table.travel or table.home):
         return model
-    command = _ranges(table.workspace, model.command, place.key("workspace"))
-    joints = _ranges(table.travel, model.joints, place.key("travel"))
+    command = _ranges(table.workspace, model.command, location.key("workspace"))
+    joints = _ranges(table.travel, model.joints, location.key("travel"))
     known = {c.name: c.unit for c in model.command}
-    stated = quantities.read_values(table.home, known, place.key("home"))
+    stated = quantities.read_values(table.home, known, location.key("home"))
     home = dict(model.home) | stated
     machine = dataclasses.replace(
         model,
@@ -291,7 +293,7 @@ def _with_ranges(table: MachineTable, model: Machine, place: Place) -> Machine:
         home=home,
         drawn=model.drawn or model,
     )
-    keys = {quantities.split_key(key, known, place)[0]: key for key in table.home}
+    keys = {quantities.split_key(key, known, location)[0]: key for key in table.home}
     for _, name, _, *ends in machine.out_of_range(machine.home_command[None]):
         unit = known[name]
         key = keys.get(name, quantities.column(name, unit))
@@ -299,24 +301,24 @@ def _with_ranges(table: MachineTable, model: Machine, place: Place) -> Machine:
         low, high = (quantities.format_as(end, unit, key) for end in ends)
         problem = f"home has {name} = {value}, outside the workspace"
         remedy = f"state a home pose inside: {name} goes from {low} to {high}"
-        raise place.key("home").key(key).error(problem, remedy)
+        raise location.key("home").key(key).error(problem, remedy)
     return machine
 
 
 def _ranges(
     table: Mapping[str, tuple[float, float]],
     coordinates: tuple[Coordinate, ...],
-    place: Place,
+    location: Location,
 ) -> tuple[Coordinate, ...]:
     """Coordinates with the ranges of a table. Raises InputError."""
     known = {c.name: c.unit for c in coordinates}
     ranges = {}
     for key, ends in table.items():
-        name, unit = quantities.split_key(key, known, place)
+        name, unit = quantities.split_key(key, known, location)
         low, high = (float(v) for v in units.to_si(ends, unit))
         if not low < high:
             remedy = "give [lower, upper]"
-            raise place.key(key).error("the range is empty", remedy, list(ends))
+            raise location.key(key).error("the range is empty", remedy, list(ends))
         ranges[name] = low, high
     return tuple(
         dataclasses.replace(c, lower=ranges[c.name][0], upper=ranges[c.name][1])
@@ -326,7 +328,7 @@ def _ranges(
     )
 
 
-def check_home(kinematics: Kinematics, place: Place) -> None:
+def check_home(kinematics: Kinematics, location: Location) -> None:
     """Raises InputError where the machine does not close at home in the model's mode.
 
     Also where it closes with a joint beyond its range.
@@ -337,5 +339,5 @@ def check_home(kinematics: Kinematics, place: Place) -> None:
         _, q = kinematics.inverse(home)
     except AssemblyError as error:
         problem = f"the home pose fails: {error}"
-        raise place.error(problem, REACH_REMEDY) from error
-    reach.check_joint_range(machine, home, q, place, REACH_REMEDY)
+        raise location.error(problem, REACH_REMEDY) from error
+    reach.check_joint_range(machine, home, q, location, REACH_REMEDY)

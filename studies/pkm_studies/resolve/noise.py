@@ -10,7 +10,7 @@ from oed.measurement.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.noise.statement import NoiseStatement
 from pkm_studies import quantities
-from pkm_studies.base import Place, suggest
+from pkm_studies.base import Location, suggest
 from pkm_studies.study import Study
 
 #: least and largest noise of an instrument, and largest tolerance, SI: beyond them sums of
@@ -41,31 +41,31 @@ def with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:
     A number for one set-up goes before one for all, and that before the instrument's.
     Raises InputError.
     """
-    place = study.place.key("noise")
+    location = study.location.key("noise")
     common, special = quantities.split_tables(study.noise.sigma)
     for name in special:
         if name not in setups:
-            raise place.key(name).error("no such set-up", suggest(name, setups))
-    law = _law(study, place)
-    general = _amounts(common, list(setups.values()), place)
+            raise location.key(name).error("no such set-up", suggest(name, setups))
+    law = _law(study, location)
+    general = _amounts(common, list(setups.values()), location)
     noisy = {}
     for name, setup in setups.items():
-        stated = _amounts(special.get(name, {}), [setup], place.key(name))
+        stated = _amounts(special.get(name, {}), [setup], location.key(name))
         noisy[name] = _with_amounts(setup, general | stated, law)
     return noisy
 
 
-def _law(study: Study, place: Place) -> NoiseStatement:
+def _law(study: Study, location: Location) -> NoiseStatement:
     """What is stated of all readings."""
     table = study.noise
     if table.carried == 0.0 and table.reach_readings is not None:
-        raise place.key("reach_readings").error(
+        raise location.key("reach_readings").error(
             "nothing is carried along, as carried = 0",
             "remove one of the two",
             table.reach_readings,
         )
     if table.student_dof is not None and table.outlier_share:
-        raise place.key("outlier_share").error(
+        raise location.key("outlier_share").error(
             "student_dof states the tails already",
             "remove one of the two",
             table.outlier_share,
@@ -115,15 +115,15 @@ def _with_amounts(
 
 
 def _amounts(
-    table: Mapping[str, float], setups: Sequence[Setup], place: Place
+    table: Mapping[str, float], setups: Sequence[Setup], location: Location
 ) -> dict[str, float]:
     """Amounts of noise, SI, by name: what a table states of some set-ups."""
     known = _units(table, setups)
-    values = quantities.read_values(table, known, place)
+    values = quantities.read_values(table, known, location)
     for key, (name, value) in zip(table, values.items(), strict=True):
-        _check_amount(name, value, place.key(key), table[key])
+        _check_amount(name, value, location.key(key), table[key])
         if value != 0.0 and not LEAST_SIGMA <= value <= LARGEST:
-            raise place.key(key).error(
+            raise location.key(key).error(
                 "no instrument has such a noise",
                 f"check its unit; {LEAST_SIGMA:g} to {LARGEST:g} {known[name]} are"
                 " possible",
@@ -131,7 +131,7 @@ def _amounts(
             )
         if name == SEATING and not any(s.instrument.renewed for s in setups):
             names = ", ".join(s.name for s in setups)
-            raise place.key(key).error(
+            raise location.key(key).error(
                 f"no run of {names} seats anything anew",
                 "remove it: it is for a ball bar, whose cup each run seats anew",
                 table[key],
@@ -152,17 +152,17 @@ def _units(table: Mapping[str, float], setups: Sequence[Setup]) -> dict[str, str
     return known
 
 
-def _check_amount(name: str, value: float, place: Place, given: float) -> None:
+def _check_amount(name: str, value: float, location: Location, given: float) -> None:
     """Raises InputError for a negative amount, and for single readings without noise."""
     if name.endswith(RUN) or name == SEATING:
         if value < 0.0:
-            raise place.error(
+            raise location.error(
                 "an amount of noise is a standard deviation",
                 "give a number >= 0; 0 says that there is none",
                 given,
             )
     elif value <= 0.0:
-        raise place.error(
+        raise location.error(
             "noise must be above 0",
             "give the standard deviation of one reading",
             given,

@@ -20,7 +20,7 @@ from oed.design.nuisances import Nuisances
 from oed.design.stages.option import Option, build_option
 from oed.measurement.measurement import Measurement, Series
 from pkm_studies import quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve import grids, lookup
 from pkm_studies.resolve.gap import gap_request
 from pkm_studies.resolve.planned_effects import (
@@ -94,18 +94,18 @@ def request_of_table(
     prediction  what [prediction] requests
     done        set-ups whose readings are taken: their measurements are left out
     """
-    place = study.place.key("plan")
-    available = _budget_min(table, place)
+    location = study.location.key("plan")
+    available = _budget_min(table, location)
     if prediction is None:
         problem = "a plan aims at accuracy over a workspace, and the study has none"
-        raise place.key("measurement").error(
+        raise location.key("measurement").error(
             problem, "add a [prediction] table: reference and coordinates"
         )
-    _check_names(table, place, list(setups))
-    _check_sequences(table, place)
+    _check_names(table, location, list(setups))
+    _check_sequences(table, location)
     finished = set(done)
     open_tables = {
-        t.name: (t, place.key("measurement").item(i))
+        t.name: (t, location.key("measurement").item(i))
         for i, t in enumerate(table.measurement)
         if not set(t.mounted) & finished
     }
@@ -124,7 +124,9 @@ def request_of_table(
         table=table,
         prediction=prediction,
         options=tuple(options),
-        targets=quantities.read_values(table.wanted, components, place.key("wanted")),
+        targets=quantities.read_values(
+            table.wanted, components, location.key("wanted")
+        ),
         budget=budget - reserved,
         reserved=reserved,
         compare=tuple(
@@ -144,7 +146,7 @@ MAX_EFFECT_UNKNOWNS = 20
 def _effects(
     table: PlanTable,
     study: Study,
-    tables: Mapping[str, tuple[MeasuredTable, Place]],
+    tables: Mapping[str, tuple[MeasuredTable, Location]],
     measurement_with: MeasurementWith,
     prediction: PredictionRequest,
 ) -> PlannedEffects | None:
@@ -155,9 +157,9 @@ def _effects(
     """
     if table.effects == NO_EFFECTS or not tables:
         return None
-    place = study.place.key("plan").key("effects")
+    location = study.location.key("plan").key("effects")
     if table.virtual_machines:
-        raise place.error(
+        raise location.error(
             "virtual machines of a plan have no effects",
             "write virtual_machines = 0, or leave effects out",
         )
@@ -172,12 +174,12 @@ def _effects(
     return effects_of_planned(
         measurement,
         series,
-        named_effects(gap, table.effects, place),
+        named_effects(gap, table.effects, location),
         gap,
         prediction,
         np.random.default_rng(STATES),
         MAX_EFFECT_UNKNOWNS,
-        units.factor("min") * _budget_min(table, study.place.key("plan")),
+        units.factor("min") * _budget_min(table, study.location.key("plan")),
     )
 
 
@@ -187,29 +189,29 @@ def _reserved_seconds(study: Study, available: float) -> float:
     if design is None or design.keep != PLAN or design.budget_min is None:
         return 0.0
     if design.budget_min >= available:
-        place = study.place.key("gap").key("design").key("budget_min")
+        location = study.location.key("gap").key("design").key("budget_min")
         problem = (
             f"the plan has {available:g} min in all, so no time remains for accuracy"
         )
-        raise place.error(problem, "give less, or [plan] more", design.budget_min)
+        raise location.error(problem, "give less, or [plan] more", design.budget_min)
     return units.factor("min") * design.budget_min
 
 
-def _budget_min(table: PlanTable, place: Place) -> float:
+def _budget_min(table: PlanTable, location: Location) -> float:
     """The time that the plan may take, min. Raises InputError where none is stated."""
     if table.budget_min is None:
-        raise place.key("budget_min").error(
+        raise location.key("budget_min").error(
             "missing", "state the time that is available: budget_min = 120.0"
         )
     return table.budget_min
 
 
-def _check_names(table: PlanTable, place: Place, setups: Sequence[str]) -> None:
+def _check_names(table: PlanTable, location: Location, setups: Sequence[str]) -> None:
     """Check names of measurements and set-ups: known, and each used once."""
     names: set[str] = set()
     owners: dict[str, str] = {}
     for i, measured in enumerate(table.measurement):
-        entry = place.key("measurement").item(i)
+        entry = location.key("measurement").item(i)
         if measured.name in names:
             raise entry.key("name").error(
                 "used twice", "give each measurement its own name", measured.name
@@ -219,10 +221,13 @@ def _check_names(table: PlanTable, place: Place, setups: Sequence[str]) -> None:
 
 
 def _check_setups(
-    table: MeasuredTable, place: Place, setups: Sequence[str], owners: dict[str, str]
+    table: MeasuredTable,
+    location: Location,
+    setups: Sequence[str],
+    owners: dict[str, str],
 ) -> None:
     """Check the set-ups of a measurement, and enter it as their owner."""
-    field = place.key("setups" if table.setup is None else "setup")
+    field = location.key("setups" if table.setup is None else "setup")
     if (table.setup is None) == (not table.setups):
         raise field.error(
             "a measurement needs set-ups to mount",
@@ -241,11 +246,11 @@ def _check_setups(
         owners[name] = table.name
 
 
-def _check_sequences(table: PlanTable, place: Place) -> None:
+def _check_sequences(table: PlanTable, location: Location) -> None:
     """Check the sequences to compare: known measurements, each named once."""
     names = [measured.name for measured in table.measurement]
     for i, sequence in enumerate(table.compare):
-        entry = place.key("compare").item(i)
+        entry = location.key("compare").item(i)
         for j, name in enumerate(sequence):
             lookup.known_name(name, names, entry.item(j), "measurement")
         if len(set(sequence)) < len(sequence):
@@ -257,12 +262,12 @@ def _check_sequences(table: PlanTable, place: Place) -> None:
 def _option(
     table: MeasuredTable,
     measurement_with: MeasurementWith,
-    place: Place,
+    location: Location,
     nuisances: Nuisances | None,
 ) -> Option:
     """A measurement to plan with, whose numbers are the first that nuisances change."""
     measurement = measurement_with(table.mounted)
-    series = [_grid(table, name, measurement, place) for name in table.mounted]
+    series = [_grid(table, name, measurement, location) for name in table.mounted]
     mounting = table.setup_min
     travel = table.travel_mm
     if nuisances is not None:
@@ -286,7 +291,7 @@ def _option(
             nuisances=nuisances,
         )
     except ValueError as error:
-        raise place.error(str(error), "change counts, or the grid") from error
+        raise location.error(str(error), "change counts, or the grid") from error
     if table.reading_s is None:
         return option
     seconds = _candidate_seconds(option, table.reading_s)
@@ -294,7 +299,7 @@ def _option(
 
 
 def _grid(
-    table: MeasuredTable, setup: str, measurement: Measurement, place: Place
+    table: MeasuredTable, setup: str, measurement: Measurement, location: Location
 ) -> Series:
     """The candidate readings of one set-up."""
     grid = GridTable(
@@ -303,7 +308,7 @@ def _grid(
         pairs_mm=table.pairs_mm,
         coordinates=table.coordinates,
     )
-    series = grids.grid_series(grid, measurement, place, strict=False)[0]
+    series = grids.grid_series(grid, measurement, location, strict=False)[0]
     if not table.whole_runs:
         return series
     # the readings of a run must follow each other, whichever coordinate varies slowest

@@ -18,7 +18,7 @@ from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
 from oed.measurement.measurement import Measurement, Series
 from oed.model.effect import Effect
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve.gap import GapRequest
 from pkm_studies.resolve.prediction import PredictionRequest
 from pkm_studies.study import Study
@@ -34,7 +34,7 @@ SESSION_SECONDS = 7200.0
 
 
 def named_effects(
-    request: GapRequest, names: str | Sequence[str], place: Place
+    request: GapRequest, names: str | Sequence[str], location: Location
 ) -> list[Effect]:
     """The effects named, or with a word all. Raises InputError for other names."""
     if isinstance(names, str):
@@ -43,7 +43,7 @@ def named_effects(
     for k, name in enumerate(names):
         if name not in known:
             remedy = f"name some of {', '.join(known)}"
-            raise place.item(k).error("no such effect is tried", remedy, name)
+            raise location.item(k).error("no such effect is tried", remedy, name)
     return [known[name] for name in dict.fromkeys(names)]
 
 
@@ -56,7 +56,9 @@ def check_effect_names(study: Study, request: GapRequest) -> None:
     }
     for key, table in tables.items():
         if table is not None and table.effects is not None:
-            named_effects(request, table.effects, study.place.key(key).key("effects"))
+            named_effects(
+                request, table.effects, study.location.key(key).key("effects")
+            )
 
 
 def effects_of_planned(

@@ -14,7 +14,7 @@ from oed.base.arrays import Array, Index
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from pkm_studies import csv_table, quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve.command_ranges import command_units
 from pkm_studies.resolve.tool_points import ToolPoints, ranges
 from pkm_studies.tables import CircleTable, CubeTable, GridTable, Span
@@ -38,13 +38,13 @@ class Poses(NamedTuple):
     run: list[str]
 
 
-def form(table: GridTable, place: Place) -> str | None:
+def form(table: GridTable, location: Location) -> str | None:
     """The field that gives the poses; None for a grid. Raises InputError for two."""
     given = [name for name in FORMS if getattr(table, name) is not None]
     if table.pairs_mm is not None:
         given.insert(0, "pairs_mm")
     if len(given) > 1:
-        raise place.key(given[1]).error(
+        raise location.key(given[1]).error(
             f"poses come from {' and '.join(given)}", "make one table for each"
         )
     if given == ["pairs_mm"]:
@@ -59,40 +59,42 @@ def given_poses(
     kind: str,
     kinematics: Kinematics,
     tool: tuple[float, float, float],
-    place: Place,
+    location: Location,
 ) -> Poses:
     """The commands of a table in one of FORMS. Raises InputError."""
-    machine, at = kinematics.machine, place.key(kind)
+    machine, at = kinematics.machine, location.key(kind)
     if kind in POINT_FORMS:
-        fixed = _single_values(table, machine, place)
+        fixed = _single_values(table, machine, location)
         points, run = _points(table, kind)
         command = ToolPoints(kinematics, tool).commands(points, fixed, at)
         return Poses(command, run)
     if kind == "sample":
-        return _sampled(table, kinematics, tool, place)
+        return _sampled(table, kinematics, tool, location)
     if table.coordinates:
         key = next(iter(table.coordinates))
-        raise place.key(key).error(f"{kind} says all about the poses", "remove it")
+        raise location.key(key).error(f"{kind} says all about the poses", "remove it")
     if table.file is not None:
-        return _from_file(Path(place.file).parent / table.file, machine, at)
+        return _from_file(Path(location.file).parent / table.file, machine, at)
     return _listed(table.poses or {}, machine, at)
 
 
 # -- lists and files -------------------------------------------------------------------
 
 
-def _listed(lists: Mapping[str, list[float]], machine: Machine, place: Place) -> Poses:
+def _listed(
+    lists: Mapping[str, list[float]], machine: Machine, location: Location
+) -> Poses:
     values: dict[str, Array] = {}
     for key, numbers in lists.items():
-        name, unit = quantities.split_key(key, command_units(machine), place)
+        name, unit = quantities.split_key(key, command_units(machine), location)
         values[name] = units.to_si(np.array(numbers), unit)
-    command = _command(values, machine, place)
+    command = _command(values, machine, location)
     return Poses(command, ["1"] * len(command))
 
 
-def _from_file(path: Path, machine: Machine, place: Place) -> Poses:
+def _from_file(path: Path, machine: Machine, location: Location) -> Poses:
     table = csv_table.read(path)
-    in_file = Place(str(path))
+    in_file = Location(str(path))
     values: dict[str, Array] = {}
     for column in table.header:
         if column == "run":
@@ -104,19 +106,21 @@ def _from_file(path: Path, machine: Machine, place: Place) -> Poses:
     return Poses(command, table.cells("run") if has_runs else ["1"] * len(command))
 
 
-def _command(values: Mapping[str, Array], machine: Machine, place: Place) -> Array:
+def _command(
+    values: Mapping[str, Array], machine: Machine, location: Location
+) -> Array:
     """Commands (n, n_dof) from columns of equal length. Raises InputError."""
     for coordinate in machine.command:
         if coordinate.name not in values:
             key = quantities.column(coordinate.name, coordinate.unit)
-            raise place.key(key).error("missing", "give one value a pose")
+            raise location.key(key).error("missing", "give one value a pose")
     lengths = {name: len(column) for name, column in values.items()}
     if len(set(lengths.values())) > 1:
         counts = ", ".join(f"{name} {count}" for name, count in lengths.items())
-        raise place.error(f"lists of unequal length: {counts}", "one value a pose")
+        raise location.error(f"lists of unequal length: {counts}", "one value a pose")
     command = np.column_stack([values[c.name] for c in machine.command])
     if not len(command):
-        raise place.error("the list is empty", "give at least one pose")
+        raise location.error("the list is empty", "give at least one pose")
     return command
 
 
@@ -164,15 +168,15 @@ def cube_points(cube: CubeTable) -> Array:
 
 
 def _single_values(
-    table: GridTable, machine: Machine, place: Place
+    table: GridTable, machine: Machine, location: Location
 ) -> dict[str, float]:
     """SI values of the coordinates given with one value. Raises InputError."""
     values = {}
     for key, axis in table.coordinates.items():
-        name, unit = quantities.split_key(key, command_units(machine), place)
+        name, unit = quantities.split_key(key, command_units(machine), location)
         if not isinstance(axis, float | int):
             remedy = "give one value, and a table for each further one"
-            raise place.key(key).error("beside points it has one value", remedy)
+            raise location.key(key).error("beside points it has one value", remedy)
         values[name] = float(units.to_si(axis, unit))
     return values
 
@@ -184,7 +188,7 @@ def _sampled(
     table: GridTable,
     kinematics: Kinematics,
     tool: tuple[float, float, float],
-    place: Place,
+    location: Location,
 ) -> Poses:
     """Commands of a Halton sequence over the ranges, those out of reach left out."""
     machine = kinematics.machine
@@ -193,8 +197,8 @@ def _sampled(
     for key, axis in table.coordinates.items():
         if isinstance(axis, str):
             remedy = "give a grid, or a range to sample from"
-            raise place.key(key).error("sampled poses hold no reading", remedy, axis)
-        name, unit = quantities.split_key(key, command_units(machine), place)
+            raise location.key(key).error("sampled poses hold no reading", remedy, axis)
+        name, unit = quantities.split_key(key, command_units(machine), location)
         ends = [axis.from_, axis.to] if isinstance(axis, Span) else np.ravel(axis)
         spread = units.to_si(ends, unit)
         column = names.index(name)
@@ -206,7 +210,7 @@ def _sampled(
     command = lower + shares * (upper - lower)
     command = command[within_reach(command, kinematics, tool)]
     if not len(command):
-        raise place.key("sample").error(
+        raise location.key("sample").error(
             f"none of {count} sampled poses can be reached", "narrow the ranges", count
         )
     return Poses(command, ["sample"] * len(command))

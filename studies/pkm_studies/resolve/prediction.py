@@ -16,7 +16,7 @@ from oed.dataset.table_cells import LARGEST
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from pkm_studies import quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve import command_ranges, grids, reach
 from pkm_studies.study import Study
 from pkm_studies.tables import PredictionTable
@@ -46,16 +46,16 @@ def prediction_request(study: Study, machine: Machine) -> PredictionRequest | No
     """What [prediction] requests; None without it. Raises InputError."""
     if study.prediction is None:
         return None
-    place = study.place.key("prediction")
-    grid = grids.grid_commands(study.prediction.coordinates, machine, place)
+    location = study.location.key("prediction")
+    grid = grids.grid_commands(study.prediction.coordinates, machine, location)
     command, hold, keys = grid
     if hold is not None:
-        raise place.key(hold).error(
+        raise location.key(hold).error(
             "accuracy is predicted without an instrument",
             "give values with a unit",
             "hold",
         )
-    command_ranges.check_workspace(machine, command, keys, place)
+    command_ranges.check_workspace(machine, command, keys, location)
     return PredictionRequest(study.prediction, command, _states(study))
 
 
@@ -63,10 +63,10 @@ def check_reach(
     study: Study, request: PredictionRequest, kinematics: Kinematics
 ) -> None:
     """Raises InputError where the nominal machine cannot reach what is predicted."""
-    machine, place = kinematics.machine, study.place.key("prediction")
+    machine, location = kinematics.machine, study.location.key("prediction")
     for number, length in enumerate([0.0, *request.table.tools]):
         tool = np.array([0.0, 0.0, length * units.MM])
-        at = place.key("tools_mm").item(number - 1) if number else place
+        at = location.key("tools_mm").item(number - 1) if number else location
         try:
             kinematics.inverse(machine.with_tool(request.command, tool), tool=tool)
         except AssemblyError as error:
@@ -80,7 +80,7 @@ def check_states(study: Study, covariates: pd.DataFrame) -> None:
     for name in states:
         if name not in covariates or covariates[name].isna().all():
             raise (
-                study.place.key("prediction")
+                study.location.key("prediction")
                 .key("states")
                 .error(
                     "no reading was taken at a recorded value of it, so that nothing is known"
@@ -94,9 +94,9 @@ def check_states(study: Study, covariates: pd.DataFrame) -> None:
 def _states(study: Study) -> dict[str, Array]:
     """Values of the covariates in `states`, SI, by stem. Raises InputError."""
     states = {} if study.prediction is None else study.prediction.states
-    place = study.place.key("prediction").key("states")
+    location = study.location.key("prediction").key("states")
     if states and study.identify.effects == "none":
-        raise place.error(
+        raise location.error(
             "only effects differ by the state of the machine",
             'add effects = "catalogue" to [identify], or leave the states out',
         )
@@ -106,31 +106,35 @@ def _states(study: Study) -> dict[str, Array]:
         with contextlib.suppress(units.UnitError):
             known = columns.parse_column(name)
         if known is None or not _is_covariate(known):
-            raise place.key(name).error(
+            raise location.key(name).error(
                 "no covariate of a readings file with its unit",
                 "name one as in the file: payload_N, temp_<body>_C, direction",
             )
         if known.stem in FROM_THE_SESSION:
-            raise place.key(name).error(
+            raise location.key(name).error(
                 "no state that a machine is used at",
                 "leave it out: it is as in the session",
             )
         listed = given if isinstance(given, list) else [given]
         if not listed:
-            raise place.key(name).error("no value", "state those in use", listed)
+            raise location.key(name).error("no value", "state those in use", listed)
         values[known.stem] = known.factor * np.array(listed, dtype=float)
-        _check_values(known.stem, values[known.stem], place.key(name), listed)
+        _check_values(known.stem, values[known.stem], location.key(name), listed)
     return values
 
 
-def _check_values(stem: str, values: Array, place: Place, listed: list[float]) -> None:
+def _check_values(
+    stem: str, values: Array, location: Location, listed: list[float]
+) -> None:
     """Raises InputError for values (n,), SI, that no readings file could have."""
     if stem == "direction" and (np.abs(values) != 1.0).any():
-        raise place.error("direction is +1 or -1", "give one of them, or both", listed)
+        raise location.error(
+            "direction is +1 or -1", "give one of them, or both", listed
+        )
     if (np.abs(values) > LARGEST).any():
-        raise place.error("no state is so large", "check its unit", listed)
+        raise location.error("no state is so large", "check its unit", listed)
     if stem == "feed" and (values < 0.0).any():
-        raise place.error("a feed is at least 0", "state its size", listed)
+        raise location.error("a feed is at least 0", "state its size", listed)
 
 
 def _is_covariate(column: columns.ReadingsColumn) -> bool:
@@ -147,5 +151,5 @@ def wanted_accuracy(study: Study, machine: Machine) -> dict[str, float]:
     if study.prediction is None:
         return {}
     known = {c.name: c.unit for c in machine.components}
-    place = study.place.key("prediction").key("wanted")
-    return quantities.read_values(study.prediction.wanted, known, place)
+    location = study.location.key("prediction").key("wanted")
+    return quantities.read_values(study.prediction.wanted, known, location)

@@ -19,7 +19,7 @@ from oed.design.quotas import Quota, QuotaSet, equal_numbers
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from pkm_studies import quantities
-from pkm_studies.base import Place, suggest
+from pkm_studies.base import Location, suggest
 from pkm_studies.resolve import lookup
 from pkm_studies.resolve.command_ranges import command_units
 from pkm_studies.tables import DesignTable, QuotaTable
@@ -41,7 +41,7 @@ def quota_set(
     table: DesignTable,
     measurement: Measurement,
     candidates: Sequence[Series],
-    place: Place,
+    location: Location,
 ) -> QuotaSet | None:
     """The quotas of [design] over its candidates; None without any.
 
@@ -50,22 +50,22 @@ def quota_set(
     """
     if not candidates or (not table.quota and table.equal is None):
         return None
-    size = _checked_size(table, place)
+    size = _checked_size(table, location)
     groups = _groups(candidates, table.whole_runs)
     quotas, places = [], []
     for i, quota in enumerate(table.quota):
-        at = place.key("quota").item(i)
+        at = location.key("quota").item(i)
         members = _members(quota, measurement, candidates, groups, at)
         least, most = _numbers(quota, size, at)
         quotas.append(Quota(quota.name or f"quota {i + 1}", members, least, most))
         places.append(at)
     if table.equal is not None:
-        at = place.key("equal")
+        at = location.key("equal")
         shares = _equal(table.equal, groups, size, at)
         quotas += shares
         places += [at] * len(shares)
     quota_set = QuotaSet(tuple(quotas), size)
-    _check_feasible(quota_set, places, place)
+    _check_feasible(quota_set, places, location)
     return quota_set
 
 
@@ -87,7 +87,7 @@ def _groups(candidates: Sequence[Series], whole_runs: bool) -> list[_Group]:
 # -- fields ----------------------------------------------------------------------------
 
 
-def _checked_size(table: DesignTable, place: Place) -> int:
+def _checked_size(table: DesignTable, location: Location) -> int:
     """The number of readings.
 
     Raises InputError for fields of [design] that do not go with quotas.
@@ -96,19 +96,19 @@ def _checked_size(table: DesignTable, place: Place) -> int:
     if table.size is None or table.budget_min is not None:
         problem = f"{field} needs the number of readings, which a budget leaves open"
         remedy = "give readings instead of budget_min"
-        raise place.key("budget_min").error(problem, remedy, table.budget_min)
+        raise location.key("budget_min").error(problem, remedy, table.budget_min)
     if table.setups_max is not None:
         problem = f"{field} does not go with a choice of set-ups"
         remedy = "remove setups_max, and give candidates of the set-ups you mount"
-        raise place.key("setups_max").error(problem, remedy, table.setups_max)
+        raise location.key("setups_max").error(problem, remedy, table.setups_max)
     if table.how_many is not None:
         problem = f"{field} holds for one number of readings, not for a curve of them"
-        raise place.key("how_many").error(problem, f"remove {field} or how_many")
+        raise location.key("how_many").error(problem, f"remove {field} or how_many")
     polished = table.polish is not None and table.polish.enabled
     for i, quota in enumerate(table.quota):
         if polished and quota.coordinates:
             raise (
-                place.key("quota")
+                location.key("quota")
                 .item(i)
                 .error(
                     "polishing moves the poses out of the ranges of a quota",
@@ -118,12 +118,14 @@ def _checked_size(table: DesignTable, place: Place) -> int:
     return table.size
 
 
-def _numbers(quota: QuotaTable, size: int, place: Place) -> tuple[int, int | None]:
+def _numbers(
+    quota: QuotaTable, size: int, location: Location
+) -> tuple[int, int | None]:
     """Least and largest number of a quota."""
     for number, share in (("min", "min_share"), ("max", "max_share")):
         given = getattr(quota, number), getattr(quota, share)
         if None not in given:
-            raise place.key(share).error(
+            raise location.key(share).error(
                 f"{number} is given as well", "keep one of the two", given[1]
             )
     least, most = quota.min, quota.max
@@ -132,9 +134,11 @@ def _numbers(quota: QuotaTable, size: int, place: Place) -> tuple[int, int | Non
     if quota.max_share is not None:
         most = math.floor(quota.max_share * size + SLACK)
     if least is None and most is None:
-        raise place.error("how many readings?", "give min, max, min_share or max_share")
+        raise location.error(
+            "how many readings?", "give min, max, min_share or max_share"
+        )
     if least is not None and most is not None and least > most:
-        raise place.key("min").error(
+        raise location.key("min").error(
             f"more than the largest number, {most}", "lower it, or raise max", least
         )
     return least or 0, most
@@ -148,14 +152,14 @@ def _members(
     measurement: Measurement,
     candidates: Sequence[Series],
     groups: Sequence[_Group],
-    place: Place,
+    location: Location,
 ) -> Mask:
     """Which candidates (C,) a quota selects."""
     setups = [series.setup for series in candidates]
     for i, name in enumerate(quota.setups):
-        lookup.known_name(name, setups, place.key("setups").item(i))
-    _check_runs(quota, groups, place.key("runs"))
-    inside = _within_ranges(quota, measurement.machine, candidates, place)
+        lookup.known_name(name, setups, location.key("setups").item(i))
+    _check_runs(quota, groups, location.key("runs"))
+    inside = _within_ranges(quota, measurement.machine, candidates, location)
     members = np.zeros(len(groups), dtype=bool)
     for k, group in enumerate(groups):
         by_setup = not quota.setups or group.setup in quota.setups
@@ -164,31 +168,38 @@ def _members(
         )
         members[k] = by_setup and by_run and inside[group.rows].all()
     if not members.any():
-        raise place.error(
+        raise location.error(
             "no candidate is selected", "widen the selection, or remove the quota"
         )
     return members
 
 
-def _check_runs(quota: QuotaTable, groups: Sequence[_Group], place: Place) -> None:
+def _check_runs(
+    quota: QuotaTable, groups: Sequence[_Group], location: Location
+) -> None:
     runs = list(dict.fromkeys(group.run for group in groups))
     for i, pattern in enumerate(quota.runs):
         if not fnmatch.filter(runs, pattern):
             remedy = suggest(pattern.strip("*"), runs)
-            raise place.item(i).error("no run has this name", remedy, pattern)
+            raise location.item(i).error("no run has this name", remedy, pattern)
 
 
 def _within_ranges(
-    quota: QuotaTable, machine: Machine, candidates: Sequence[Series], place: Place
+    quota: QuotaTable,
+    machine: Machine,
+    candidates: Sequence[Series],
+    location: Location,
 ) -> Mask:
     """Which readings (N,) are within the ranges of all coordinates."""
     commands = np.vstack([series.reading_commands() for series in candidates])
     names = [c.name for c in machine.command]
     inside = np.ones(len(commands), dtype=bool)
     for key, span in quota.coordinates.items():
-        name, unit = quantities.split_key(key, command_units(machine), place)
+        name, unit = quantities.split_key(key, command_units(machine), location)
         if span.from_ is None and span.to is None:
-            raise place.key(key).error("the range has no end", "give from, to or both")
+            raise location.key(key).error(
+                "the range has no end", "give from, to or both"
+            )
         values = commands[:, names.index(name)]
         if span.from_ is not None:
             inside &= values >= float(units.to_si(span.from_, unit)) - SLACK
@@ -198,7 +209,7 @@ def _within_ranges(
 
 
 def _equal(
-    by: str, groups: Sequence[_Group], size: int, place: Place
+    by: str, groups: Sequence[_Group], size: int, location: Location
 ) -> tuple[Quota, ...]:
     """Quotas of equal numbers a set-up or a run."""
     labels = [group.setup for group in groups]
@@ -208,13 +219,15 @@ def _equal(
         return equal_numbers(labels, size)
     except ValueError as error:
         remedy = "change readings accordingly, or give a quota for each"
-        raise place.error(str(error), remedy, by) from error
+        raise location.error(str(error), remedy, by) from error
 
 
 # -- contradictions --------------------------------------------------------------------
 
 
-def _check_feasible(quota_set: QuotaSet, places: Sequence[Place], place: Place) -> None:
+def _check_feasible(
+    quota_set: QuotaSet, places: Sequence[Location], location: Location
+) -> None:
     """Raises InputError where the quotas contradict each other or the size."""
     conflict = quota_set.conflict()
     if conflict is None:
@@ -222,7 +235,7 @@ def _check_feasible(quota_set: QuotaSet, places: Sequence[Place], place: Place) 
     if not conflict:
         problem = f"there are only {quota_set.members.shape[1]} candidates"
         remedy = "choose fewer, or give more candidates"
-        raise place.key("readings").error(problem, remedy, quota_set.size)
+        raise location.key("readings").error(problem, remedy, quota_set.size)
     fields = {places[k].field: k for k in conflict}
     if len(fields) == 1:
         (index,) = list(fields.values())[:1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.quantities import format_value
 
 #: remedy for poses out of reach
@@ -19,7 +19,7 @@ def check_joint_range(
     machine: Machine,
     command: Array,
     q: Array,
-    place: Place,
+    location: Location,
     remedy: str = "keep to poses within",
 ) -> None:
     """Raises InputError where joints (n, nq) at commands (n, n_dof) leave their range."""
@@ -33,7 +33,7 @@ def check_joint_range(
     unit = next(joint.unit for joint in machine.joints if joint.name == name)
     needed, low, high = (format_value(v, unit) for v in (value, lower, upper))
     pose = pose_words(machine, command[row])
-    raise place.error(
+    raise location.error(
         f"the pose {pose} needs {name} = {needed}, outside the joint's range",
         f"{name} goes from {low} to {high}: {remedy}",
     )

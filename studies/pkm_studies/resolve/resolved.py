@@ -99,8 +99,8 @@ class ResolvedStudy:
         Raises InputError for a name that is no effect of the study.
         """
         request, names = self.gap_or_default, self.study.identify.effects
-        place = self.study.place.key("identify").key("effects")
-        named = named_effects(request, names or ALL_EFFECTS, place)
+        location = self.study.location.key("identify").key("effects")
+        named = named_effects(request, names or ALL_EFFECTS, location)
         return dataclasses.replace(request, effects=tuple(named))
 
     def with_dataset(self, dataset: Dataset | None) -> Self:
@@ -175,7 +175,7 @@ def _check_free(study: Study, everything: Measurement) -> None:
     """Raises InputError where no parameter of machine and set-ups is free."""
     if not everything.free.any():
         raise (
-            study.place.key("machine")
+            study.location.key("machine")
             .key("fixed")
             .error(
                 "every parameter is fixed: nothing is left to identify",

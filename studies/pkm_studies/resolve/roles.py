@@ -45,18 +45,18 @@ def reading_roles(
     """Set-ups whose readings are fitted (None: all others), and those held out."""
     if study.readings is None:
         return None, ()
-    place = study.place.key("readings")
+    location = study.location.key("readings")
     fit, predict = study.readings.fit, study.readings.predict
     for field, names in (("fit", fit or []), ("predict", predict)):
         for i, name in enumerate(names):
-            lookup.known_name(name, setups, place.key(field).item(i))
+            lookup.known_name(name, setups, location.key(field).item(i))
     both = set(fit or ()) & set(predict)
     if both:
-        raise place.key("predict").error(
+        raise location.key("predict").error(
             f"{min(both)} is fitted as well", "name each set-up in fit or in predict"
         )
     if fit is not None and not fit:
-        raise place.key("fit").error(
+        raise location.key("fit").error(
             "the list is empty", "name the set-ups to fit, or leave fit out"
         )
     return (None if fit is None else tuple(fit)), tuple(predict)
@@ -69,12 +69,12 @@ def true_parameters(study: Study, measurement: Measurement) -> dict[str, float]:
     """
     if study.readings is None:
         return {}
-    place = study.place.key("readings").key("truth")
+    location = study.location.key("readings").key("truth")
     common, special = quantities.split_tables(study.readings.truth)
     known = {p.name: p.unit for p in measurement.parameters}
-    truth = quantities.read_values(common, known, place)
+    truth = quantities.read_values(common, known, location)
     for name, table in special.items():
-        at = place.key(name)
+        at = location.key(name)
         setup = measurement.setups[lookup.known_name(name, measurement.setups, at)]
         known = {n.name: n.unit for n in setup.nuisances}
         values = quantities.read_values(table, known, at)
@@ -84,10 +84,10 @@ def true_parameters(study: Study, measurement: Measurement) -> dict[str, float]:
 
 def check_stages(study: Study, measurement: Measurement) -> None:
     """Raises InputError for an identification stage that frees no parameter."""
-    place = study.place.key("identify").key("stages")
+    location = study.location.key("identify").key("stages")
     for i, stage in enumerate(study.identify.stages):
-        if not lookup.matching_names(stage, measurement.names, place.item(i)):
-            raise place.item(i).error(
+        if not lookup.matching_names(stage, measurement.names, location.item(i)):
+            raise location.item(i).error(
                 "the list is empty", 'name parameters or patterns: ["*"] frees all'
             )
 

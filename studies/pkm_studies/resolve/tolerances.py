@@ -23,7 +23,7 @@ from oed.model.machine import CommonTolerance, Machine, Parameter
 from oed.model.parameter_vector import ParameterVector
 from oed.result import StudyResult, trust
 from pkm_studies import quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.earlier_result import known_parameters, named_result, result_folder
 from pkm_studies.quantities import check_not_negative
 from pkm_studies.resolve import lookup
@@ -39,7 +39,7 @@ FAR = 4.0
 
 
 def fleet_knowledge(
-    study: Study, machine: Machine, free: Sequence[str], place: Place
+    study: Study, machine: Machine, free: Sequence[str], location: Location
 ) -> tuple[Array, Array]:
     """Mean (n,) and covariance (n, n), SI, of the free parameters of a further machine.
 
@@ -52,7 +52,7 @@ def fleet_knowledge(
     results: dict[str, StudyResult] = {}
     folders = [study.folder / name for name in study.prior.from_]
     for i, name in enumerate(study.prior.from_):
-        here = place.item(i)
+        here = location.item(i)
         folder = result_folder(study, name, here)
         if folders[i].resolve() in [f.resolve() for f in folders[:i]]:
             raise here.error("this result is named twice", "name it once", name)
@@ -70,24 +70,28 @@ def fleet_knowledge(
 
 
 def _check(
-    result: StudyResult, machine: Machine, free: Sequence[str], place: Place, name: str
+    result: StudyResult,
+    machine: Machine,
+    free: Sequence[str],
+    location: Location,
+    name: str,
 ) -> None:
     """Raises InputError for a result that says nothing of this model by itself."""
     if result.machine.name != machine.name:
         problem = f"it is the result of another machine: {result.machine.name}"
-        raise place.error(problem, f"name results of {machine.name}", name)
+        raise location.error(problem, f"name results of {machine.name}", name)
     section = result.final_estimate
     if section is None or not section.covariance:
         remedy = "make it with `oed identify STUDY --readings CSV --out DIR`"
-        raise place.error("it has no estimate with its covariance", remedy, name)
+        raise location.error("it has no estimate with its covariance", remedy, name)
     if result.machine.earlier or result.machine.fleet:
-        raise place.error(
+        raise location.error(
             "its prior is that of other sessions, whose readings would count twice",
             "name results whose prior is their tolerances",
             name,
         )
     if "[[prior.correlated]]" in result.study_text:
-        raise place.error(
+        raise location.error(
             "its tolerances are correlated, and what its readings say alone is unknown",
             "identify it without [[prior.correlated]]",
             name,
@@ -95,13 +99,15 @@ def _check(
     objections = trust.objections(result)
     if objections:
         remedy = "run `oed diagnose` on its readings, or remove it here"
-        raise place.error(f"{objections[0]}: nothing should rest on it", remedy, name)
+        raise location.error(
+            f"{objections[0]}: nothing should rest on it", remedy, name
+        )
     for parameter in free:
         row = section.parameters.get(parameter)
         if row is None or row.prior_sd == 0.0:
             problem = f"{parameter} was not free there"
             remedy = "identify it there, or hold it here: [machine] fixed"
-            raise place.error(problem, remedy, name)
+            raise location.error(problem, remedy, name)
 
 
 def _information(
@@ -109,7 +115,7 @@ def _information(
     free: Sequence[str],
     nominal: Array,
     tolerance: Array,
-    place: Place,
+    location: Location,
     name: str,
 ) -> MachineInformation:
     """What the readings of a result say, about these nominal values and tolerances."""
@@ -124,7 +130,7 @@ def _information(
     shift = (start - nominal) / tolerance
     if np.abs(shift).max() > FAR:
         k = int(np.abs(shift).argmax())
-        raise place.error(
+        raise location.error(
             f"its nominal {free[k]} differs by {abs(shift[k]):.3g} tolerances: it is a"
             " machine of another size",
             "name machines of one model",
@@ -199,27 +205,27 @@ def _parameter_units(machine: Machine, setups: Mapping[str, Setup]) -> dict[str,
 
 def _prior_tolerances(study: Study, names: Mapping[str, str]) -> dict[str, float]:
     """Standard deviations, SI, by parameter; later tables of [prior] win."""
-    place = study.place.key("prior").key("tolerance")
+    location = study.location.key("prior").key("tolerance")
     tolerances: dict[str, float] = {}
     for i, table in enumerate(study.prior.tolerance):
-        tolerances |= _matching_tolerances(table, names, place.item(i))
+        tolerances |= _matching_tolerances(table, names, location.item(i))
     return tolerances
 
 
 def _matching_tolerances(
-    table: ToleranceTable, names: Mapping[str, str], place: Place
+    table: ToleranceTable, names: Mapping[str, str], location: Location
 ) -> dict[str, float]:
     matched, unit = lookup.names_of_one_unit(
-        table.parameters, names, place.key("parameters")
+        table.parameters, names, location.key("parameters")
     )
-    sigma = quantities.read_values(table.sigma, {"sigma": unit}, place).get("sigma")
+    sigma = quantities.read_values(table.sigma, {"sigma": unit}, location).get("sigma")
     if sigma is None:
         key = quantities.column("sigma", unit)
-        raise place.key(key).error("missing", "give the standard deviation")
+        raise location.key(key).error("missing", "give the standard deviation")
     key = next(iter(table.sigma))
-    check_not_negative(sigma, place.key(key))
+    check_not_negative(sigma, location.key(key))
     if sigma > LARGEST:
-        raise place.key(key).error(
+        raise location.key(key).error(
             "no machine has such a tolerance",
             f"check its unit; up to {LARGEST:g} {unit} is possible",
             table.sigma[key],
@@ -230,8 +236,8 @@ def _matching_tolerances(
 def _fixed_parameters(study: Study, names: Mapping[str, str]) -> set[str] | None:
     if study.machine.fixed is None:
         return None
-    place = study.place.key("machine").key("fixed")
-    return set(lookup.matching_names(study.machine.fixed, names, place))
+    location = study.location.key("machine").key("fixed")
+    return set(lookup.matching_names(study.machine.fixed, names, location))
 
 
 # -- bounds ----------------------------------------------------------------------------
@@ -245,12 +251,12 @@ def with_bounds(study: Study, machine: Machine) -> Machine:
     """
     if not study.prior.bounds:
         return machine
-    place = study.place.key("prior").key("bounds")
+    location = study.location.key("prior").key("bounds")
     for i, table in enumerate(study.prior.bounds):
-        machine = _bounded(machine, table, place.item(i))
+        machine = _bounded(machine, table, location.item(i))
     shares = [_share(machine, k) for k in range(len(machine.parameters))]
     if math.prod(shares) < LEAST_SHARE:
-        raise place.error(
+        raise location.error(
             f"{100.0 * math.prod(shares):.2g} % of the machines of the tolerances keep to"
             " these bounds",
             "narrow the tolerances, or widen the bounds",
@@ -258,16 +264,16 @@ def with_bounds(study: Study, machine: Machine) -> Machine:
     return machine
 
 
-def _bounded(machine: Machine, table: BoundsTable, place: Place) -> Machine:
+def _bounded(machine: Machine, table: BoundsTable, location: Location) -> Machine:
     """The machine with the bounds of one table."""
     units = {p.name: p.unit for p in machine.parameters}
     matched, unit = lookup.names_of_one_unit(
-        table.parameters, units, place.key("parameters")
+        table.parameters, units, location.key("parameters")
     )
-    ends = quantities.read_values(table.ends, {"lower": unit, "upper": unit}, place)
+    ends = quantities.read_values(table.ends, {"lower": unit, "upper": unit}, location)
     if not ends:
         key = quantities.column("lower", unit)
-        raise place.key(key).error("missing", "give lower, upper, or both")
+        raise location.key(key).error("missing", "give lower, upper, or both")
     low, high = ends.get("lower", -np.inf), ends.get("upper", np.inf)
     parameters = []
     for parameter in machine.parameters:
@@ -278,7 +284,7 @@ def _bounded(machine: Machine, table: BoundsTable, place: Place) -> Machine:
             nominal = quantities.format_as(
                 parameter.nominal, unit, next(iter(table.ends))
             )
-            raise place.error(
+            raise location.error(
                 f"the nominal value of {parameter.name}, {nominal}, is not within",
                 "bounds are of the value, not of its error; check their unit",
                 table.ends,
@@ -308,9 +314,9 @@ def with_correlation(study: Study, machine: Machine) -> Machine:
     tables = study.prior.correlated
     if not tables:
         return machine
-    place = study.place.key("prior").key("correlated")
+    location = study.location.key("prior").key("correlated")
     if study.plan is not None:
-        raise place.error(
+        raise location.error(
             "the planner of [plan] takes tolerances as independent",
             "remove [plan], or [[prior.correlated]]",
         )
@@ -318,7 +324,7 @@ def with_correlation(study: Study, machine: Machine) -> Machine:
     free -= set(machine.frame)
     groups = []
     for i, table in enumerate(tables):
-        at = place.item(i)
+        at = location.item(i)
         names = [p.name for p in machine.parameters]
         matched = lookup.matching_names(table.parameters, names, at.key("parameters"))
         members = tuple(name for name in matched if name in free)
@@ -353,15 +359,15 @@ def with_earlier(study: Study, machine: Machine) -> Machine:
 
     Raises InputError where a result does not fit.
     """
-    prior, place = study.prior, study.place.key("prior")
+    prior, location = study.prior, study.location.key("prior")
     if prior.earlier is None and not prior.from_:
         return machine
     if prior.earlier is not None and prior.from_:
         problem = "a session of this machine, and other machines, beside each other"
-        raise place.key("from").error(
+        raise location.key("from").error(
             problem, "keep one: `earlier` knows more", prior.from_
         )
-    at = place.key("earlier" if prior.earlier is not None else "from")
+    at = location.key("earlier" if prior.earlier is not None else "from")
     value = prior.earlier if prior.earlier is not None else prior.from_
     if study.plan is not None:
         remedy = "remove [plan]; `oed plan STUDY --after DIR` plans after a session"

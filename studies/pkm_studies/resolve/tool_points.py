@@ -15,7 +15,7 @@ from oed.base.arrays import Array
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.machine import Machine
 from pkm_studies import quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 
 #: sampled commands, steps at most, slope step (m, rad), and miss that is accepted (m)
 SAMPLES, STEPS, SLOPE_STEP, MISS = 600, 30, 1e-6, 1e-8
@@ -58,13 +58,13 @@ class ToolPoints:
         return rotations, points
 
     def commands(
-        self, points: Array, fixed: Mapping[str, float], place: Place
+        self, points: Array, fixed: Mapping[str, float], location: Location
     ) -> Array:
         """Commands (n, n_dof) at points (n, 3), m, with some coordinates given, SI.
 
         Raises InputError where a point cannot be reached.
         """
-        free = self._free(fixed, place)
+        free = self._free(fixed, location)
         command = self._starts(points, fixed, free)
         for _ in range(STEPS):
             miss = self.points(command) - points
@@ -74,10 +74,10 @@ class ToolPoints:
             step = -np.einsum("nij,nj->ni", np.linalg.pinv(slope), miss)
             command[:, free] += self._shortened(np.nan_to_num(step), free)
         missed = np.linalg.norm(self.points(command) - points, axis=1)
-        self._check(missed, points, place)
+        self._check(missed, points, location)
         return command.round(PICOMETRE)
 
-    def _free(self, fixed: Mapping[str, float], place: Place) -> list[int]:
+    def _free(self, fixed: Mapping[str, float], location: Location) -> list[int]:
         """Columns of the coordinates to solve for, three at most."""
         names = [c.name for c in self._machine.command]
         free = [k for k, name in enumerate(names) if name not in fixed]
@@ -90,7 +90,7 @@ class ToolPoints:
             for c in self._machine.command
             if c.name not in fixed and c.name not in AXES
         ]
-        raise place.error(
+        raise location.error(
             "the points do not fix the pose", f"give values for some of {angles}"
         )
 
@@ -138,11 +138,11 @@ class ToolPoints:
         share = np.abs(step) / (LARGEST_STEP * (upper - lower)[free])
         return np.asarray(step / np.maximum(1.0, share.max(axis=1))[:, None])
 
-    def _check(self, missed: Array, points: Array, place: Place) -> None:
+    def _check(self, missed: Array, points: Array, location: Location) -> None:
         lost = np.flatnonzero(~(missed < 100.0 * MISS))
         if lost.size:
             at = ", ".join(quantities.format_value(v, "m") for v in points[lost[0]])
-            raise place.error(
+            raise location.error(
                 f"the tool of {self._machine.name} cannot be put on {lost.size} of"
                 f" {len(points)} points, the first at {at}",
                 "move the points into the workspace, in coordinates of the base frame",

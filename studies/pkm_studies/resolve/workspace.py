@@ -30,7 +30,7 @@ def workspace_axes(study: Study, machine: Machine) -> tuple[GridAxis, ...]:
     if prediction.table.reference != "home":
         return axes
     pairs = zip(axes, machine.home_command, strict=True)
-    return tuple(axis.reaching(float(place)) for axis, place in pairs)
+    return tuple(axis.reaching(float(location)) for axis, location in pairs)
 
 
 def _lattice(machine: Machine) -> Array:

@@ -8,7 +8,7 @@ import msgspec
 
 from oed.result import StudyResult, relations, trust
 from pkm_studies import files
-from pkm_studies.base import Place, check_name
+from pkm_studies.base import Location, check_name
 
 #: bytes of the largest result that is read
 LIMIT = 1 << 28
@@ -27,7 +27,7 @@ def load_result(folder: Path) -> StudyResult:
     path = folder / "result.json"
     result = read_result(path)
     for breach in relations.breaches(result):
-        raise Place(str(path), breach.field).error(
+        raise Location(str(path), breach.field).error(
             f"this result contradicts itself: {breach.problem}",
             "it was changed after it was written: make it again, or restore the entry",
         )
@@ -36,14 +36,17 @@ def load_result(folder: Path) -> StudyResult:
 
 def read_result(path: Path) -> StudyResult:
     """The result in a file, as it stands there. Raises InputError as `load_result`."""
-    text, place = files.read_text(path, limit=LIMIT, what="result"), Place(str(path))
+    text, location = (
+        files.read_text(path, limit=LIMIT, what="result"),
+        Location(str(path)),
+    )
     try:
         result = msgspec.json.decode(text, type=StudyResult)
     except msgspec.DecodeError as error:
-        raise place.error(
+        raise location.error(
             f"this is no result: {error}", "make it again with `oed run`"
         ) from error
-    check_name(result.study, place.key("study"))
+    check_name(result.study, location.key("study"))
     return result
 
 

@@ -112,11 +112,11 @@ def effects_at(
     if names == NO_EFFECTS or resolved.prediction is None:
         return None
     request = resolved.gap_or_default
-    place = state.study.place.key("identify").key("effects")
+    location = state.study.location.key("identify").key("effects")
     return effects_of_planned(
         measurement,
         [*taken, *resolved.candidates],
-        named_effects(request, names, place),
+        named_effects(request, names, location),
         request,
         resolved.prediction,
         Stream.PLANNED_COURSES.rng(state.study.seed),

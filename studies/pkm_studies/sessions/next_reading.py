@@ -73,13 +73,13 @@ class Adviser:
     def __init__(self, study: Study, wanted: str = "") -> None:
         self.base = start(study, None, Silent(), [])
         if not self.base.resolved.candidates:
-            raise study.place.key("design").error(
+            raise study.location.key("design").error(
                 "the study has no candidates to choose the next reading from",
                 "add [[design.candidates]]",
             )
         where = self.base.resolved.prediction
         if where is None:
-            raise study.place.key("prediction").error(
+            raise study.location.key("prediction").error(
                 "the study does not say where accuracy counts",
                 "add [prediction] with a workspace, see `oed schema study`",
             )
@@ -351,9 +351,9 @@ def _limits(
     if not wanted:
         if study.design is not None and study.design.how_many is not None:
             table = study.design.how_many.wanted
-            place = study.place.key("design").key("how_many").key("wanted")
+            location = study.location.key("design").key("how_many").key("wanted")
             known = {c.name: c.unit for c in machine.components}
-            values = quantities.read_values(table, known, place)
+            values = quantities.read_values(table, known, location)
         values |= state.resolved.wanted_accuracy
     return np.array([values.get(name, np.nan) for name in names])
 

@@ -110,7 +110,7 @@ def designed(study: Study, seed: int | None) -> Scheduled:
     """
     state = select_design(start(study, seed, Silent(), []))
     if state.design is None:
-        raise study.place.key("design").error(
+        raise study.location.key("design").error(
             "the study has no candidates to choose from", "add [[design.candidates]]"
         )
     readings = Readings(series=state.design.series)
@@ -126,7 +126,7 @@ def recorded(study: Study, files: Sequence[Path] | None) -> Measured:
     state = start(study, None, Silent(), files)
     data = state.resolved.dataset
     if data is None:
-        raise study.place.key("readings").error(
+        raise study.location.key("readings").error(
             "the study names no readings", "give a file, or add [readings] files"
         )
     return take_recorded(state, data)
@@ -192,7 +192,7 @@ def planned(
     request = state.resolved.plan
     if request is None:
         raise (
-            study.place.key("plan")
+            study.location.key("plan")
             .key("measurement")
             .error(
                 "the study lists no measurement to plan with",

@@ -96,7 +96,7 @@ def diagnose_study(
     state = with_sessions(state, readings, after)
     recorded = state.resolved.dataset is not None
     if not recorded and study.readings is None:
-        raise study.place.key("readings").error(
+        raise study.location.key("readings").error(
             "there are no readings to diagnose", "give --readings FILE.csv"
         )
     result_folder.prepare(out)

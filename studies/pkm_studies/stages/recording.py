@@ -293,10 +293,10 @@ def _on_bodies(bodies: Sequence[str]) -> str:
     if len(bodies) > 1:
         return f"thermometers on all {len(bodies)} legs"
     (body,) = bodies
-    place = (
+    location = (
         f"leg {body.removeprefix('leg')}" if body != "leg" and "leg" in body else body
     )
-    return f"a thermometer on {place if place != body else 'the ' + body}"
+    return f"a thermometer on {location if location != body else 'the ' + body}"
 
 
 def _bodies(effect: Effect, measurement: Measurement) -> list[list[str]]:

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from pkm_studies.base import NAME_PATTERN, InputError, Place, shorten, suggest
+from pkm_studies.base import NAME_PATTERN, InputError, Location, shorten, suggest
 
 T = TypeVar("T")
 #: what a draft has in place of a number that nobody but its user knows
@@ -40,16 +40,16 @@ PATTERNS = {
 }
 
 
-def decode_table(kind: type[T], data: object, place: Place) -> T:
+def decode_table(kind: type[T], data: object, location: Location) -> T:
     """A struct of type `kind` from a table.
 
     Keys that the struct does not know go to its field `free_keys`, if it has one.
     Raises InputError.
     """
     if not isinstance(data, Mapping):
-        raise place.error(
+        raise location.error(
             "a table is wanted here",
-            f"write it as [{place.field or 'name'}] with fields below",
+            f"write it as [{location.field or 'name'}] with fields below",
             data,
         )
     free_keys: str | None = getattr(kind, "free_keys", None)
@@ -59,21 +59,21 @@ def decode_table(kind: type[T], data: object, place: Place) -> T:
     others: dict[str, Any] = {}
     for key, value in data.items():
         if key in known:
-            values[known[key].name] = convert(known[key].type, value, place.key(key))
+            values[known[key].name] = convert(known[key].type, value, location.key(key))
         elif free_keys is not None:
             others[key] = value
         else:
-            raise place.key(key).error("unknown field", suggest(key, known))
+            raise location.key(key).error("unknown field", suggest(key, known))
     for field in known.values():
         if field.required and field.name not in values:
-            raise _missing(field.encode_name, place)
+            raise _missing(field.encode_name, location)
     if free_keys is not None:
         declared = next(f.type for f in fields if f.name == free_keys)
-        values[free_keys] = convert(declared, others, place)
+        values[free_keys] = convert(declared, others, location)
     return kind(**values)
 
 
-def convert(kind: Any, value: object, place: Place) -> Any:
+def convert(kind: Any, value: object, location: Location) -> Any:
     """A value of the annotated type: structs by `decode_table`, plain values by msgspec."""
     union = typing.get_origin(kind) in (typing.Union, types.UnionType)
     options = typing.get_args(kind) if union else (kind,)
@@ -81,67 +81,69 @@ def convert(kind: Any, value: object, place: Place) -> Any:
         origin, inner = typing.get_origin(option), typing.get_args(option)
         is_table = isinstance(value, Mapping)
         if _is_struct(option) and (is_table or len(options) == 1):
-            return decode_table(option, value, place)
+            return decode_table(option, value, location)
         if origin is list and _is_struct(inner[0]):
             if is_table:
-                raise place.error(
+                raise location.error(
                     "a list of tables is wanted",
-                    f"write [[{place.field}]], with two brackets",
+                    f"write [[{location.field}]], with two brackets",
                 )
             if isinstance(value, list):
                 return [
-                    decode_table(inner[0], v, place.item(i))
+                    decode_table(inner[0], v, location.item(i))
                     for i, v in enumerate(value)
                 ]
         if origin is dict and isinstance(value, Mapping):
-            return _converted_table(inner, value, place)
-    return _plain(kind, value, place)
+            return _converted_table(inner, value, location)
+    return _plain(kind, value, location)
 
 
 def _converted_table(
-    kinds: tuple[Any, ...], table: Mapping[Any, object], place: Place
+    kinds: tuple[Any, ...], table: Mapping[Any, object], location: Location
 ) -> dict[Any, Any]:
     """A dict with keys and values of two annotated types."""
     converted = {}
     for key, value in table.items():
-        at = place.key(key)
+        at = location.key(key)
         converted[_plain(kinds[0], key, at)] = convert(kinds[1], value, at)
     return converted
 
 
-def tables_of(text: str, place: Place, remedy: str = "mend it there") -> dict[str, Any]:
+def tables_of(
+    text: str, location: Location, remedy: str = "mend it there"
+) -> dict[str, Any]:
     """The tables of a TOML file, each value checked. Raises InputError.
 
     remedy  where it is no TOML
     """
     try:
         table = tomllib.loads(text)
-        check_values(table, place)
+        check_values(table, location)
     except ValueError as error:
         problem = f"this is no TOML: {shorten(str(error), 100)}"
-        raise place.error(problem, remedy) from None
+        raise location.error(problem, remedy) from None
     except RecursionError:
         problem = "tables or lists are nested too deeply"
-        raise place.error(problem, "write them flat") from None
+        raise location.error(problem, "write them flat") from None
     return table
 
 
-def check_values(data: object, place: Place) -> None:
+def check_values(data: object, location: Location) -> None:
     """Raises InputError for values, at any depth, that are no finite number or no value yet."""
     if isinstance(data, Mapping):
         for key, value in data.items():
-            check_values(value, place.key(key))
+            check_values(value, location.key(key))
     elif isinstance(data, list):
         for i, value in enumerate(data):
-            check_values(value, place.item(i))
+            check_values(value, location.item(i))
     elif data == TO_MEASURE:
-        raise place.error(
+        raise location.error(
             "a draft leaves this number open, and nothing can stand in for it",
             "measure it at your machine, and write the number in place of the words",
             data,
         )
     elif isinstance(data, int | float) and not _is_finite(data):
-        raise place.error(
+        raise location.error(
             "not a finite number",
             "give a number; leave the field out to use its default",
             float("inf") if isinstance(data, int) else data,
@@ -165,25 +167,25 @@ def _is_struct(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
-def _missing(name: str, place: Place) -> InputError:
-    where = f"[{place.field}]" if place.field else "the top of the file"
+def _missing(name: str, location: Location) -> InputError:
+    where = f"[{location.field}]" if location.field else "the top of the file"
     remedy = f"add {name} to {where}; see `oed schema study`"
-    return place.key(name).error("missing", remedy)
+    return location.key(name).error("missing", remedy)
 
 
-def _plain(kind: Any, value: object, place: Place) -> Any:
+def _plain(kind: Any, value: object, location: Location) -> Any:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         message, _, path = str(error).partition(" - at `$")
     for index in re.findall(r"\[(\d+)\]", path):
-        value, place = value[int(index)], place.item(int(index))  # type: ignore[index]
+        value, location = value[int(index)], location.item(int(index))  # type: ignore[index]
     choices = [] if path.strip("`") else _choices(kind)
     if choices and isinstance(value, str):
-        raise place.error(
+        raise location.error(
             "not one of the allowed values", suggest(value, choices), value
         )
-    raise place.error(
+    raise location.error(
         _in_words(message), "see `oed schema study` for what is allowed", value
     )
 

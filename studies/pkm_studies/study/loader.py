@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from pkm_studies import files
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.study import decode
 from pkm_studies.tables import ReadingsTable, StudyFile
 from pkm_studies.user_code import Consent, Origin
@@ -34,9 +34,9 @@ class Study(StudyFile, frozen=True, kw_only=True):
     consent: Consent = Consent.RECORDED
 
     @property
-    def place(self) -> Place:
+    def location(self) -> Location:
         """The file, for errors."""
-        return Place(str(self.path))
+        return Location(str(self.path))
 
     @property
     def folder(self) -> Path:
@@ -63,11 +63,11 @@ def load(path: Path | str, consent: Consent = Consent.RECORDED) -> Study:
 
 def parse(text: str, path: Path, consent: Consent = Consent.RECORDED) -> Study:
     """As `load`, from text; errors name `path`, and the study's paths start there."""
-    place = Place(str(path))
-    table = decode.tables_of(text, place, "mend it there, or start from `oed new`")
-    _check_schema(table, place)
-    tables = decode.decode_table(StudyFile, table, place)
-    _check_tables(tables, place)
+    location = Location(str(path))
+    table = decode.tables_of(text, location, "mend it there, or start from `oed new`")
+    _check_schema(table, location)
+    tables = decode.decode_table(StudyFile, table, location)
+    _check_tables(tables, location)
     fields = {name: getattr(tables, name) for name in tables.__struct_fields__}
     return Study(**fields, path=path, text=text, consent=consent)
 
@@ -85,42 +85,42 @@ def from_tables(
     try:
         text = msgspec.toml.encode(complete).decode()
     except TypeError as error:
-        raise Place(str(path)).error(
+        raise Location(str(path)).error(
             f"a value has no TOML form: {error}", "use numbers, texts, lists and tables"
         ) from error
     return parse(text, path, consent)
 
 
-def _check_schema(table: dict[str, Any], place: Place) -> None:
-    place = place.key("schema")
+def _check_schema(table: dict[str, Any], location: Location) -> None:
+    location = location.key("schema")
     if "schema" not in table:
-        raise place.error("missing", "write `schema = 1` at the top of the file")
+        raise location.error("missing", "write `schema = 1` at the top of the file")
     if table["schema"] != SCHEMA or isinstance(table["schema"], bool):
-        raise place.error(
+        raise location.error(
             "unknown version", "this program reads schema = 1", table["schema"]
         )
 
 
-def _check_tables(study: StudyFile, place: Place) -> None:
+def _check_tables(study: StudyFile, location: Location) -> None:
     """Raises InputError for names used twice, empty claims, readings from two places."""
     if not study.setup:
-        raise place.key("setup").error(
+        raise location.key("setup").error(
             "missing", "add a [[setup]] with name and instrument"
         )
     names = [s.name for s in study.setup]
     for i, name in enumerate(names):
         if name in names[:i]:
-            at = place.key("setup").item(i).key("name")
+            at = location.key("setup").item(i).key("name")
             raise at.error("used twice", "give each set-up its own name", name)
     for name, claim in study.expect.items():
         if (claim.equals, claim.min, claim.max, claim.contains) == (None,) * 4:
-            at = place.key("expect").key(name)
+            at = location.key("expect").key(name)
             raise at.error("claims nothing", "add equals, min, max or contains")
     if study.readings is not None:
-        _check_readings(study.readings, place.key("readings"))
+        _check_readings(study.readings, location.key("readings"))
 
 
-def _check_readings(table: ReadingsTable, place: Place) -> None:
+def _check_readings(table: ReadingsTable, location: Location) -> None:
     given = {
         "files": table.files,
         "source": table.source,
@@ -132,13 +132,13 @@ def _check_readings(table: ReadingsTable, place: Place) -> None:
         if sources:
             problem = f"readings come from {' and '.join(sources)}"
         remedy = "give one of: files = [...], source = ..., simulate = true"
-        raise place.error(problem, remedy)
+        raise location.error(problem, remedy)
     if (table.draw or table.truth) and not table.simulate:
-        raise place.error(
+        raise location.error(
             "draw and truth are for virtual machines",
             "add simulate = true, or remove them",
         )
     if table.path is not None and table.source is None:
-        raise place.key("path").error(
+        raise location.key("path").error(
             "a path goes with a source", "name files in `files = [...]`", table.path
         )

@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from pkm_studies.base import Place, suggest
+from pkm_studies.base import Location, suggest
 from pkm_studies.study import loader
 from pkm_studies.study.loader import Study
 
@@ -21,7 +21,7 @@ def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     return [dict(zip(vary, combination, strict=True)) for combination in values]
 
 
-def with_setting(study: Study, setting: Mapping[str, Any], place: Place) -> Study:
+def with_setting(study: Study, setting: Mapping[str, Any], location: Location) -> Study:
     """The study with other values of some fields. Raises InputError.
 
     A field is addressed by its table and name; an entry of a list by its own name, as in
@@ -29,29 +29,29 @@ def with_setting(study: Study, setting: Mapping[str, Any], place: Place) -> Stud
     """
     tables = copy.deepcopy(tomllib.loads(study.text))
     for field, value in setting.items():
-        _assign(tables, field, value, place.key(field))
+        _assign(tables, field, value, location.key(field))
     text = msgspec.toml.encode(tables).decode()
     return loader.parse(text, study.path, study.consent)
 
 
-def _assign(tables: Any, field: str, value: Any, place: Place) -> None:
+def _assign(tables: Any, field: str, value: Any, location: Location) -> None:
     """Set a field of nested tables, addressed by keys and names of list entries."""
     *way, last = field.split(".")
     at = tables
     for key in way:
-        at = _entry(at, key, place)
+        at = _entry(at, key, location)
     if not isinstance(at, dict):
-        raise place.error("this is no field of a table", "name a field of the study")
+        raise location.error("this is no field of a table", "name a field of the study")
     at[last] = value
 
 
-def _entry(at: Any, key: str, place: Place) -> Any:
+def _entry(at: Any, key: str, location: Location) -> Any:
     """What a table or a list of named tables holds under a key."""
     if isinstance(at, list):
         named = {str(entry.get("name")): entry for entry in at}
         if key not in named:
-            raise place.error(f"no entry {key!r}", suggest(key, named))
+            raise location.error(f"no entry {key!r}", suggest(key, named))
         return named[key]
     if isinstance(at, dict):
         return at.setdefault(key, {})
-    raise place.error(f"{key!r} lies in no table", "name a field of the study")
+    raise location.error(f"{key!r} lies in no table", "name a field of the study")

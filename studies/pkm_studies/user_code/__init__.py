@@ -14,7 +14,7 @@ import sys
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from types import ModuleType
 
-from pkm_studies.base import InputError, Place, shorten
+from pkm_studies.base import InputError, Location, shorten
 from pkm_studies.user_code import permissions
 
 SUFFIX = ".py"
@@ -73,15 +73,15 @@ def file_name(reference: str) -> str:
     return reference.rpartition(":")[0]
 
 
-def run_file(name: str, origin: Origin, place: Place) -> ModuleType:
+def run_file(name: str, origin: Origin, location: Location) -> ModuleType:
     """The module of a Python file, which runs once a process.
 
     Raises InputError where it may not run, is missing, or fails.
     """
-    path = _permitted_path(name, origin, place)
-    source = _source(path, place)
+    path = _permitted_path(name, origin, location)
+    source = _source(path, location)
     digest = hashlib.sha256(source).hexdigest()
-    _check_consent(path, digest, origin, place)
+    _check_consent(path, digest, origin, location)
     # a name of its own, so that two files called machine.py do not meet
     where = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
     module_name = f"pkm_user_{path.stem}_{where[:8]}_{digest[:8]}"
@@ -95,17 +95,17 @@ def run_file(name: str, origin: Origin, place: Place) -> ModuleType:
         exec(compile(source, str(path), "exec"), vars(module))
     except (Exception, SystemExit) as error:
         del sys.modules[module_name]
-        raise _failure(error, name, place) from error
+        raise _failure(error, name, location) from error
     except BaseException:
         del sys.modules[module_name]
         raise
     return module
 
 
-def _permitted_path(name: str, origin: Origin, place: Place) -> Path:
+def _permitted_path(name: str, origin: Origin, location: Location) -> Path:
     """The path of a file that lies where files may run."""
     if origin.consent is Consent.NEVER:
-        raise place.error(
+        raise location.error(
             "a stored result runs no Python file", "give the study: --study STUDY", name
         )
     path = origin.folder / name
@@ -115,7 +115,7 @@ def _permitted_path(name: str, origin: Origin, place: Place) -> Path:
     inside = path.resolve().is_relative_to(origin.folder.resolve())
     # a file that both ends of a shared folder trust may lie beside the study's folder
     if absolute or not (inside or permissions.is_trusted(origin.folder, path)):
-        raise place.error(
+        raise location.error(
             "this file does not lie in the folder of the study that names it",
             "put it there and name it from there; a study runs no other Python file",
             name,
@@ -123,14 +123,14 @@ def _permitted_path(name: str, origin: Origin, place: Place) -> Path:
     return path
 
 
-def _source(path: Path, place: Place) -> bytes:
+def _source(path: Path, location: Location) -> bytes:
     if not path.is_file():
-        raise place.error(
+        raise location.error(
             "there is no such file", "paths are relative to the study file", str(path)
         )
     size = path.stat().st_size
     if size > LIMIT:
-        raise place.error(
+        raise location.error(
             f"{size / 1e6:.1f} MB are too many for a Python file",
             "check that this is the right file",
             str(path),
@@ -138,7 +138,7 @@ def _source(path: Path, place: Place) -> bytes:
     return path.read_bytes()
 
 
-def _check_consent(path: Path, digest: str, origin: Origin, place: Place) -> None:
+def _check_consent(path: Path, digest: str, origin: Origin, location: Location) -> None:
     if origin.consent is Consent.GIVEN:
         permissions.allow(path, digest)
         return
@@ -147,7 +147,7 @@ def _check_consent(path: Path, digest: str, origin: Origin, place: Place) -> Non
     folder = path.parent if origin.typed else origin.folder
     if permissions.is_trusted(folder, path):
         return
-    raise place.error(
+    raise location.error(
         f"Python code runs once you allow it: SHA-256 {digest} of {path.name}",
         "read the file; then add --allow-code to the command (allow_code=True in"
         f" Python), or trust its folder: {permissions.FIELD} in"
@@ -156,13 +156,13 @@ def _check_consent(path: Path, digest: str, origin: Origin, place: Place) -> Non
     )
 
 
-def _failure(error: BaseException, name: str, place: Place) -> InputError:
+def _failure(error: BaseException, name: str, location: Location) -> InputError:
     """What the file raised, as bad input."""
     if isinstance(error, InputError):
         return error
     moved = str(getattr(error, "name", "")).startswith(("oed.", "pkm_models."))
     if isinstance(error, ModuleNotFoundError) and moved:
-        return place.error(
+        return location.error(
             f"it imports {error.name}, which is not there in this version",
             "import names such as Machine, Parameter, Instrument and Effect from oed"
             " itself: from oed import Machine; what machines share is in"
@@ -170,12 +170,12 @@ def _failure(error: BaseException, name: str, place: Place) -> InputError:
             name,
         )
     if isinstance(error, ModuleNotFoundError):
-        return place.error(
+        return location.error(
             f"it imports the module {error.name}, which was not found",
             "install it, or put it on PYTHONPATH",
             name,
         )
-    return place.error(
+    return location.error(
         f"importing it failed with {type(error).__name__}:"
         f" {shorten(str(error), LONGEST_REASON)}",
         "mend the file, or run it alone with Python to see where",

@@ -17,7 +17,7 @@ import platformdirs
 
 from oed.base.private_folder import is_private, make_private
 from pkm_studies import files
-from pkm_studies.base import Place, shorten
+from pkm_studies.base import Location, shorten
 
 APP = "pkm-oed"
 #: trusted folders, separated as in PATH
@@ -74,24 +74,26 @@ def trusted_folders() -> Iterator[Path]:
     would follow the user to every folder he works in.
     """
     listed = os.environ.get(VARIABLE, "").split(os.pathsep)
-    yield from _absolute([name for name in listed if name], Place(VARIABLE))
+    yield from _absolute([name for name in listed if name], Location(VARIABLE))
     file = settings_file()
     if not file.is_file():
         return
-    place = Place(str(file))
+    location = Location(str(file))
     if not _is_own(file):
         problem = "other users can change this file, or the path to it"
-        raise place.error(problem, "take their permission to write away, or remove it")
+        raise location.error(
+            problem, "take their permission to write away, or remove it"
+        )
     try:
         table = tomllib.loads(files.read_text(file, limit=LIMIT, what="settings file"))
     except (ValueError, RecursionError) as error:
         problem = f"this is no TOML: {shorten(str(error), 100)}"
-        raise place.error(problem, "mend it there, or remove the file") from None
+        raise location.error(problem, "mend it there, or remove the file") from None
     names = table.get(FIELD, [])
     if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
         remedy = f'write {FIELD} = ["/path/of/a/folder"]'
-        raise place.key(FIELD).error("a list of folders is wanted", remedy, names)
-    yield from _absolute(names, place.key(FIELD))
+        raise location.key(FIELD).error("a list of folders is wanted", remedy, names)
+    yield from _absolute(names, location.key(FIELD))
 
 
 def _is_own(file: Path) -> bool:
@@ -99,11 +101,11 @@ def _is_own(file: Path) -> bool:
     return os.name != "posix" or is_private(file)
 
 
-def _absolute(names: Iterable[str], place: Place) -> Iterator[Path]:
+def _absolute(names: Iterable[str], location: Location) -> Iterator[Path]:
     for name in names:
         folder = Path(name).expanduser()
         if not folder.is_absolute():
-            raise place.error("this folder is relative", "give its whole path", name)
+            raise location.error("this folder is relative", "give its whole path", name)
         yield folder.resolve()
 
 

@@ -29,10 +29,10 @@ from pkm_models.machines import (
     prs_spindle,
 )
 from pkm_studies import catalogue
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.commands import main
 
-PLACE = Place("catalogue")
+PLACE = Location("catalogue")
 MACHINES = [e.name for e in catalogue.listing("machines")]
 INSTRUMENTS = [e.name for e in catalogue.listing("instruments")]
 

@@ -17,7 +17,7 @@ import pytest
 import sample
 
 from pkm_studies import catalogue, console, files
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.commands import main
 from pkm_studies.user_code import Origin
 
@@ -182,4 +182,4 @@ def test_studies_and_readings_may_have_carriage_returns(
 def test_a_machine_is_found_on_a_drive(tmp_path: Path) -> None:
     """The colon of C: does not end the name of a module."""
     with pytest.raises(InputError, match="does not lie in the folder of the study"):
-        catalogue.machine("C:\\machines\\mine.py", Origin(tmp_path), Place("study"))
+        catalogue.machine("C:\\machines\\mine.py", Origin(tmp_path), Location("study"))

@@ -12,7 +12,7 @@ import pytest
 import sample
 
 from pkm_studies import catalogue, study
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.commands import main
 from pkm_studies.drafts import write_draft
 from pkm_studies.resolve import resolve
@@ -111,10 +111,10 @@ def _pairs() -> list[Any]:
     By default each instrument with one machine that it reads, in turn, and a sixth of
     those that it cannot read.
     """
-    place = Place("catalogue")
+    location = Location("catalogue")
     pairs = []
     for entry in catalogue.listing("machines"):
-        family = catalogue.machine(entry.name, Origin(), place).family
+        family = catalogue.machine(entry.name, Origin(), location).family
         for tool in catalogue.listing("instruments"):
             if family is None or tool.name == "camera_known_frame":
                 pairs.append((entry.name, tool.name))
@@ -199,7 +199,7 @@ def test_a_draft_states_the_noise_once(tmp_path: Path) -> None:
 
 def test_any_number_of_a_study_may_be_open(tmp_path: Path) -> None:
     """The mark of a draft is refused wherever it stands, with its place."""
-    for old, place in (
+    for old, location in (
         ("length_um = ", "noise.length_um"),
         ("length_mm = ", "setup[1].length_mm"),
     ):
@@ -207,7 +207,7 @@ def test_any_number_of_a_study_may_be_open(tmp_path: Path) -> None:
         assert line is not None
         opened = (line[0], f'{old}"to be measured"')
         error = sample.refused(sample.STUDY, opened, folder=tmp_path)
-        assert f": {place} = " in str(error)
+        assert f": {location} = " in str(error)
         assert "leaves this number open" in str(error)
 
 
@@ -224,7 +224,7 @@ def test_a_drafted_geometry_describes_the_machine_of_the_model(
     drafted = text[:start] + table + text[end:]
     assert "\n[machine.geometry]" in drafted
     machine = sample.resolved(drafted, tmp_path).machine
-    model = catalogue.machine(family, Origin(), Place("test"))
+    model = catalogue.machine(family, Origin(), Location("test"))
     for given, wanted in zip(machine.parameters, model.parameters, strict=True):
         assert given.nominal == pytest.approx(wanted.nominal, abs=1e-9)
     for dimension in model.family.dimensions:

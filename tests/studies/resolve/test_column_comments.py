@@ -8,12 +8,12 @@ from shipped_models import prs_spindle
 
 from oed.model import Instrument
 from pkm_studies import catalogue
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve import conventions
 
 
 def instrument(name: str) -> Instrument:
-    return catalogue.instrument(name, Path(), Place("catalogue"))
+    return catalogue.instrument(name, Path(), Location("catalogue"))
 
 
 def test_columns_of_a_file_are_stated_above_its_header() -> None:

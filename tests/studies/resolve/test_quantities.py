@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from oed.base import units
 from pkm_studies import quantities
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 
-HERE = Place("x.study.toml")
+HERE = Location("x.study.toml")
 #: no longer than a field's, as messages are shortened
 name = st.from_regex(r"[a-z]{1,12}[0-9]?(_[xyz])?", fullmatch=True)
 

@@ -72,9 +72,15 @@ def _effects(tables: Sequence[EffectTable]) -> Iterable[list[str]]:
     for t in tables:
         for value, rows in zip(t.values, t.table, strict=True):
             for command, offsets in zip(t.commands, rows, strict=True):
-                place = [f"{v:.{DECIMALS}f}" for v in command.values()]
+                location = [f"{v:.{DECIMALS}f}" for v in command.values()]
                 corrections = [f"{v:.{DECIMALS}f}" for v in offsets]
-                yield [t.effect, t.state, f"{value:.{DIGITS}g}", *place, *corrections]
+                yield [
+                    t.effect,
+                    t.state,
+                    f"{value:.{DIGITS}g}",
+                    *location,
+                    *corrections,
+                ]
 
 
 def _text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -122,7 +122,7 @@ def _limb(world: ET.Element, limb: Limb, joint: Coordinate, k: int) -> str:
     along = text_of(np.r_[np.zeros(3), limb.end - limb.start])
     first, second = f"{limb.kind}{k}", f"strut{k}"
     outer = ET.SubElement(world, "body", name=first, pos=text_of(limb.centre))
-    place = text_of(limb.start - limb.centre)
+    location = text_of(limb.start - limb.centre)
     inner_joints, outer_joints = (swing, [drive])
     if limb.kind == LEG:
         inner_joints, outer_joints = [drive], swing
@@ -134,7 +134,7 @@ def _limb(world: ET.Element, limb: Limb, joint: Coordinate, k: int) -> str:
         )
     else:
         ET.SubElement(outer, "geom", type="sphere")
-    inner = ET.SubElement(outer, "body", name=second, pos=place)
+    inner = ET.SubElement(outer, "body", name=second, pos=location)
     for joint_attributes in inner_joints:
         ET.SubElement(inner, "joint", joint_attributes)
     ET.SubElement(inner, "geom", fromto=along)

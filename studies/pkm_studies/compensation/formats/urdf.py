@@ -168,8 +168,8 @@ def _limb(tree: _LinkTree, limb: Limb, joint: Coordinate, k: int) -> tuple[str, 
         drive = (joint.name, "revolute", BASE, f"crank{k}", limb.axis, limb.centre)
         parent = tree.joint(*drive, turn=turn, limits=limits)
     else:
-        place = limb.start + zero
-        drive = (joint.name, "prismatic", BASE, f"carriage{k}", limb.axis, place)
+        location = limb.start + zero
+        drive = (joint.name, "prismatic", BASE, f"carriage{k}", limb.axis, location)
         parent = tree.joint(*drive, limits=limits)
     knee = limb.start - limb.centre
     at = tree.joint(swing[0], "continuous", parent, f"fork{k}", first, knee)

@@ -23,7 +23,7 @@ from pkm_models.machines import (
     rotary_delta,
 )
 from pkm_models.parts import legs
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.drafts.bodies import mjcf_file, urdf_file
 from pkm_studies.drafts.bodies.limbs import (
     CARRIAGE,
@@ -63,27 +63,27 @@ def is_model_file(reference: str) -> bool:
 
 def described(path: Path, loops: Path | None) -> Described:
     """The machine of a file. Raises InputError for what it does not read."""
-    place = Place(str(path))
+    location = Location(str(path))
     if path.suffix.lower() == ".urdf":
         tree = urdf_file.read(path, loops)
     else:
         if loops is not None:
-            raise place.error("MJCF holds its own loops", "leave out --loops")
+            raise location.error("MJCF holds its own loops", "leave out --loops")
         tree = mjcf_file.read(path)
-    drawn = drawn_machine(tree, place)
+    drawn = drawn_machine(tree, location)
     kinds = {limb.kind for limb in drawn.limbs}
     key = (kinds.pop() if len(kinds) == 1 else "", len(drawn.axes), drawn.turns)
     if key not in FAMILIES or len(drawn.limbs) != COUNTS[key]:
         listed = ", ".join(limb.kind for limb in drawn.limbs)
         freedoms = 6 if drawn.turns else len(drawn.axes)
-        raise place.error(
+        raise location.error(
             f"no family has a platform of {freedoms} freedoms on the limbs {listed}",
             "six legs, carriages or cranks hold a free platform, three carriages or cranks"
             " one with slides, two cranks one in the plane of x and y",
         )
     family, geometry_of = FAMILIES[key]
-    geometry, nominal = geometry_of(drawn, place)
-    machine, geometry = _reachable(family, geometry, nominal, place)
+    geometry, nominal = geometry_of(drawn, location)
+    machine, geometry = _reachable(family, geometry, nominal, location)
     joints = ", ".join(
         f"{j.name} is {limb.drive.joint.name}"
         for j, limb in zip(machine.joints, drawn.limbs, strict=True)
@@ -99,7 +99,7 @@ def described(path: Path, loops: Path | None) -> Described:
 
 
 def _reachable(
-    family: Any, geometry: dict[str, Any], nominal: dict[str, float], place: Place
+    family: Any, geometry: dict[str, Any], nominal: dict[str, float], location: Location
 ) -> tuple[Machine, dict[str, Any]]:
     """The machine with the largest workspace of a few that it reaches about home."""
     lengths = [geometry[k] for k in ("strut", "lower", "home") if k in geometry]
@@ -117,7 +117,7 @@ def _reachable(
             problem = str(error)
         if problem is None:
             return machine, tried
-    raise place.error(
+    raise location.error(
         f"the machine reaches nothing about home: {problem}", "check its joints"
     )
 
@@ -153,7 +153,7 @@ def _exact(value: Any, si: str) -> str:
 Geometry = tuple[dict[str, Any], dict[str, float]]
 
 
-def _legs(drawn: DrawnMachine, place: Place) -> Geometry:
+def _legs(drawn: DrawnMachine, location: Location) -> Geometry:
     geometry = {
         "base": np.array([limb.start for limb in drawn.limbs]),
         "platform": np.array([limb.local for limb in drawn.limbs]),
@@ -176,12 +176,12 @@ def _guides(limbs: tuple[DrawnLimb, ...]) -> dict[str, Any]:
     }
 
 
-def _carriages(drawn: DrawnMachine, place: Place) -> Geometry:
+def _carriages(drawn: DrawnMachine, location: Location) -> Geometry:
     local = np.array([limb.local for limb in drawn.limbs])
     return _guides(drawn.limbs) | {"platform": local, "home": drawn.home}, {}
 
 
-def _glides(drawn: DrawnMachine, place: Place) -> Geometry:
+def _glides(drawn: DrawnMachine, location: Location) -> Geometry:
     geometry = _guides(drawn.limbs)
     geometry["guide"] = geometry["guide"] - [limb.local for limb in drawn.limbs]
     return geometry | {"home": drawn.home}, {}
@@ -196,7 +196,7 @@ def _crank(limb: DrawnLimb) -> tuple[Array, Array, float]:
     return centre, turn(axis, -limb.drive.joint.value) @ arm, side
 
 
-def _cranks(drawn: DrawnMachine, place: Place) -> Geometry:
+def _cranks(drawn: DrawnMachine, location: Location) -> Geometry:
     cranks = [_crank(limb) for limb in drawn.limbs]
     geometry = {
         "centre": np.array([centre for centre, _, _ in cranks]),
@@ -211,7 +211,7 @@ def _cranks(drawn: DrawnMachine, place: Place) -> Geometry:
     return geometry, {}
 
 
-def _rotary(drawn: DrawnMachine, place: Place) -> Geometry:
+def _rotary(drawn: DrawnMachine, location: Location) -> Geometry:
     """Cranks with outward knees; axes that are nearly level, their tilts as numbers.
 
     Shoulders are less the platform's joints.
@@ -222,7 +222,7 @@ def _rotary(drawn: DrawnMachine, place: Place) -> Geometry:
         axis = limb.drive.axis
         centre, arm, side = _crank(limb)
         if abs(axis[2]) > LEVEL or side > 0.0:
-            raise place.error(
+            raise location.error(
                 f"{limb.drive.joint.name} has no level axis, or its knee goes down against"
                 " its sense, or is inward",
                 "a rotary delta has level axes, angles that grow downward, knees outward",
@@ -251,12 +251,12 @@ def _rotary(drawn: DrawnMachine, place: Place) -> Geometry:
     return geometry, nominal
 
 
-def _planar(drawn: DrawnMachine, place: Place) -> Geometry:
+def _planar(drawn: DrawnMachine, location: Location) -> Geometry:
     """Cranks about z; their centres less the platform's joints."""
     cranks = [_crank(limb) for limb in drawn.limbs]
     level = [limb.drive.axis @ UPWARD for limb in drawn.limbs]
     if min(level) < 1.0 - NEAR or np.abs(drawn.axes[:, 2]).max() > NEAR:
-        raise place.error(
+        raise location.error(
             "its cranks do not turn about z, right-handed", "draw it in the plane z = 0"
         )
     geometry = {
@@ -276,7 +276,7 @@ def _planar(drawn: DrawnMachine, place: Place) -> Geometry:
 
 
 FAMILIES: dict[
-    tuple[str, int, bool], tuple[Any, Callable[[DrawnMachine, Place], Geometry]]
+    tuple[str, int, bool], tuple[Any, Callable[[DrawnMachine, Location], Geometry]]
 ] = {
     (LEG, 3, True): (hexapod_ups.family, _legs),
     (CARRIAGE, 3, True): (hexapod_pus.family, _carriages),

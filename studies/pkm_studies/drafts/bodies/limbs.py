@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array
-from pkm_studies.base import InputError, Place
+from pkm_studies.base import InputError, Location
 from pkm_studies.drafts.bodies.tree import (
     BALL,
     FREE,
@@ -93,21 +93,21 @@ class DrawnMachine:
     home: Array
 
 
-def drawn_machine(tree: BodyTree, place: Place) -> DrawnMachine:
+def drawn_machine(tree: BodyTree, location: Location) -> DrawnMachine:
     """The machine of a tree. Raises InputError where it is none of the kinds above."""
-    platform = _platform(tree, place)
-    axes, turns = _freedoms(tree.joints(platform), platform, place)
+    platform = _platform(tree, location)
+    axes, turns = _freedoms(tree.joints(platform), platform, location)
     tool = tree.point(platform, tree.tools.get(platform, np.zeros(3)))
-    limbs = [_limb(tree, loop, platform, tool, place) for loop in tree.loops]
-    home = _close(limbs, tool, axes, place)
+    limbs = [_limb(tree, loop, platform, tool, location) for loop in tree.loops]
+    home = _close(limbs, tool, axes, location)
     return DrawnMachine(tuple(limbs), axes, turns, home)
 
 
-def _platform(tree: BodyTree, place: Place) -> str:
+def _platform(tree: BodyTree, location: Location) -> str:
     """The body that all loops share."""
     shared = set.intersection(*({loop.first, loop.second} for loop in tree.loops))
     if len(shared) != 1 or not 2 <= len(tree.loops) <= MOST_LOOPS:
-        raise place.error(
+        raise location.error(
             f"its {len(tree.loops)} loops do not share one body, the platform",
             "close each limb by a connection to the platform",
         )
@@ -115,7 +115,7 @@ def _platform(tree: BodyTree, place: Place) -> str:
 
 
 def _freedoms(
-    joints: list[PlacedJoint], platform: str, place: Place
+    joints: list[PlacedJoint], platform: str, location: Location
 ) -> tuple[Array, bool]:
     """Directions (n, 3) in which a platform moves, and whether it turns."""
     kinds = [placed.joint.kind for placed in joints]
@@ -128,14 +128,14 @@ def _freedoms(
         return np.eye(3), True
     if square and len(axes) in (2, 3) and not turning:
         return axes, False
-    raise place.error(
+    raise location.error(
         f"body {platform} has the joints {', '.join(kinds) or 'none'}",
         "a platform is free, or has two or three square slides",
     )
 
 
 def _limb(
-    tree: BodyTree, loop: BodyLoop, platform: str, tool: Array, place: Place
+    tree: BodyTree, loop: BodyLoop, platform: str, tool: Array, location: Location
 ) -> DrawnLimb:
     ends = [(loop.first, loop.on_first), (loop.second, loop.on_second)]
     if loop.first == platform:
@@ -151,28 +151,28 @@ def _limb(
         kind = CARRIAGE if kinds[0] == SLIDE else CRANK
         drive, passive = joints[0], joints[1:]
     else:
-        raise place.error(
+        raise location.error(
             f"body {body} hangs on {', '.join(kinds) or 'nothing'}", KINDS
         )
     if any(p.joint.kind not in (HINGE, BALL) for p in passive):
-        raise place.error(f"body {body} hangs on {', '.join(kinds)}", KINDS)
-    start = _meeting_point(passive, end, body, place)
+        raise location.error(f"body {body} hangs on {', '.join(kinds)}", KINDS)
+    start = _meeting_point(passive, end, body, location)
     limb = DrawnLimb(kind, drive, start, end, local)
     across = end - start - limb.extension * drive.axis
     if kind == LEG and np.linalg.norm(across) > NEAR:
-        raise _no_leg(limb, place)
+        raise _no_leg(limb, location)
     return limb
 
 
-def _no_leg(limb: DrawnLimb, place: Place) -> InputError:
-    return place.error(
+def _no_leg(limb: DrawnLimb, location: Location) -> InputError:
+    return location.error(
         f"{limb.drive.joint.name} does not move along the leg from its base joint",
         "a leg's slide runs from the base joint to the platform joint, and grows",
     )
 
 
 def _meeting_point(
-    passive: list[PlacedJoint], end: Array, body: str, place: Place
+    passive: list[PlacedJoint], end: Array, body: str, location: Location
 ) -> Array:
     """Where the axes of hinges meet, or a ball joint is; of one hinge, across the end."""
     balls = [p.at for p in passive if p.joint.kind == BALL]
@@ -187,11 +187,13 @@ def _meeting_point(
     missed = [a @ (point - p.at) for a, p in zip(across, passive, strict=True)]
     size = max(1.0, float(np.abs(end).max()))
     if balls or np.abs(missed).max() > NEAR * size:
-        raise place.error(f"the passive joints of body {body} do not meet", KINDS)
+        raise location.error(f"the passive joints of body {body} do not meet", KINDS)
     return np.asarray(point)
 
 
-def _close(limbs: list[DrawnLimb], tool: Array, axes: Array, place: Place) -> Array:
+def _close(
+    limbs: list[DrawnLimb], tool: Array, axes: Array, location: Location
+) -> Array:
     """Move the driven joints until the loops close; the tool point (3,) there."""
     count, freedoms = len(limbs), len(axes)
     moves = np.zeros(freedoms + count)
@@ -208,12 +210,12 @@ def _close(limbs: list[DrawnLimb], tool: Array, axes: Array, place: Place) -> Ar
             break
         moves -= np.linalg.lstsq(np.vstack(rows), np.concatenate(gaps), rcond=1e-12)[0]
     else:
-        raise place.error(
+        raise location.error(
             f"the loops are open by {np.abs(gaps).max():.3g} m as they are drawn",
             "draw the passive joints as they are where the loops close",
         )
     for limb, motion in zip(limbs, moves[freedoms:], strict=True):
         limb.motion = float(motion)
         if limb.kind == LEG and limb.extension + limb.motion <= 0.0:
-            raise _no_leg(limb, place)
+            raise _no_leg(limb, location)
     return np.asarray(tool + moves[:freedoms] @ axes)

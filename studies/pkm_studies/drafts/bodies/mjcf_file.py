@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from oed.base.arrays import Array
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.drafts.bodies.tree import (
     BALL,
     FREE,
@@ -60,24 +60,24 @@ ORIGIN = "0 0 0"
 
 def read(path: Path) -> BodyTree:
     """The tree of an MJCF file. Raises InputError for what it does not read."""
-    place = Place(str(path))
-    return _Reader(read_root(path, "mujoco", "MJCF"), place).tree()
+    location = Location(str(path))
+    return _Reader(read_root(path, "mujoco", "MJCF"), location).tree()
 
 
 class _Reader:
     """What a file says before its bodies: units, order of Euler angles, defaults."""
 
-    def __init__(self, root: ET.Element, place: Place) -> None:
-        self.root, self.place = root, place
+    def __init__(self, root: ET.Element, location: Location) -> None:
+        self.root, self.location = root, location
         compiler = root.find("compiler")
         settings = {} if compiler is None else compiler.attrib
         degrees = settings.get("angle", "degree") == "degree"
         self.angle = math.radians(1.0) if degrees else 1.0
         self.order = settings.get("eulerseq", "xyz")
         if len(self.order) != 3 or set(self.order.lower()) - set("xyz"):
-            raise place.error(f"eulerseq {self.order!r} is no order of axes", REMEDY)
+            raise location.error(f"eulerseq {self.order!r} is no order of axes", REMEDY)
         if settings.get("coordinate", "local") != "local":
-            raise place.error("coordinates are global", REMEDY)
+            raise location.error("coordinates are global", REMEDY)
         self.defaults: dict[str, dict[str, str]] = {}
         for default in root.findall("default"):
             self._default(default, {})
@@ -97,7 +97,7 @@ class _Reader:
             for element in section
         ]
         if not loops:
-            raise self.place.error(
+            raise self.location.error(
                 "no loop is closed", "close the loops with <equality><connect .../>"
             )
         tools: dict[str, Array] = {}
@@ -112,7 +112,7 @@ class _Reader:
 
     def _leave(self, element: ET.Element) -> None:
         if element.tag not in APART:
-            raise self.place.error(f"<{element.tag}> is not read", REMEDY)
+            raise self.location.error(f"<{element.tag}> is not read", REMEDY)
         self.ignored.add(element.tag)
 
     def _default(self, element: ET.Element, above: dict[str, str]) -> None:
@@ -137,15 +137,15 @@ class _Reader:
         name = element.get("name") or f"body{len(self.bodies) + 1}"
         self._check_name("body", name, self.bodies)
         if element.get("mocap") == "true":
-            raise self.place.error(f"body {name} is a mocap body", "leave it out")
+            raise self.location.error(f"body {name} is a mocap body", "leave it out")
         joints = [
             self._joint(child, name, style)
             for child in element
             if child.tag in ("joint", "freejoint")
         ]
-        place = self._numbers(element.get("pos", ORIGIN))
+        location = self._numbers(element.get("pos", ORIGIN))
         rotation = self._rotation(element, name)
-        self.bodies[name] = Body(name, parent, place, rotation, tuple(joints))
+        self.bodies[name] = Body(name, parent, location, rotation, tuple(joints))
         self._children(element, name, style)
 
     def _joint(self, element: ET.Element, body: str, style: str) -> BodyJoint:
@@ -158,7 +158,7 @@ class _Reader:
         kind = JOINTS.get(stated.get("type", "hinge"))
         name = stated.get("name", f"a joint of {body}")
         if kind is None:
-            raise self.place.error(f"{name} is no joint of MJCF", REMEDY)
+            raise self.location.error(f"{name} is no joint of MJCF", REMEDY)
         unit = self.angle if kind == HINGE else 1.0
         return BodyJoint(
             name=name,
@@ -175,7 +175,7 @@ class _Reader:
         key = given[0]
         text = element.get(key, "")
         if len(given) > 1 or key == "zaxis":
-            raise self.place.error(
+            raise self.location.error(
                 f"body {name} is turned by {', '.join(given)}", REMEDY
             )
         if key == "quat":
@@ -188,7 +188,7 @@ class _Reader:
             numbers = self._numbers(text, 6)
             z = np.cross(numbers[:3], numbers[3:])
             if not z.any():
-                raise self.place.error(f"{text!r} are no two axes", REMEDY)
+                raise self.location.error(f"{text!r} are no two axes", REMEDY)
             x, z = (v / np.linalg.norm(v) for v in (numbers[:3], z))
             return np.column_stack([x, np.cross(z, x), z])
         rotation = np.eye(3)
@@ -201,14 +201,14 @@ class _Reader:
         """A connection; the point on the second body follows from the drawing."""
         if element.tag != "connect" or element.get("active") == "false":
             problem = f"<equality> holds <{element.tag}> that is no active connection"
-            raise self.place.error(problem, "close loops with <connect> alone")
+            raise self.location.error(problem, "close loops with <connect> alone")
         if element.get("site1") is not None:
             first, second = (self._site(element.get(f"site{k}", "")) for k in (1, 2))
             return BodyLoop(*first, *second)
         names = element.get("body1", ""), element.get("body2", WORLD)
         for name in names:
             if name not in self.bodies and name != WORLD:
-                raise self.place.error(
+                raise self.location.error(
                     f"a connection names body {name!r}", "name one of the file"
                 )
         anchor = self._numbers(element.get("anchor", ""))
@@ -216,20 +216,20 @@ class _Reader:
 
     def _site(self, name: str) -> tuple[str, Array]:
         if name not in self.sites:
-            raise self.place.error(
+            raise self.location.error(
                 f"a connection names site {name!r}", "name one of the file"
             )
         return self.sites[name]
 
     def _numbers(self, text: str, count: int = 3) -> Array:
-        return read_numbers(text, count, self.place, REMEDY)
+        return read_numbers(text, count, self.location, REMEDY)
 
     def _direction(self, text: str, count: int) -> Array:
-        return read_direction(text, count, self.place, REMEDY)
+        return read_direction(text, count, self.location, REMEDY)
 
     def _check_name(self, kind: str, name: str, known: Collection[str]) -> None:
         if name and name in known:
-            raise self.place.error(
+            raise self.location.error(
                 f"two of its elements <{kind}> have the name {name!r}",
                 "give each a name of its own",
             )
@@ -243,7 +243,7 @@ def _closed(bodies: dict[str, Body], loops: list[BodyLoop]) -> list[BodyLoop]:
         if np.isfinite(loop.on_second).all():
             closed.append(loop)
             continue
-        place, rotation = tree.frame(loop.second)
-        there = rotation.T @ (tree.point(loop.first, loop.on_first) - place)
+        location, rotation = tree.frame(loop.second)
+        there = rotation.T @ (tree.point(loop.first, loop.on_first) - location)
         closed.append(BodyLoop(loop.first, loop.on_first, loop.second, there))
     return closed

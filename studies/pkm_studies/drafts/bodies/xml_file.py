@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from pkm_studies import files
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 
 LIMIT = 20_000_000
 #: largest number of a file, m or degrees: what is beyond is no place of a machine
@@ -27,22 +27,22 @@ def read_root(path: Path, tag: str, what: str) -> ET.Element:
     tag   that the root has
     what  the format, for the error
     """
-    place = Place(str(path))
+    location = Location(str(path))
     content = files.read_bytes(path, limit=LIMIT, what=f"{what} file")
     try:
-        root = _bounded(content, place, what)
+        root = _bounded(content, location, what)
     except (ET.ParseError, ValueError) as error:
-        raise place.error(
+        raise location.error(
             f"this is no XML file: {error}", f"give a whole {what} file"
         ) from None
     if root.tag != tag:
-        raise place.error(
+        raise location.error(
             f"its root is <{root.tag}>", f"give {what}, whose root is <{tag}>"
         )
     return root
 
 
-def _bounded(content: bytes, place: Place, what: str) -> ET.Element:
+def _bounded(content: bytes, location: Location, what: str) -> ET.Element:
     """The root of XML. Raises InputError where it is deeper or larger than a machine."""
     root, depth, count = None, 0, 0
     for event, element in ET.iterparse(io.BytesIO(content), ("start", "end")):
@@ -50,7 +50,7 @@ def _bounded(content: bytes, place: Place, what: str) -> ET.Element:
         starts = event == "start"
         depth, count = depth + (1 if starts else -1), count + starts
         if depth > DEEPEST or count > MOST_ELEMENTS:
-            raise place.error(
+            raise location.error(
                 f"it has more than {MOST_ELEMENTS} elements, or more than {DEEPEST}"
                 " within one another, as no model of a machine has",
                 f"give the {what} of the mechanism alone",
@@ -58,23 +58,23 @@ def _bounded(content: bytes, place: Place, what: str) -> ET.Element:
     return root  # type: ignore[return-value]  # a file without one is a ParseError
 
 
-def read_numbers(text: str, count: int, place: Place, remedy: str) -> Array:
+def read_numbers(text: str, count: int, location: Location, remedy: str) -> Array:
     """Numbers (count,) separated by blanks. Raises InputError."""
     try:
         numbers = np.array([float(word) for word in text.split()])
     except ValueError:
-        raise place.error(f"{text!r} are no numbers", remedy) from None
+        raise location.error(f"{text!r} are no numbers", remedy) from None
     if len(numbers) != count:
-        raise place.error(f"{text!r} are not {count} numbers", remedy)
+        raise location.error(f"{text!r} are not {count} numbers", remedy)
     if not (np.abs(numbers) <= LARGEST).all():
-        raise place.error(f"{text!r} is no place and no angle of a machine", remedy)
+        raise location.error(f"{text!r} is no place and no angle of a machine", remedy)
     return numbers
 
 
-def read_direction(text: str, count: int, place: Place, remedy: str) -> Array:
+def read_direction(text: str, count: int, location: Location, remedy: str) -> Array:
     """The same, scaled to the length 1. Raises InputError where it has no length."""
-    numbers = read_numbers(text, count, place, remedy)
+    numbers = read_numbers(text, count, location, remedy)
     length = float(np.linalg.norm(numbers))
     if length == 0.0:
-        raise place.error(f"{text!r} has no direction", remedy)
+        raise location.error(f"{text!r} has no direction", remedy)
     return np.asarray(numbers / length)

@@ -47,12 +47,12 @@ def allowed_effects(
     if table.effects == NO_EFFECTS:
         return None
     where = check_allowed(resolved, table, request)
-    place = resolved.study.place.key("design").key("effects")
+    location = resolved.study.location.key("design").key("effects")
     gap = resolved.gap_or_default
     return effects_of_planned(
         resolved.measurement,
         resolved.candidates,
-        named_effects(gap, table.effects, place),
+        named_effects(gap, table.effects, location),
         gap,
         where,
         rng,
@@ -82,7 +82,7 @@ def check_allowed(
     resolved: ResolvedStudy, table: DesignTable, request: DesignRequest
 ) -> PredictionRequest:
     """Where accuracy counts. Raises InputError where a design can allow for no effect."""
-    place = resolved.study.place.key("design").key("effects")
+    location = resolved.study.location.key("design").key("effects")
     reasons = {
         'need scaling = "tolerance"': table.scaling != "tolerance",
         "are not known of readings that are part of the plan": bool(request.retained),
@@ -95,11 +95,11 @@ def check_allowed(
     }
     for reason, holds in reasons.items():
         if holds:
-            raise place.error(
+            raise location.error(
                 f"effects beside the geometry {reason}", 'write effects = "none"'
             )
     if resolved.prediction is None:
-        raise place.error(
+        raise location.error(
             "what effects do to the tool needs a workspace",
             "add [prediction], or leave effects out",
         )
@@ -151,13 +151,13 @@ def recording(
     if resolved.prediction is None or criteria.effects is None:
         return None
     gap = resolved.gap_or_default
-    place = resolved.study.place.key("design").key("effects")
+    location = resolved.study.location.key("design").key("effects")
     return recording_section(
         PlanToRecord(
             measurement=measurement,
             series=tuple(series),
             planned=criteria.effects,
-            effects=named_effects(gap, table.effects, place),
+            effects=named_effects(gap, table.effects, location),
             request=gap,
             prediction=resolved.prediction,
             information=prior_information(measurement),

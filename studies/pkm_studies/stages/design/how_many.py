@@ -16,7 +16,7 @@ from oed.design.how_many import AccuracyGoal, SizeCurve
 from oed.design.rules import Rules
 from oed.result import HowManySummary
 from pkm_studies import quantities
-from pkm_studies.base import Place, Stream
+from pkm_studies.base import Location, Stream
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.stages.design.search import DesignProblem
 from pkm_studies.tables import HowManyTable
@@ -28,7 +28,7 @@ def accuracy_by_size(
     chosen: Choice,
     table: HowManyTable,
     seed: int,
-    place: Place,
+    location: Location,
 ) -> HowManySummary:
     """The curve over the candidates, with bounds, and the fewest readings wanted.
 
@@ -38,7 +38,7 @@ def accuracy_by_size(
     c = problem.candidates
     pool, basis = chosen_pool(problem, chosen)
     components = {x.name: x.unit for x in c.measurement.machine.components}
-    wanted = quantities.read_values(table.wanted, components, place.key("wanted"))
+    wanted = quantities.read_values(table.wanted, components, location.key("wanted"))
     scale = wanted or _reached_accuracy(study_criteria, problem, chosen)
     names, factors = _factors(study_criteria, problem, scale)
     size_curve = SizeCurve(

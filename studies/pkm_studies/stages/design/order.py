@@ -18,7 +18,7 @@ from oed.design.candidates import reading_time
 from oed.measurement.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import WorkingOrder
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve import (
     ResolvedStudy,
     check_tool_workspace,
@@ -62,7 +62,7 @@ class _SetupOrder:
 
 def order_plan(
     table: DesignTable,
-    place: Place,
+    location: Location,
     measurement: Measurement,
     retained: Sequence[Series],
     series: Sequence[Series],
@@ -71,11 +71,11 @@ def order_plan(
     """Readings of a plan in working order; retained ones come first in their set-up.
 
     table   the order that it asks for
-    place   of the table, for errors
+    location  of the table, for errors
 
     Raises InputError where the thermal reference cannot be read in time.
     """
-    place = place.key("order")
+    location = location.key("order")
     mounted = list(dict.fromkeys(s.setup for s in retained))
     names = list(dict.fromkeys(s.setup for s in series))
     names, mounting = _order_setups(measurement, names, table.order, rng)
@@ -83,7 +83,7 @@ def order_plan(
     orders = {}
     for name in names:
         parts = [s for s in labelled if s.setup == name]
-        orders[name] = _order_setup(measurement, name, parts, table, rng, place)
+        orders[name] = _order_setup(measurement, name, parts, table, rng, location)
     setups = [n for n in mounted if n not in names] + names
     references = sum(len(o.scheduled) - len(o.series) for o in orders.values())
     summary = WorkingOrder(
@@ -108,10 +108,10 @@ def check_reference(resolved: ResolvedStudy) -> None:
     table = resolved.study.design
     if table is None or table.order.reference_every_min is None:
         return
-    place = resolved.study.place.key("design").key("order")
+    location = resolved.study.location.key("design").key("order")
     for name in dict.fromkeys(s.setup for s in resolved.candidates):
         every = table.order.reference_every_min
-        reference_command(resolved.measurement, name, table.order, every, place)
+        reference_command(resolved.measurement, name, table.order, every, location)
 
 
 def _joined_plan(
@@ -155,7 +155,7 @@ def _order_setup(
     parts: list[Series],
     table: DesignTable,
     rng: np.random.Generator,
-    place: Place,
+    location: Location,
 ) -> _SetupOrder:
     """The readings of one set-up by short joint travel, with thermal references."""
     whole, setup = _joined(measurement, name, parts), measurement.setups[name]
@@ -184,7 +184,7 @@ def _order_setup(
     if every_min is not None:
         timing = RouteTiming(route, speeds, reading)
         scheduled, seconds = with_reference_readings(
-            measurement, whole, timing, table.order, every_min, place
+            measurement, whole, timing, table.order, every_min, location
         )
     return _SetupOrder(ordered, scheduled, before, route.length, seconds, route.exact)
 
@@ -268,14 +268,14 @@ def with_reference_readings(
     timing: RouteTiming,
     table: OrderTable,
     every_min: float,
-    place: Place,
+    location: Location,
 ) -> tuple[Series, float]:
     """The readings in time with reference readings in between; when the last ends, s.
 
     Raises InputError where the set-up has a reference of its own, or time is too short.
     """
-    every = place.key("reference_every_min")
-    command = reference_command(measurement, series.setup, table, every_min, place)
+    every = location.key("reference_every_min")
+    command = reference_command(measurement, series.setup, table, every_min, location)
     if command is None:
         first = timing.route.indices[0]
         command = np.asarray(series.reading_commands()[first])
@@ -313,7 +313,7 @@ def reference_command(
     name: str,
     table: OrderTable,
     every_min: float,
-    place: Place,
+    location: Location,
 ) -> Array | None:
     """The reference's command (n_dof,) in a set-up; None for the route's first pose.
 
@@ -321,14 +321,14 @@ def reference_command(
     """
     setup = measurement.setups[name]
     if setup.instrument.reference == "run":
-        raise place.key("reference_every_min").error(
+        raise location.key("reference_every_min").error(
             f"the first pose of each run is the reference of {name}",
             "remove it",
             every_min,
         )
     if not table.reference:
         return None
-    at, machine = place.key("reference"), measurement.machine
+    at, machine = location.key("reference"), measurement.machine
     command, hold, keys = grid_commands(table.reference, machine, at)
     if len(command) != 1:
         raise at.error(

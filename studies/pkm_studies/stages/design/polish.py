@@ -11,7 +11,7 @@ from oed.design import polish, symbolic_criterion
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import PolishSummary
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.describe import field
 from pkm_studies.resolve import CommandRanges
 from pkm_studies.stages.design.criteria import StudyCriteria
@@ -42,8 +42,8 @@ def polish_plan(
     `retained` readings are part of the plan and do not move. Raises InputError.
     """
     table, name = study_criteria.table, study_criteria.table.judged_by
-    place = study_criteria.resolved.study.place.key("design").key("polish")
-    ranges = _free_ranges(study_criteria, series, retained, place)
+    location = study_criteria.resolved.study.location.key("design").key("polish")
+    ranges = _free_ranges(study_criteria, series, retained, location)
     try:
         polished = polish.polish_readings(
             measurement,
@@ -57,7 +57,7 @@ def polish_plan(
             iterations=asked.iterations,
         )
     except ValueError as error:
-        raise place.error(str(error), "mend it, or leave polishing out") from error
+        raise location.error(str(error), "mend it, or leave polishing out") from error
     before, value = study_criteria.score(name, measurement, [*retained, *series])
     after, new_value = study_criteria.score(
         name, polished.measurement, [*retained, *polished.series]
@@ -85,7 +85,7 @@ def _free_ranges(
     study_criteria: StudyCriteria,
     series: Sequence[Series],
     retained: Sequence[Series],
-    place: Place,
+    location: Location,
 ) -> CommandRanges:
     """What polishing may move of the set-ups that the plan uses."""
     ranges = study_criteria.request.free_ranges
@@ -93,7 +93,7 @@ def _free_ranges(
     for name in ranges:
         if name in fixed:
             raise (
-                place.key("free")
+                location.key("free")
                 .key(name)
                 .error(
                     f"the retained readings of {name} were taken where it stands",

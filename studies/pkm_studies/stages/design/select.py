@@ -32,7 +32,7 @@ from oed.result import (
     RobustSummary,
     WorkingOrder,
 )
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.describe import displayed_command
 from pkm_studies.resolve import NO_EFFECTS, Circles, DesignRequest, ResolvedStudy
 from pkm_studies.stages.design import effects, how_many, order, polish, search
@@ -56,7 +56,7 @@ def choose_robust(
     nominal: Choice,
     table: RobustTable,
     rng: np.random.Generator,
-    place: Place,
+    location: Location,
 ) -> tuple[Choice, RobustSummary]:
     """The robust plan over the nominal plan's set-ups, and what it gains over that.
 
@@ -65,7 +65,7 @@ def choose_robust(
     """
     c, judged_by = problem.candidates, study_criteria.table.judged_by
     pool, basis = chosen_pool(problem, nominal)
-    blocks = _scenarios(problem, study_criteria, table.scenarios, rng, place)
+    blocks = _scenarios(problem, study_criteria, table.scenarios, rng, location)
     blocks = blocks[:, pool] @ basis
     criterion = study_criteria.over_candidates(judged_by, c)
     within = criterion.restrict(basis)
@@ -82,7 +82,7 @@ def choose_robust(
             rounds=max(problem.rounds // ROUNDS_SHARE, MIN_ROUNDS),
         )
     except ValueError as error:
-        raise place.key("risk").error(
+        raise location.key("risk").error(
             str(error), "choose D, Ds, A, c, I or O5, or leave the table out"
         ) from error
     nominal_rows = np.searchsorted(pool, nominal.indices)
@@ -107,7 +107,7 @@ def _scenarios(
     study_criteria: StudyCriteria,
     count: int,
     rng: np.random.Generator,
-    place: Place,
+    location: Location,
 ) -> Array:
     """Blocks (S, C, k, n) of the same commands on drawn machines; first the nominal."""
     c = problem.candidates
@@ -128,7 +128,7 @@ def _scenarios(
         except AssemblyError as error:
             failures += 1
             if failures > TRIES * count:
-                raise place.key("scenarios").error(
+                raise location.key("scenarios").error(
                     f"machines within the tolerances cannot reach all candidates: {error}",
                     "narrow the candidates, or the tolerances",
                 ) from error
@@ -152,7 +152,7 @@ LEAST = 1e-6
 
 
 def choose_relaxed(
-    problem: DesignProblem, study_criteria: StudyCriteria, place: Place
+    problem: DesignProblem, study_criteria: StudyCriteria, location: Location
 ) -> tuple[Choice, RelaxedSummary]:
     """The plan of the largest weights, and the weights.
 
@@ -164,12 +164,12 @@ def choose_relaxed(
     size = problem.rules.size
     if size is None:
         reason = "weights need the number of readings, which a budget leaves open"
-        raise place.error(reason, "give readings, not budget_min", table.method)
+        raise location.error(reason, "give readings, not budget_min", table.method)
     try:
         weighed = choose_by_weights(c.blocks, size, criterion, c.prior, solver)
     except ValueError as error:
         remedy = "leave method out, ask for more readings, or give more candidates"
-        raise place.error(str(error), remedy, table.method) from error
+        raise location.error(str(error), remedy, table.method) from error
     summary = RelaxedSummary(
         solver=solver,
         value=weighed.value,
@@ -242,26 +242,28 @@ def select_design(
     table, request = resolved.study.design, resolved.design
     if table is None or request is None or not resolved.candidates:
         return None
-    place = resolved.study.place.key("design")
+    location = resolved.study.location.key("design")
     expected = effects.allowed_effects(resolved, table, request, rng)
     planned = effects.to_plan_for(expected, table)
     study_criteria = StudyCriteria(resolved, table, request, planned)
-    problem = _problem(resolved, study_criteria, place)
+    problem = _problem(resolved, study_criteria, location)
     field = "compound" if table.compound else "criterion"
-    choice, relaxed_summary = _main_choice(problem, study_criteria, rng, place, field)
+    choice, relaxed_summary = _main_choice(
+        problem, study_criteria, rng, location, field
+    )
     at_expected = study_criteria, problem
     if planned is not expected:
         with_expected = StudyCriteria(resolved, table, request, expected)
-        at_expected = with_expected, _problem(resolved, with_expected, place)
-    summary_of_effects = _beside_rigid(at_expected, choice, rng, place, field)
-    compared = _compared(problem, study_criteria, choice, rng, place.key("compare"))
+        at_expected = with_expected, _problem(resolved, with_expected, location)
+    summary_of_effects = _beside_rigid(at_expected, choice, rng, location, field)
+    compared = _compared(problem, study_criteria, choice, rng, location.key("compare"))
     robust_summary, size_summary = None, None
     if table.robust is not None:
         choice, robust_summary = choose_robust(
-            problem, study_criteria, choice, table.robust, rng, place.key("robust")
+            problem, study_criteria, choice, table.robust, rng, location.key("robust")
         )
     if table.how_many is not None:
-        seed, at = resolved.study.seed, place.key("how_many")
+        seed, at = resolved.study.seed, location.key("how_many")
         size_summary = how_many.accuracy_by_size(
             problem, study_criteria, choice, table.how_many, seed, at
         )
@@ -274,7 +276,7 @@ def select_design(
         )
         measurement, series = polished.measurement, polished.series
         polish_summary = polished.summary
-    ordered = order.order_plan(table, place, measurement, retained, series, rng)
+    ordered = order.order_plan(table, location, measurement, retained, series, rng)
     return ChosenDesign(
         measurement=measurement,
         series=ordered.series,
@@ -301,12 +303,12 @@ def check_design(resolved: ResolvedStudy) -> None:
         return
     if table.effects != NO_EFFECTS:
         effects.check_allowed(resolved, table, request)
-    place = resolved.study.place.key("design")
+    location = resolved.study.location.key("design")
     study_criteria = StudyCriteria(resolved, table, request)
-    problem = _problem(resolved, study_criteria, place)
+    problem = _problem(resolved, study_criteria, location)
     name = table.judged_by
     field = "compound" if table.compound else "criterion"
-    with _refused(name, place.key(field)):
+    with _refused(name, location.key(field)):
         search.check_plan(
             problem, study_criteria.over_candidates(name, problem.candidates)
         )
@@ -316,16 +318,20 @@ def _main_choice(
     problem: DesignProblem,
     study_criteria: StudyCriteria,
     rng: np.random.Generator,
-    place: Place,
+    location: Location,
     field: str,
 ) -> tuple[Choice, RelaxedSummary | None]:
     """The plan for the study's own criterion, and weights where it comes from these."""
     table = study_criteria.table
     summary = None
     if table.method == "relaxed":
-        choice, summary = choose_relaxed(problem, study_criteria, place.key("method"))
+        choice, summary = choose_relaxed(
+            problem, study_criteria, location.key("method")
+        )
     else:
-        choice = _best(problem, study_criteria, table.judged_by, rng, place.key(field))
+        choice = _best(
+            problem, study_criteria, table.judged_by, rng, location.key(field)
+        )
     if table.branch_nodes:
         criterion = study_criteria.over_candidates(table.judged_by, problem.candidates)
         choice = search.branch_and_bound(
@@ -338,7 +344,7 @@ def _beside_rigid(
     at_expected: tuple[StudyCriteria, DesignProblem],
     choice: Choice,
     rng: np.random.Generator,
-    place: Place,
+    location: Location,
     field: str,
 ) -> AllowedEffects | None:
     """The choice beside that of a machine without effects; None without effects.
@@ -348,22 +354,25 @@ def _beside_rigid(
     study_criteria, problem = at_expected
     if study_criteria.effects is None:
         return None
-    without = _without_effects(study_criteria, rng, place, field)
+    without = _without_effects(study_criteria, rng, location, field)
     return effects.compare_without(problem, study_criteria, choice, without)
 
 
 def _without_effects(
-    study_criteria: StudyCriteria, rng: np.random.Generator, place: Place, field: str
+    study_criteria: StudyCriteria,
+    rng: np.random.Generator,
+    location: Location,
+    field: str,
 ) -> tuple[DesignProblem, Choice]:
     """The problem of a machine without effects, and its best plan."""
     resolved, table = study_criteria.resolved, study_criteria.table
     alone = StudyCriteria(resolved, table, study_criteria.request)
-    problem = _problem(resolved, alone, place)
-    return problem, _best(problem, alone, table.judged_by, rng, place.key(field))
+    problem = _problem(resolved, alone, location)
+    return problem, _best(problem, alone, table.judged_by, rng, location.key(field))
 
 
 def _problem(
-    resolved: ResolvedStudy, study_criteria: StudyCriteria, place: Place
+    resolved: ResolvedStudy, study_criteria: StudyCriteria, location: Location
 ) -> DesignProblem:
     """Candidates with prior information, and the rules of a plan."""
     table, request = study_criteria.table, study_criteria.request
@@ -378,7 +387,7 @@ def _problem(
             nuisances=None if planned is None else planned.readings,
         )
     except ValueError as error:
-        raise place.key("whole_runs").error(
+        raise location.key("whole_runs").error(
             str(error), "give each run a table of its own"
         ) from error
     if table.prior or request.retained:
@@ -419,15 +428,15 @@ def _best(
     study_criteria: StudyCriteria,
     name: str,
     rng: np.random.Generator,
-    place: Place,
+    location: Location,
 ) -> Choice:
-    with _refused(name, place):
+    with _refused(name, location):
         criterion = study_criteria.over_candidates(name, problem.candidates)
         return search.best_plan(problem, criterion, rng)
 
 
 @contextlib.contextmanager
-def _refused(name: str, place: Place) -> Iterator[None]:
+def _refused(name: str, location: Location) -> Iterator[None]:
     """Errors of a search for a plan by a criterion as InputError."""
     try:
         yield
@@ -435,7 +444,7 @@ def _refused(name: str, place: Place) -> Iterator[None]:
         remedy = "see `oed list criteria`"
         if ":" not in str(error):
             remedy = "ask for more readings, or give more candidates"
-        raise place.error(str(error), remedy, name) from error
+        raise location.error(str(error), remedy, name) from error
 
 
 def _compared(
@@ -443,7 +452,7 @@ def _compared(
     study_criteria: StudyCriteria,
     choice: Choice,
     rng: np.random.Generator,
-    place: Place,
+    location: Location,
 ) -> tuple[CriterionComparison, ...]:
     """Designs for further criteria, each scored by each criterion; the main one first."""
     table = study_criteria.table
@@ -453,7 +462,7 @@ def _compared(
     choices = {main: choice}
     for name in dict.fromkeys(table.compare):
         if name != main:
-            choices[name] = _best(problem, study_criteria, name, rng, place)
+            choices[name] = _best(problem, study_criteria, name, rng, location)
     comparisons = []
     for name, design in choices.items():
         criterion = study_criteria.over_candidates(name, problem.candidates)

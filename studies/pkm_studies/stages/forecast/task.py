@@ -16,7 +16,7 @@ from oed.design.candidates import reading_time
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from pkm_studies import quantities
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.tables import ForecastTable
 
@@ -100,20 +100,20 @@ def forecast_task(
     """What [forecast] asks for. Raises InputError for what it misstates or lacks."""
     study, where = resolved.study, resolved.prediction
     if study.forecast is None:
-        raise study.place.key("forecast").error(
+        raise study.location.key("forecast").error(
             "the study does not say what calibration leaves",
             "add [forecast] with expected = { z_um = 60 }",
         )
     if where is None:
-        raise study.place.key("prediction").error(
+        raise study.location.key("prediction").error(
             "the study does not say where accuracy counts",
             "add [prediction] with a workspace, see `oed schema study`",
         )
-    place = study.place.key("forecast")
+    location = study.location.key("forecast")
     reference = where.table.reference
     if reference == "best_fit":
         raise (
-            study.place.key("prediction")
+            study.location.key("prediction")
             .key("reference")
             .error(
                 "a table cannot align the machine",
@@ -130,11 +130,11 @@ def forecast_task(
     model = JointErrors(
         kinematics, _reachable(kinematics, _places(axes, rng)), reference, spread
     )
-    setup = _setup(resolved, study.forecast, place)
-    expected = _by_component(model, study.forecast.expected, place.key("expected"))
-    wanted = _by_component(model, study.forecast.wanted, place.key("wanted"))
+    setup = _setup(resolved, study.forecast, location)
+    expected = _by_component(model, study.forecast.expected, location.key("expected"))
+    wanted = _by_component(model, study.forecast.wanted, location.key("wanted"))
     if np.isnan(expected).all():
-        raise place.key("expected").error("it is empty", "name a driven component")
+        raise location.key("expected").error("it is empty", "name a driven component")
     measurement = resolved.measurement_with([setup.name])
     return ForecastTask(
         table=study.forecast,
@@ -142,7 +142,7 @@ def forecast_task(
         axes=axes,
         candidates=_reachable(kinematics, _candidates(axes, rng)),
         expected=expected,
-        sigma=_sigma(model, study.forecast, setup, place.key("sigma")),
+        sigma=_sigma(model, study.forecast, setup, location.key("sigma")),
         wanted=wanted,
         setup=setup.name,
         seconds=(
@@ -153,29 +153,31 @@ def forecast_task(
     )
 
 
-def _setup(resolved: ResolvedStudy, table: ForecastTable, place: Place) -> Setup:
+def _setup(resolved: ResolvedStudy, table: ForecastTable, location: Location) -> Setup:
     """The set-up that measures. Raises InputError for one that is not there."""
     if not table.setup:
         return next(iter(resolved.setups.values()))
     if table.setup not in resolved.setups:
         names = ", ".join(resolved.setups)
-        at = place.key("setup")
+        at = location.key("setup")
         raise at.error("no such set-up", f"name one of {names}", table.setup)
     return resolved.setups[table.setup]
 
 
-def _by_component(model: JointErrors, table: dict[str, float], place: Place) -> Array:
+def _by_component(
+    model: JointErrors, table: dict[str, float], location: Location
+) -> Array:
     """Values (k,) of the driven components, SI; NaN where none is stated."""
     known = {c.name: c.unit for c in model.driven}
-    values = quantities.read_values(table, known, place)
+    values = quantities.read_values(table, known, location)
     return np.array([values.get(name, np.nan) for name in known])
 
 
 def _sigma(
-    model: JointErrors, table: ForecastTable, setup: Setup, place: Place
+    model: JointErrors, table: ForecastTable, setup: Setup, location: Location
 ) -> Array:
     """Noise (k,) of a measured error, SI: as stated, else of the set-up's channel."""
-    sigma = _by_component(model, table.sigma, place)
+    sigma = _by_component(model, table.sigma, location)
     channels = [channel.name for channel in setup.instrument.channels]
     by_channel = dict(zip(channels, setup.sigma, strict=True))
     for k, component in enumerate(model.driven):
@@ -187,7 +189,7 @@ def _sigma(
             key = quantities.column(component.name, component.unit)
             problem = f"set-up {setup.name} has no channel of {component.name}"
             remedy = f"add {key}, in any unit of its kind, or name another `setup`"
-            raise place.error(problem, remedy)
+            raise location.error(problem, remedy)
     return sigma
 
 

@@ -52,7 +52,7 @@ def choose_runs(
         )
     except ValueError as error:
         remedy = "give conditions that show it, or other effects or rules"
-        raise design.place.error(str(error), remedy) from error
+        raise design.location.error(str(error), remedy) from error
     selected = [design.runs[k] for k in choice.runs]
     series, covariates = runs.lay_out(measurement, selected)
     timed = covariates

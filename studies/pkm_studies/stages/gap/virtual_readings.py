@@ -122,7 +122,7 @@ def _factors(
     if acting.coefficients is not None:
         for name in acting.coefficients:
             if name not in priors:
-                raise unknown_coefficient(acting.place, name, list(priors))
+                raise unknown_coefficient(acting.location, name, list(priors))
         return {n: acting.size * value for n, value in acting.coefficients.items()}
     textbook = [name for name, prior in priors.items() if not prior.shape]
     values = np.ones(len(textbook))

@@ -100,7 +100,7 @@ def _within_budget(
     try:
         own_search = task.search(options=options, stages=len(options), loss=ANY_LOSS)
     except ValueError as error:
-        raise task.place.key("compare").error(
+        raise task.location.key("compare").error(
             str(error), "give more time, or compare others", list(names)
         ) from error
     plans = [own_search.most_accurate]

@@ -74,7 +74,7 @@ def _recording(
     measurement = outcome.measurement
     free = int(measurement.free[: len(measurement.machine.parameters)].sum())
     gap = resolved.gap_or_default
-    place = task.place.key("effects")
+    location = task.location.key("effects")
     setups = set(measurement.setups)
     further = {}
     for option in request.options:
@@ -86,7 +86,7 @@ def _recording(
             measurement=measurement,
             series=outcome.series,
             planned=effects,
-            effects=named_effects(gap, task.table.effects, place),
+            effects=named_effects(gap, task.table.effects, location),
             request=gap,
             prediction=request.prediction,
             information=np.asarray(
@@ -258,7 +258,7 @@ def _search(task: PlanTask, progress: Progress) -> PlanSearchResult:
         if task.request.reserved:
             reserved = units.number(task.request.reserved, "min")
             remedy += f" ({reserved:g} min of it are for [gap.design])"
-        raise task.place.key("budget_min").error(
+        raise task.location.key("budget_min").error(
             str(error), remedy, task.table.budget_min
         ) from error
 

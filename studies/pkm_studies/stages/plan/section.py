@@ -76,9 +76,12 @@ def build_outcome(
 def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.OrderedPlan:
     """A stage's readings in working order."""
     table = _with_order(task, stage.option.name)
-    place, rng = task.resolved.study.place.key("design"), task.stage_generator(number)
+    location, rng = (
+        task.resolved.study.location.key("design"),
+        task.stage_generator(number),
+    )
     measurement = stage.option.measurement
-    return order.order_plan(table, place, measurement, (), stage.series, rng)
+    return order.order_plan(table, location, measurement, (), stage.series, rng)
 
 
 def _with_order(task: PlanTask, name: str) -> DesignTable:

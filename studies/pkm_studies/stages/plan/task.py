@@ -17,7 +17,7 @@ from oed.design.stages.search import PlanSearchResult, search_plan
 from oed.design.stages.sequence.beam import BEAM
 from oed.design.stages.sequence.stage_memory import StageMemory
 from oed.design.stages.sequence.stage_plan import StagePlan
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.quantities import with_fine_units
 from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages.plan.earlier import EarlierSession
@@ -57,9 +57,9 @@ class PlanTask:
         return self.request.table
 
     @property
-    def place(self) -> Place:
+    def location(self) -> Location:
         """The table [plan], for errors."""
-        return self.resolved.study.place.key("plan")
+        return self.resolved.study.location.key("plan")
 
     def search(
         self,

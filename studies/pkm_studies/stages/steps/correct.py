@@ -83,11 +83,11 @@ def _effects(
 ) -> list[Effect]:
     """The effects of the command, or those that the diagnosis holds likely."""
     if state.with_effects:
-        place = state.study.place.key("--with")
+        location = state.study.location.key("--with")
         origin = state.study.origin
         names = dict.fromkeys(state.with_effects)
         return [
-            effect_with_sizes(catalogue.effect(name, origin, place), state.study)
+            effect_with_sizes(catalogue.effect(name, origin, location), state.study)
             for name in names
         ]
     if gap is None or not gap.effect_likely:
@@ -109,7 +109,7 @@ def _refuse_untestable(
     for effect in effects:
         reason = untestable(effect, states)
         if reason is not None:
-            raise state.study.place.key("--with").error(
+            raise state.study.location.key("--with").error(
                 f"{effect.name} cannot be estimated: {reason}",
                 "record it, or name other effects",
                 effect.name,

@@ -116,7 +116,7 @@ def planned_series(state: RunState) -> tuple[Series, ...]:
         return state.plan.series
     if state.resolved.reference_plans:
         return state.resolved.reference_plans[0].series
-    raise state.study.place.key("design").error(
+    raise state.study.location.key("design").error(
         "the study has neither readings nor a plan",
         "add [[design.candidates]], [[design.reference]], [[plan.measurement]] or"
         " [readings]",
@@ -128,8 +128,8 @@ def simulate_readings(state: RunState, series: Sequence[Series]) -> SimulatedRea
     try:
         return _simulated(state, series)
     except AssemblyError as error:
-        place = state.study.place.key("readings").key("truth")
-        raise place.error(
+        location = state.study.location.key("readings").key("truth")
+        raise location.error(
             f"the virtual machine cannot be assembled at {error.indices.size} of the"
             " poses",
             "give parameters nearer to nominal, or narrow the grid",

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from pkm_studies.base import Place, shorten
+from pkm_studies.base import Location, shorten
 from pkm_studies.study.data_sources.tables import AS_PUBLISHED, Row, read_csv
 
 REVOLUTIONS = tuple(f"leg_length_{k}" for k in range(1, 7))
@@ -33,8 +33,8 @@ def rows(folder: Path) -> Iterator[Row]:
         try:
             yield label | {"order": str(i // 2 + 1)} | _legs(pose) | _read(pose)
         except ValueError as error:
-            place = Place(str(path), f"row {i + 1}")
-            raise place.error(shorten(str(error), 80), AS_PUBLISHED) from None
+            location = Location(str(path), f"row {i + 1}")
+            raise location.error(shorten(str(error), 80), AS_PUBLISHED) from None
 
 
 def _legs(pose: Row) -> Row:

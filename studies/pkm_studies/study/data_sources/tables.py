@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pkm_studies import files
-from pkm_studies.base import Place, SourceAbsentError, shorten
+from pkm_studies.base import Location, SourceAbsentError, shorten
 from pkm_studies.csv_table import named_errors
 
 #: bytes of the largest file
@@ -26,7 +26,7 @@ def read_csv(path: Path, columns: Sequence[str]) -> list[Row]:
     missing = [c for c in columns if c not in (reader.fieldnames or ())]
     if missing:
         problem = f"the column {missing[0]} is missing"
-        raise Place(str(path)).error(problem, AS_PUBLISHED)
+        raise Location(str(path)).error(problem, AS_PUBLISHED)
     with named_errors(str(path)):
         return [{key: cell or "" for key, cell in row.items() if key} for row in reader]
 
@@ -37,7 +37,7 @@ def read_json(path: Path) -> Any:
         return json.loads(_text(path))
     except (ValueError, RecursionError) as error:
         problem = f"no JSON: {shorten(str(error), 80)}"
-        raise Place(str(path)).error(problem, AS_PUBLISHED) from None
+        raise Location(str(path)).error(problem, AS_PUBLISHED) from None
 
 
 def _text(path: Path) -> str:

@@ -17,7 +17,7 @@ from oed.model import Machine
 from pkm_reports import style
 from pkm_reports.sections import draw_closure
 from pkm_studies import catalogue
-from pkm_studies.base import Place
+from pkm_studies.base import Location
 from pkm_studies.commands import main
 from pkm_studies.user_code import Origin
 
@@ -36,7 +36,7 @@ def _file(folder: Path, rod: str) -> Path:
 
 def _machine(path: Path) -> Machine:
     machine = catalogue.machine(
-        "my.py", Origin(path.parent), Place("x"), assembled=False
+        "my.py", Origin(path.parent), Location("x"), assembled=False
     )
     assert isinstance(machine, Machine)
     return machine
