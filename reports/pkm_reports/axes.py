@@ -145,11 +145,11 @@ def stages(section: PlanSection, axes: Axes | None = None) -> Axes:
 def causes(section: GapSection, axes: Axes | None = None) -> Axes:
     """Probability of each effect that could be tested, the likeliest above."""
     axes = axes or new_axes()
-    known = {n: p for n, p in section.marginal.items() if math.isfinite(p)}
-    names = sorted(known, key=lambda name: (-known[name], name))[:MOST_EFFECTS]
+    finite = {n: p for n, p in section.marginal.items() if math.isfinite(p)}
+    names = sorted(finite, key=lambda name: (-finite[name], name))[:MOST_EFFECTS]
     chosen = [name in section.selected for name in names]
     colours = [style.BLUE if selected else style.LIGHT for selected in chosen]
-    axes.barh(range(len(names)), [known[name] for name in names], color=colours)
+    axes.barh(range(len(names)), [finite[name] for name in names], color=colours)
     axes.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.0)

@@ -186,9 +186,9 @@ def _glyphs() -> frozenset[int]:
     return frozenset(ft2font.FT2Font(path).get_charmap())
 
 
-def label(words: str, longest: int = 30) -> str:
+def label(phrase: str, longest: int = 30) -> str:
     """Text that can be drawn: one short line, `?` for characters that the font lacks."""
-    line = shorten(words, longest)
+    line = shorten(phrase, longest)
     return "".join(sign if ord(sign) in _glyphs() else "?" for sign in line)
 
 
@@ -239,7 +239,7 @@ def fixed_ticks(
     """Put ticks at given places with given labels."""
     axis = getattr(axes, f"{which}axis")
     axis.set_major_locator(FixedLocator(list(places)))
-    axis.set_ticklabels([label(words) for words in labels])
+    axis.set_ticklabels([label(phrase) for phrase in labels])
     axis.set_minor_locator(NullLocator())
 
 
@@ -256,8 +256,8 @@ def legend_entries(panels: Iterable[Axes]) -> dict[str, Artist]:
     """Legend entries of all panels by their label, each once."""
     entries: dict[str, Artist] = {}
     for axes in panels:
-        for handle, words in zip(*axes.get_legend_handles_labels(), strict=True):
-            entries[words] = handle
+        for handle, phrase in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries[phrase] = handle
     return entries
 
 

@@ -232,9 +232,9 @@ def in_unit_of(channel: str, value: Number, channel_units: Mapping[str, str]) ->
     return quantity(value, channel_units.get(channel, ""))
 
 
-def with_symbols(words: str) -> str:
+def with_symbols(phrase: str) -> str:
     """Text of a study with 5 um written as 5 µm."""
-    return re.sub(r"(?<=\d) um\b", f"{NO_BREAK}µm", words)
+    return re.sub(r"(?<=\d) um\b", f"{NO_BREAK}µm", phrase)
 
 
 # -- words -----------------------------------------------------------------------------
@@ -260,34 +260,34 @@ def listing(items: Iterable[str], most: int = 12) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-def cleaned(words: str) -> str:
+def cleaned(phrase: str) -> str:
     """Text without control characters and lone surrogates."""
-    visible = words.translate(INVISIBLE)
+    visible = phrase.translate(INVISIBLE)
     decodable = visible.encode("utf-8", "replace").decode("utf-8")
     return decodable.replace("\r\n", "\n")
 
 
-def sentence(words: str) -> str:
+def sentence(phrase: str) -> str:
     """A sentence: a capital where it starts with a plain word, and a full stop."""
-    words = with_full_stop(words)
-    first = words.partition(" ")[0]
+    phrase = with_full_stop(phrase)
+    first = phrase.partition(" ")[0]
     is_plain = len(first) > 1 or first == "a"
     if is_plain and first.isalpha() and first.islower():
-        words = words[:1].upper() + words[1:]
-    return words
+        phrase = phrase[:1].upper() + phrase[1:]
+    return phrase
 
 
-def with_full_stop(words: str) -> str:
+def with_full_stop(phrase: str) -> str:
     """Text of a study, ended by a full stop."""
-    words = with_symbols(words).strip()
-    if not words or words[-1] in ".!?:":
-        return words
-    return f"{words}."
+    phrase = with_symbols(phrase).strip()
+    if not phrase or phrase[-1] in ".!?:":
+        return phrase
+    return f"{phrase}."
 
 
 def sentences(texts: Iterable[str]) -> list[str]:
     """Each text as a sentence."""
-    return [sentence(words) for words in texts]
+    return [sentence(phrase) for phrase in texts]
 
 
 def linear_combination(terms: Mapping[str, float], most: int = 10) -> str:

@@ -294,7 +294,9 @@ def read_row(path: Path) -> Row:
     return row
 
 
-def is_done(path: Path, known: Mapping[str, Any], required: Sequence[str]) -> bool:
+def is_done(
+    path: Path, done_setting: Mapping[str, Any], required: Sequence[str]
+) -> bool:
     """Whether a file has the whole row of a job, with values that are known before.
 
     required  names of further values
@@ -303,5 +305,5 @@ def is_done(path: Path, known: Mapping[str, Any], required: Sequence[str]) -> bo
         row = read_row(path)
     except (OSError, ValueError, RecursionError):
         return False
-    has_all = row.keys() >= {*known, *required}
-    return has_all and all(row[name] == value for name, value in known.items())
+    has_all = row.keys() >= {*done_setting, *required}
+    return has_all and all(row[name] == value for name, value in done_setting.items())

@@ -62,8 +62,8 @@ def _is_broken(job: Job[Case]) -> bool:
     case = job.case
     # a list or table of a setting comes back as JSON has it
     setting = json.loads(json.dumps(dict(case.setting)))
-    known = {**setting, SEED: case.seed}
-    return not jobs.is_done(job.path, known, [ERROR])
+    setting_of_case = {**setting, SEED: case.seed}
+    return not jobs.is_done(job.path, setting_of_case, [ERROR])
 
 
 def _set_aside(path: Path) -> str:

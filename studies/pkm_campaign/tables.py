@@ -209,8 +209,8 @@ def _check_settings(campaign: Campaign) -> None:
     location = campaign.location
     for field, values in campaign.vary.items():
         if not values:
-            at = location.key("vary").key(field)
-            raise at.error("no values", "list the values to try")
+            field_location = location.key("vary").key(field)
+            raise field_location.error("no values", "list the values to try")
     settings = campaign.settings()
     if len(settings) * campaign.seeds > MOST_CASES:
         problem = f"{len(settings)} combinations with {campaign.seeds} machines each"
@@ -222,10 +222,10 @@ def _check_settings(campaign: Campaign) -> None:
         try:
             resolve(campaign.study_with(setting), readings=())
         except (InputError, AssemblyError) as error:
-            words = ", ".join(
+            phrase = ", ".join(
                 f"{k} = {shorten(repr(v), 40)}" for k, v in setting.items()
             )
-            problem = f"with {words}: {error}"
+            problem = f"with {phrase}: {error}"
             raise location.key("vary").error(problem, "change this value") from error
 
 
@@ -233,8 +233,10 @@ def _check_functions(campaign: Campaign) -> None:
     """Raises InputError for functions that are not there, and names of other columns."""
     for name in campaign.vary:
         if name in COLUMNS:
-            at = campaign.location.key("vary").key(name)
-            raise at.error("this names another column", "choose another name")
+            field_location = campaign.location.key("vary").key(name)
+            raise field_location.error(
+                "this names another column", "choose another name"
+            )
     campaign.user_function(campaign.case).load("case")
     if campaign.summary:
         campaign.user_function(campaign.summary).load("summary")

@@ -121,9 +121,9 @@ def _accuracy_figures(
     maps = error_maps(measurement.kinematics, command, table.reference)
     covariance = estimate.covariance[:count, :count]
     identified, true = estimate.theta[:count], truth[:count]
-    known = maps.remaining @ (identified - measurement.machine.nominal)
+    correctable = maps.remaining @ (identified - measurement.machine.nominal)
     unknown = np.einsum("nkp,pq,nkq->nk", maps.raw, covariance, maps.raw, optimize=True)
-    expected = np.sqrt(np.mean(known**2 + unknown, axis=0))
+    expected = np.sqrt(np.mean(correctable**2 + unknown, axis=0))
     errors = driven_errors(
         measurement.kinematics, command, true, table.reference, believed=identified
     )

@@ -71,8 +71,8 @@ def certificate(
     promised = promised_accuracy(result, study, file, {}, {})
     machine = promised.machine
     names = [name for name, p in section.parameters.items() if _counts(name, p.sd)]
-    at = [machine.index(name) for name in names]
-    covariance = covariances(machine, section)[0][np.ix_(at, at)]
+    indices = [machine.index(name) for name in names]
+    covariance = covariances(machine, section)[0][np.ix_(indices, indices)]
     estimate = result.estimate
     return Certificate(
         head=head,
@@ -206,9 +206,9 @@ def _conformities(
     location: Location,
 ) -> Iterator[Conformity]:
     """Conformity with each tolerance, or with what an acceptance test promised."""
-    known = {p.name: p.unit for p in promised.machine.parameters}
-    known |= {c.name: c.unit for c in promised.machine.components}
-    stated = quantities.read_values(tolerance, known, location)
+    unit_of = {p.name: p.unit for p in promised.machine.parameters}
+    unit_of |= {c.name: c.unit for c in promised.machine.components}
+    stated = quantities.read_values(tolerance, unit_of, location)
     if not stated and result.acceptance is not None:
         demands = result.acceptance.components
         stated = {n: d.promised * units.factor(d.unit) for n, d in demands.items()}
@@ -221,17 +221,17 @@ def _conformities(
             none = np.zeros(len(promise.maps))
             alone = functools.partial(_by_geometry, result, promise, k, none)
             basis = "predicted from the calibration, over the workspace"
-            unit = known[name]
+            unit = unit_of[name]
             yield _predicted_conformity(result, name, basis, largest, unit, alone)
-            yield from _measured_conformity(result, name, largest, known[name])
+            yield from _measured_conformity(result, name, largest, unit_of[name])
         elif name in section.parameters and _counts(name, section.parameters[name].sd):
-            yield _of_parameter(section, name, largest, known[name])
+            yield _of_parameter(section, name, largest, unit_of[name])
         elif further is not None and name in undriven:
             k = undriven.index(name)
             error = further.known[:, k]
             alone = functools.partial(_by_geometry, result, further.promise, k, error)
             basis = "predicted, no drive corrects it, over the workspace"
-            unit = known[name]
+            unit = unit_of[name]
             yield _predicted_conformity(result, name, basis, largest, unit, alone)
         else:
             raise location.error(
@@ -272,7 +272,7 @@ def _predicted_conformity(
 
 
 def _by_geometry(
-    result: StudyResult, promise: Promise, k: int, known: Array, largest: float
+    result: StudyResult, promise: Promise, k: int, remaining: Array, largest: float
 ) -> float:
     """Probability of the rms error; fields have the predicted size, as for acceptance."""
     rng = np.random.default_rng([result.seed, zlib.crc32(promise.names[k].encode())])
@@ -280,7 +280,7 @@ def _by_geometry(
     slopes = promise.maps[:, k]
     size = np.linalg.norm(slopes @ root) / np.sqrt(len(slopes))
     scaled = root * (promise.rms[k] / size)
-    return conformity.rms_within(known, slopes, scaled, largest, rng)
+    return conformity.rms_within(remaining, slopes, scaled, largest, rng)
 
 
 def _measured_conformity(

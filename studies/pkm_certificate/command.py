@@ -29,9 +29,9 @@ def certificate(
     from oed.result.verdict import all_pass
     from pkm_certificate import certify_folder, sentences
 
-    given = consent(allow_code=allow_code)
+    permission = consent(allow_code=allow_code)
     written, paths = certify_folder(
-        folder, head_file=head, study_file=study, consent=given
+        folder, head_file=head, study_file=study, consent=permission
     )
     for line in [*sentences(written), *(f"Written: {path}" for path in paths)]:
         print(line)

@@ -248,12 +248,12 @@ def _parameters(results: Element, c: Certificate) -> None:
     data = _result(results, "Covariance of the parameters", "")
     joint = _quantity(data, "All parameters, with their covariance matrix")
     values = _add(joint, "realListXMLList", space=SI)
-    for name, words in (
+    for name, phrase in (
         ("labelXMLList", [p.name for p in parameters]),
         ("valueXMLList", [repr(p.value) for p in parameters]),
         ("unitXMLList", [UNITS[p.unit] for p in parameters]),
     ):
-        _add(values, name, " ".join(words), SI)
+        _add(values, name, " ".join(phrase), SI)
     region = _add(values, "ellipsoidalRegionXMLList", space=SI)
     _covariance(_add(region, "covarianceMatrix", space=SI), parameters, c.covariance)
     factor = np.sqrt(special.chdtri(len(parameters), 1.0 - JOINT))
@@ -291,8 +291,8 @@ def _accuracy(
             quantity = _quantity(listed, f"{name} of {a.component}")
             _real(quantity, value, a.unit)
             if a.verdict is not None and name == "rms error":
-                words = "Acceptance test: the machine meets its promised rms error."
-                _statement(quantity, words, a.verdict)
+                phrase = "Acceptance test: the machine meets its promised rms error."
+                _statement(quantity, phrase, a.verdict)
 
 
 def figures(a: CertifiedAccuracy) -> Iterator[tuple[str, float]]:
@@ -320,15 +320,15 @@ def _conformity(results: Element, c: Certificate) -> None:
         quantity = _quantity(part, "probability of conformity")
         _real(quantity, round(entry.probability, 4), "1")
         if verdict:
-            words = (
+            phrase = (
                 f"Decision rule: conforming from a probability of {c.head.decision} on,"
                 " not conforming where that of the contrary reaches it. A prediction that"
                 " no measurement confirms is not stated as conforming."
             )
-            _statement(quantity, words, verdict)
+            _statement(quantity, phrase, verdict)
 
 
-def _statement(quantity: Element, words: str, verdict: Judgement) -> None:
+def _statement(quantity: Element, phrase: str, verdict: Judgement) -> None:
     meta = _add(_add(quantity, "measurementMetaData"), "metaData")
-    _words(meta, "declaration", words)
+    _words(meta, "declaration", phrase)
     _add(meta, "conformity", CONFORMITY[verdict])

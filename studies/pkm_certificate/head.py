@@ -185,15 +185,15 @@ def _check(file: HeadFile, location: Location) -> None:
     """Raises InputError for a needed text that is empty, and for dates that are none."""
     if not file.person:
         raise location.key("person").error("missing", "add a [[person]] with a name")
-    for at, table in _tables(file, location):
+    for field_location, table in _tables(file, location):
         for field in msgspec.structs.fields(table):
             value = getattr(table, field.name)
             if isinstance(value, str) and CONTROL.search(value):
-                raise at.key(field.encode_name).error(
+                raise field_location.key(field.encode_name).error(
                     "a character that no certificate can hold", "remove it", value
                 )
             if field.required and isinstance(value, str) and not value.strip():
-                raise at.key(field.encode_name).error(
+                raise field_location.key(field.encode_name).error(
                     "empty", "a certificate has to state it: fill it in"
                 )
     dates = [_date(getattr(file, key), location.key(key)) for key in ("begin", "end")]

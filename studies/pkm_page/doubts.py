@@ -82,11 +82,11 @@ def of_values(
         middle, half = float(expected.middle[k]), float(expected.half[k])
         low, unit = written(middle - half, channel.unit)
         high, _ = written(middle + half, channel.unit)
-        words = f"{channel.name} should lie between {low:.7g} and {high:.7g} {unit}"
+        phrase = f"{channel.name} should lie between {low:.7g} and {high:.7g} {unit}"
         if len(entries) == len(channels):
             slip = typed.slip(entries[k], low, high)
-            words += f"; {slip}" if slip else ""
-        sentences.append(words if words.endswith("?") else f"{words}.")
+            phrase += f"; {slip}" if slip else ""
+        sentences.append(phrase if phrase.endswith("?") else f"{phrase}.")
     return sentences
 
 
@@ -94,13 +94,14 @@ def of_session(
     before: FittedReadings | None, after: FittedReadings, row: int
 ) -> Iterator[str]:
     """What a check of all readings finds once a new one, in a row of the file, is in."""
-    known = {(f.kind, f.rows) for f in _findings(before)}
+    doubted_before = {(f.kind, f.rows) for f in _findings(before)}
     kinds = {f.kind for f in _findings(before)}
     for finding in _findings(after):
         if finding.severity >= Severity.REMARK:
             continue
         if row in finding.rows or (
-            finding.kind not in kinds and (finding.kind, finding.rows) not in known
+            finding.kind not in kinds
+            and (finding.kind, finding.rows) not in doubted_before
         ):
             yield finding.sentence
 

@@ -97,8 +97,8 @@ class Guard:
         if self._matches(_cookie(headers)):
             return None
         query = scope["query_string"].decode("latin-1")
-        given = parse_qs(query).get("token", [""])[0]
-        if scope["method"] == "GET" and self._matches(given):
+        sent_token = parse_qs(query).get("token", [""])[0]
+        if scope["method"] == "GET" and self._matches(sent_token):
             answer = RedirectResponse("/", status_code=303)
             answer.set_cookie(COOKIE, self.token, httponly=True, samesite="strict")
             return answer

@@ -167,10 +167,10 @@ def open_combinations(state: SessionState) -> tuple[int, int, list[str]]:
     scale = measurement.tolerance[free]
     covariance = estimate.covariance[np.ix_(free, free)] / np.outer(scale, scale)
     variances, vectors = np.linalg.eigh(covariance)
-    known = int((np.sqrt(np.maximum(variances, 0.0)) < AT_PRIOR).sum())
+    count = int((np.sqrt(np.maximum(variances, 0.0)) < AT_PRIOR).sum())
     names = [measurement.names[k] for k in free]
-    least = range(len(names) - 1, max(known, len(names) - SHOWN) - 1, -1)
-    words = []
+    least = range(len(names) - 1, max(count, len(names) - SHOWN) - 1, -1)
+    phrases = []
     for k in least:
         vector = vectors[:, k]
         chosen = np.argsort(-np.abs(vector))[:TERMS]
@@ -178,8 +178,8 @@ def open_combinations(state: SessionState) -> tuple[int, int, list[str]]:
         terms = {
             names[j]: float(sign * vector[j]) for j in chosen if abs(vector[j]) > 0.1
         }
-        words.append(text.linear_combination(terms))
-    return known, len(names), words
+        phrases.append(text.linear_combination(terms))
+    return count, len(names), phrases
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,8 +200,8 @@ def best_next(session: MachineSession, state: SessionState) -> list[NextOne]:
     machine = session.adviser.base.resolved.machine
     outlook = advice.outlook
     variances = outlook.now.variances_after(outlook.blocks) + outlook.others
-    known = np.maximum(advice.known, 1e-150)
-    ratios = np.sqrt(variances) / known
+    variance_now = np.maximum(advice.known, 1e-150)
+    ratios = np.sqrt(variances) / variance_now
     gains = 1.0 - np.exp(np.mean(np.log(np.maximum(ratios, 1e-300)), axis=1))
     listed = {advice.candidate, *advice.skipped}
     rest = [int(k) for k in np.argsort(-gains, kind="stable") if k not in listed]

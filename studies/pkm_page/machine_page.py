@@ -227,8 +227,8 @@ def comparison(folders: list[Path]) -> str:
 
     if len(folders) != 2:
         raise InputError("two results are compared", "choose two")
-    with tempfile.TemporaryDirectory(prefix="oed-") as place:
-        paths = write_comparison(folders, Path(place))
+    with tempfile.TemporaryDirectory(prefix="oed-") as scratch:
+        paths = write_comparison(folders, Path(scratch))
         page = next(path for path in paths if path.suffix == ".html")
         return page.read_text(encoding="utf-8")
 
@@ -241,6 +241,6 @@ def stored_report(folder: Path) -> str:
     path = folder / "report.html"
     if path.is_file() and not path.is_symlink():
         return path.read_text(encoding="utf-8")
-    with tempfile.TemporaryDirectory(prefix="oed-") as place:
-        (page,) = write_report(load_result(folder), Path(place), pdf=False)
+    with tempfile.TemporaryDirectory(prefix="oed-") as scratch:
+        (page,) = write_report(load_result(folder), Path(scratch), pdf=False)
         return page.read_text(encoding="utf-8")

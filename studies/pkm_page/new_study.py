@@ -198,9 +198,9 @@ def _field_of(error: InputError, sizes: list[str]) -> str:
     if key != error.field:
         return GEOMETRY + key
     # a family names the size in its sentence: the first one that it names
-    words = re.findall(r"\w+", error.problem)
+    phrase = re.findall(r"\w+", error.problem)
     named = [
-        k for word in words for k in sizes if k == word or k.rpartition("_")[0] == word
+        k for word in phrase for k in sizes if k == word or k.rpartition("_")[0] == word
     ]
     return GEOMETRY + named[0] if named else "machine"
 
@@ -266,12 +266,12 @@ def _with_readings(text: str, minutes: str, tool: Instrument) -> str:
     )
 
 
-def _with_wanted(text: str, wanted: dict[str, str], known: list[str]) -> str:
+def _with_wanted(text: str, wanted: dict[str, str], allowed: list[str]) -> str:
     """The draft with rms errors to reach."""
     stated = []
     for key, value in wanted.items():
         name = WANTED + key
-        if key not in known:
+        if key not in allowed:
             raise _error(name, "no such error", "load the page again")
         if not value.strip():
             continue

@@ -49,8 +49,10 @@ def encoded(view: PageView | None) -> str:
 
 def encoded_state(state: dict[str, Any]) -> str:
     """The state without its parts as JSON for a script element."""
-    words = json.dumps({k: v for k, v in state.items() if k != "parts"})
-    return words.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    encoded = json.dumps({k: v for k, v in state.items() if k != "parts"})
+    return (
+        encoded.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    )
 
 
 def plain(view: PageView | None) -> Any:

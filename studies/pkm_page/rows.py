@@ -147,9 +147,9 @@ def without_reading(
 ) -> FileContent:
     """The content with a row's reading moved into its remark."""
     values = reading_cells(content, row, measurement)
-    words = ", ".join(f"{name} = {value}" for name, value in values.items())
+    phrase = ", ".join(f"{name} = {value}" for name, value in values.items())
     before = content.cells(row).get(REMARK, "")
-    remark = "; ".join(part for part in (before, f"{UNDONE}: {words}") if part)
+    remark = "; ".join(part for part in (before, f"{UNDONE}: {phrase}") if part)
     return content.with_cells(row, {**dict.fromkeys(values, ""), REMARK: remark})
 
 
@@ -169,8 +169,8 @@ def skipped_rows(
     new = reading_rows(measurement, series, row, [0.0] * len(columns), fresh)
     names = {column_name(c.name, c.unit) for c in columns}
     new[-1] |= dict.fromkeys(names, "")
-    words = clean_remark(reason)
-    new[-1][REMARK] = f"{SKIPPED}: {words}" if words else SKIPPED
+    cleaned = clean_remark(reason)
+    new[-1][REMARK] = f"{SKIPPED}: {cleaned}" if cleaned else SKIPPED
     if len(new) == 1:
         return [new[0] | {"order": str(_next_order(content, new[0]))}]
     run = _free_run(content, new[0] | {"run": SKIPPED})
@@ -274,13 +274,13 @@ def _run_from(content: FileContent, reference: Mapping[str, str]) -> str | None:
 
 
 def _is_at(cells: Mapping[str, str], pose: Mapping[str, float]) -> bool:
-    known = {}
+    values = {}
     for name, cell in cells.items():
         if _stem(name) in pose and cell.strip():
             number = float(cell.replace(",", "."))
-            known[_stem(name)] = number * parse_column(name).factor
-    return known.keys() == pose.keys() and all(
-        abs(known[stem] - value) < 1e-9 for stem, value in pose.items()
+            values[_stem(name)] = number * parse_column(name).factor
+    return values.keys() == pose.keys() and all(
+        abs(values[stem] - value) < 1e-9 for stem, value in pose.items()
     )
 
 

@@ -59,8 +59,8 @@ def judge_acceptance(folder: Path, text: str) -> list[str]:
 
     Raises InputError for what cannot be judged; nothing is stored then.
     """
-    with tempfile.TemporaryDirectory(prefix="oed-") as place:
-        path = files.write_whole(Path(place) / ACCEPTANCE_FILE, text)
+    with tempfile.TemporaryDirectory(prefix="oed-") as scratch:
+        path = files.write_whole(Path(scratch) / ACCEPTANCE_FILE, text)
         try:
             verdict = judge_folder(folder, path)
         except BadFitError as error:
@@ -259,8 +259,8 @@ class ResultAddresses:
         """Keys and names of the studies that can be opened here; None where none can."""
         if self.switch is None:
             return None
-        known = study_files(self.shelf.root)
-        return [(key, path.name) for key, path in known.items()]
+        available = study_files(self.shelf.root)
+        return [(key, path.name) for key, path in available.items()]
 
     def report(self, request: Request) -> Response:
         """The report of a result, apart from everything else."""
@@ -352,11 +352,11 @@ class StudyAddresses:
         return {"file": path.name}
 
     def _open(self, choice: ResultChoice) -> dict[str, Any]:
-        known = study_files(self.folder)
+        available = study_files(self.folder)
         key = "".join(choice.keys[:1])
-        if key not in known:
+        if key not in available:
             raise InputError("there is no such study", "load the page again")
-        self.switch.open(known[key])
+        self.switch.open(available[key])
         return {}
 
     def _answering(

@@ -267,12 +267,12 @@ class MachineSession:
         data = fitted.state.resolved.dataset
         if data is None:
             raise LookupError("readings without a dataset")
-        place = int(np.argmax(data.covariates["row"].to_numpy()))
+        index = int(np.argmax(data.covariates["row"].to_numpy()))
         for series in data.series:
-            if place < len(series):
-                return Pose(series, place, repeated=True)
-            place -= len(series)
-        raise IndexError(place)
+            if index < len(series):
+                return Pose(series, index, repeated=True)
+            index -= len(series)
+        raise IndexError(index)
 
     def _fit(self, content: FileContent) -> FittedReadings | None:
         """The fit of a content, as `oed next` makes it from a file of that content."""

@@ -95,8 +95,8 @@ class Shelf:
                 yield from self._search(entry, depth - 1)
 
     def _key(self, folder: Path) -> str:
-        place = folder.relative_to(self.root).as_posix()
-        return files.digest(place.encode())[:DIGITS]
+        relative = folder.relative_to(self.root).as_posix()
+        return files.digest(relative.encode())[:DIGITS]
 
     def _card(self, key: str, folder: Path) -> Card | None:
         stamp = (folder / RESULT).stat().st_mtime_ns
@@ -120,7 +120,9 @@ class Shelf:
             written=day,
             readings=_readings(result),
             accuracy=_accuracy(result),
-            doubts=tuple(text.cleaned(words) for words in trust.objections(result)),
+            doubts=tuple(
+                text.cleaned(sentence) for sentence in trust.objections(result)
+            ),
             is_usable=result.estimate is not None or result.prediction is not None,
             is_planned=result.acceptance is not None,
             verdict=None if test is None else test.judgement,

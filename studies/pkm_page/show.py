@@ -159,9 +159,9 @@ def _mounting(measurement: Measurement, setup: Setup, *, change: bool) -> list[s
         for name, value in info.numbers.items()
         if not name.startswith("teach_") and (value or not name.startswith("tool_"))
     }
-    words = f": {text.named_quantities(numbers, 7)}" if numbers else ""
+    phrase = f": {text.named_quantities(numbers, 7)}" if numbers else ""
     about = text.cleaned(setup.instrument.about)
-    steps = [f"{verb} set-up {setup.name} ({about}){words}."]
+    steps = [f"{verb} set-up {setup.name} ({about}){phrase}."]
     if setup.teach is not None:
         taught = describe.displayed_command(measurement.machine, np.array(setup.teach))
         steps.append(

@@ -78,14 +78,14 @@ def delta_numbers(compensation: Compensation, name: str) -> DeltaNumbers:
 
 def firmware_of(compensation: Compensation, name: str) -> ControllerTable | None:
     """What the study says of this firmware; None where it is of another, or of none."""
-    known = compensation.controller
-    return known if known is not None and known.firmware == name else None
+    firmware = compensation.controller
+    return firmware if firmware is not None and firmware.firmware == name else None
 
 
 def trims(compensation: Compensation, name: str, field: str) -> Array:
     """Trims (3,) by tower that stay in this firmware, mm."""
-    known = firmware_of(compensation, name)
-    return np.zeros(3) if known is None else np.array(getattr(known, field))
+    firmware = firmware_of(compensation, name)
+    return np.zeros(3) if firmware is None else np.array(getattr(firmware, field))
 
 
 def trim_notes(compensation: Compensation, name: str) -> list[str]:
@@ -103,11 +103,15 @@ def trim_notes(compensation: Compensation, name: str) -> list[str]:
 
 def home_notes(compensation: Compensation, name: str) -> list[str]:
     """A sentence where another firmware's height at home is not that of the nozzle."""
-    known = compensation.controller
-    if known is None or known.firmware == name or known.home_offset_mm != NOT_KNOWN:
+    firmware = compensation.controller
+    if (
+        firmware is None
+        or firmware.firmware == name
+        or firmware.home_offset_mm != NOT_KNOWN
+    ):
         return []
     return [
-        f"the height at home is M665 H of {known.firmware.capitalize()}, which may count"
+        f"the height at home is M665 H of {firmware.firmware.capitalize()}, which may count"
         " to the probe: with a probe, set the height anew before you print"
     ]
 

@@ -159,8 +159,8 @@ def _check_built_in(spools: Command) -> None:
     for letter, wanted in BUILT_IN.items():
         if letter not in spools.words:
             continue
-        given = _numbers(spools, letter)
-        if not np.allclose(given, wanted[: len(given)], rtol=1e-6):
+        stated = _numbers(spools, letter)
+        if not np.allclose(stated, wanted[: len(stated)], rtol=1e-6):
             listed = ":".join(f"{value:g}" for value in wanted)
             raise spools.line_of(letter).error(
                 f"the model {MODEL} has {letter}{listed} built in",

@@ -19,18 +19,18 @@ MOTORS = "ABCD"
 def rows(folder: Path) -> Iterator[Row]:
     """Rows of a readings file. Raises InputError."""
     motors = read_csv(folder / "motor_deg.csv", tuple(MOTORS))
-    known = read_csv(folder / "known_xyz_mm.csv", ("x", "y", "z"))
+    positions = read_csv(folder / "known_xyz_mm.csv", ("x", "y", "z"))
     joints = [
         {f"q{k + 1}_deg": row[motor] for k, motor in enumerate(MOTORS)}
         for row in motors
     ]
-    for i, position in enumerate(known):
+    for i, position in enumerate(positions):
         label = {"setup": "known_camera", "run": "1", "order": str(i + 1)}
         readings = {f"read_{axis}_mm": position[axis] for axis in "xyz"}
         yield label | joints[i] | readings
     for i, pose in enumerate(joints):
         setup, first = "known_lines", 0
-        if i >= len(known):
-            setup, first = "other_lines", len(known)
+        if i >= len(positions):
+            setup, first = "other_lines", len(positions)
         label = {"setup": setup, "run": "1", "order": str(i - first + 1)}
         yield label | pose | {"gap_mm": "0"}

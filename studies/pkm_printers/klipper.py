@@ -135,8 +135,10 @@ def _gear_ratio(config: KlipperConfig, stepper: str) -> float:
             driven, driver = pair.split(":")
             ratio *= float(driven) / float(driver)
     except (ValueError, ZeroDivisionError):
-        place = f"[{stepper}] gear_ratio"
-        raise entry.error(place, "this is no gear ratio", "write it as 50:10") from None
+        option = f"[{stepper}] gear_ratio"
+        raise entry.error(
+            option, "this is no gear ratio", "write it as 50:10"
+        ) from None
     return ratio
 
 
@@ -304,8 +306,8 @@ def check_positions(
         miss = _tool_height(np.asarray(travels), geometry) - height
         if abs(miss) <= limit:
             continue
-        place = f"[delta_calibrate] {option}"
-        raise entry.error(place, _problem(travels, height, miss, geometry), REMEDY)
+        field = f"[delta_calibrate] {option}"
+        raise entry.error(field, _problem(travels, height, miss, geometry), REMEDY)
 
 
 def _problem(

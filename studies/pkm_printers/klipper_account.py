@@ -234,8 +234,8 @@ def config_account(config: KlipperConfig, files: Sequence[Path]) -> list[str]:
         for name in config.sections
         if _kind(name) not in COSTLY_SECTIONS and not name.startswith(INCLUDE)
     ]
-    words = account(_written(config), plain, WORDS)
-    return [*words.sentences(), *_costly(config), *_included(config, files)]
+    accounts = account(_written(config), plain, WORDS)
+    return [*accounts.sentences(), *_costly(config), *_included(config, files)]
 
 
 def _group(name: str) -> str:
@@ -275,11 +275,11 @@ def _costly(config: KlipperConfig) -> list[str]:
 
 def _included(config: KlipperConfig, files: Sequence[Path]) -> list[str]:
     """A sentence on files that the configuration includes and that were not given."""
-    given = {path.name for path in files}
+    file_names = {path.name for path in files}
     places = {
         f"[{section}]": line
         for section, line in config.sections.items()
         if section.startswith(INCLUDE)
-        and Path(section.removeprefix(INCLUDE).strip()).name not in given
+        and Path(section.removeprefix(INCLUDE).strip()).name not in file_names
     }
     return [cost_sentence(places, INCLUDED)] if places else []

@@ -86,8 +86,8 @@ class KlipperConfig:
 
     def missing(self, section: str, key: str, remedy: str) -> InputError:
         """The error to raise for an entry that is not there."""
-        place = f"[{section}] {key}"
-        return InputError("missing", remedy, file=self.file, field=place)
+        option = f"[{section}] {key}"
+        return InputError("missing", remedy, file=self.file, field=option)
 
     def number(self, section: str, key: str, default: float | None = None) -> float:
         """A finite number. Raises InputError."""
@@ -107,8 +107,8 @@ class KlipperConfig:
         value = self.number(section, key, default)
         entry = self.find(section, key)
         if value <= 0.0 and entry is not None:
-            place = f"[{section}] {key}"
-            raise entry.error(place, "it must be above 0", "correct it")
+            option = f"[{section}] {key}"
+            raise entry.error(option, "it must be above 0", "correct it")
         return value
 
     def indices(self, section: str, pattern: str) -> list[int]:

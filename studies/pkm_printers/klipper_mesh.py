@@ -61,12 +61,12 @@ def _heights(config: KlipperConfig, section: str) -> Array:
     if len(rows) != round(config.positive(section, "y_count")):
         problem = f"{len(rows)} rows, where y_count has another number"
         raise entry.error(f"[{section}] points", problem, REMEDY)
-    place = f"[{section}] points"
+    option = f"[{section}] points"
     written = [klipper_config.Entry(row, entry.file, entry.line) for row in rows]
-    heights = np.array([klipper_config.numbers(row, place, count) for row in written])
+    heights = np.array([klipper_config.numbers(row, option, count) for row in written])
     if np.abs(heights).max() > LARGEST:
         problem = f"no bed is {np.abs(heights).max():.3g} mm uneven"
-        raise entry.error(place, problem, REMEDY)
+        raise entry.error(option, problem, REMEDY)
     return heights
 
 

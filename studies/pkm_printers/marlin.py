@@ -295,29 +295,29 @@ def word_table(b: MeaningOfB | None, *, has_height: bool) -> WordTable:
 
 def mesh_grids(
     lines: Sequence[TextLine],
-    given: Mapping[str, tuple[float, ...]],
+    settings: Mapping[str, tuple[float, ...]],
     offset: tuple[float, float],
     contacts: Sequence[ProbedPoint],
 ) -> tuple[list[BedMesh], list[str]]:
     """The last grid of a log, if any; and sentences. Raises InputError.
 
-    given     numbers of lines that a user added
+    settings  numbers of lines that a user added
     offset    of the probe from the nozzle, mm
     contacts  that the log has as well
     """
     starts = [k for k, line in enumerate(lines) if GRID_HEADING.search(line.text)]
     if not starts:
         return [], []
-    at = starts[-1]
-    heights = _grid_heights(lines[at + 1 :], lines[at])
-    ends = [_grid_ends(name, lines[:at], given) for name in GRID_ENDS]
+    start_line = starts[-1]
+    heights = _grid_heights(lines[start_line + 1 :], lines[start_line])
+    ends = [_grid_ends(name, lines[:start_line], settings) for name in GRID_ENDS]
     if None in ends:
-        return [], [GRID_WITHOUT_PLACE.format(line=lines[at].number)]
+        return [], [GRID_WITHOUT_PLACE.format(line=lines[start_line].number)]
     count_y, count_x = heights.shape
     (x_ends, y_ends) = (end for end in ends if end is not None)
     x, y = np.linspace(*x_ends, count_x), np.linspace(*y_ends, count_y)
     middle = np.array([x.mean(), y.mean()])
-    reach = given.get("mesh_radius_mm", (min(np.ptp(x), np.ptp(y)) / 2.0,))[0]
+    reach = settings.get("mesh_radius_mm", (min(np.ptp(x), np.ptp(y)) / 2.0,))[0]
     points = [
         ProbedPoint(float(px) - offset[0], float(py) - offset[1], float(z))
         for py, row in zip(y, heights, strict=True)
@@ -326,7 +326,7 @@ def mesh_grids(
         and math.hypot(px - middle[0], py - middle[1]) <= reach + ROUNDING
     ]
     if _share_among(points, contacts) > 0.5:
-        return [], [GRID_READ_TWICE.format(line=lines[at].number)]
+        return [], [GRID_READ_TWICE.format(line=lines[start_line].number)]
     mesh = BedMesh("G29", tuple(points), heights.size - len(points), OUTSIDE_GRID)
     notes = []
     if len(starts) > 1:
@@ -358,11 +358,11 @@ def _grid_heights(lines: Sequence[TextLine], heading: TextLine) -> Array:
 
 
 def _grid_ends(
-    name: str, lines: Sequence[TextLine], given: Mapping[str, tuple[float, ...]]
+    name: str, lines: Sequence[TextLine], settings: Mapping[str, tuple[float, ...]]
 ) -> tuple[float, float] | None:
     """Places of the first and last nodes along an axis, mm; None where nothing says."""
-    if name in given:
-        return given[name][0], given[name][1]
+    if name in settings:
+        return settings[name][0], settings[name][1]
     low, high = GRID_ENDS[name]
     for command in reversed(list(gcode.commands(lines, "G29"))):
         if {low, high} <= set(command.words):

@@ -100,17 +100,17 @@ def write(compensation: Compensation) -> Texts:
     # the firmware's carriage height at home is that of the tool there, tower by tower
     height = float(numbers.endstops.min()) - target.down
     adjust = height - numbers.endstops
-    words = [
+    phrases = [
         f"M665 L{rod:.4f} R{numbers.radius:.4f} H{height - target.home_offset:.4f}"
         f" X{lean[0]:.4f} Y{lean[1]:.4f} Z{lean[2]:.4f}"
     ]
     if target.b == ROD_TRIM:
         trim = rods - rod
-        words.append(f"A{trim[0]:.4f} B{trim[1]:.4f} C{trim[2]:.4f}")
+        phrases.append(f"A{trim[0]:.4f} B{trim[1]:.4f} C{trim[2]:.4f}")
     lines = [f"; {sentence}" for sentence in compensation.comments]
     store = "M500 ; store" if target.is_sure else "; M500 stores it, once it is checked"
     lines += [
-        " ".join(words),
+        " ".join(phrases),
         f"M666 X{adjust[0]:.4f} Y{adjust[1]:.4f} Z{adjust[2]:.4f}",
         store,
         "",
@@ -130,8 +130,8 @@ def _numbers(compensation: Compensation) -> tuple[DeltaNumbers, Array]:
 
     Raises InputError, also for versions whose M665 has no H and no tower angles.
     """
-    known = firmware_of(compensation, NAME)
-    version = None if known is None else known.version
+    firmware = firmware_of(compensation, NAME)
+    version = None if firmware is None else firmware.version
     if marlin_version.possible_rules(version).agreed("has_height") is False:
         raise InputError(
             f"Marlin {version} has no M665 H (home height) and X, Y, Z (tower angles)",
@@ -148,11 +148,11 @@ def _target(compensation: Compensation, rods: Array) -> _Target:
 
     Raises InputError for rods (3,) of several lengths where M665 has one.
     """
-    known = firmware_of(compensation, NAME)
-    rules = _rules(known)
-    b: MeaningOfB | None = None if known is None else rules.agreed("b")
-    offset, home_notes = _home(known, rules)
-    steps = None if known is None else known.steps_per_mm
+    firmware = firmware_of(compensation, NAME)
+    rules = _rules(firmware)
+    b: MeaningOfB | None = None if firmware is None else rules.agreed("b")
+    offset, home_notes = _home(firmware, rules)
+    steps = None if firmware is None else firmware.steps_per_mm
     down = (
         max(LEAST_DOWN, 2.0 * marlin_version.dead_band(steps)) if steps else LEAST_DOWN
     )
@@ -170,38 +170,40 @@ def _target(compensation: Compensation, rods: Array) -> _Target:
     return _Target(written, is_sure, offset, home_notes, down)
 
 
-def _rules(known: ControllerTable | None) -> PossibleRules:
+def _rules(firmware: ControllerTable | None) -> PossibleRules:
     """What the version does, and M665 B as the log had it. Raises InputError."""
-    if known is None or known.version is None:
+    if firmware is None or firmware.version is None:
         rules = marlin_version.EVERY
-    elif not marlin_version.numbers(known.version):
+    elif not marlin_version.numbers(firmware.version):
         raise InputError(
             "this is no version of Marlin",
             "give it as M115 prints it, such as 2.0.5",
             field="--firmware",
-            value=known.version,
+            value=firmware.version,
         )
     else:
-        rules = marlin_version.possible_rules(known.version)
+        rules = marlin_version.possible_rules(firmware.version)
     rules = rules.where(has_height=True)
-    if known is None or known.m665_b is None:
+    if firmware is None or firmware.m665_b is None:
         return rules
-    stated = rules.where(b=known.m665_b)
-    if stated.agreed("b") == known.m665_b:
+    stated = rules.where(b=firmware.m665_b)
+    if stated.agreed("b") == firmware.m665_b:
         return stated
-    return marlin_version.EVERY.where(b=known.m665_b, has_height=True)
+    return marlin_version.EVERY.where(b=firmware.m665_b, has_height=True)
 
 
 def _home(
-    known: ControllerTable | None, rules: PossibleRules
+    firmware: ControllerTable | None, rules: PossibleRules
 ) -> tuple[float, tuple[str, ...]]:
     """Height of the nozzle at home over M665 H, mm, and what is not known of it."""
-    stated = None if known is None else known.home_offset_mm
+    stated = None if firmware is None else firmware.home_offset_mm
     if stated == NOT_KNOWN:
         # the study has the height of M665 H, whatever that is in the version
         return 0.0, ()
-    if known is not None and stated is not None:
-        offset = marlin_version.home_offset(rules, known.probe_z_mm, known.steps_per_mm)
+    if firmware is not None and stated is not None:
+        offset = marlin_version.home_offset(
+            rules, firmware.probe_z_mm, firmware.steps_per_mm
+        )
         return (stated if offset is None else offset), ()
     sentences = [HOME] if rules.agreed("counts_to_probe") is not False else []
     retreat = rules.agreed("retreat")
@@ -234,8 +236,8 @@ def joints(texts: Texts, compensation: Compensation) -> Array:
 
 
 def _home_offset(compensation: Compensation) -> float:
-    known = firmware_of(compensation, NAME)
-    return _home(known, _rules(known))[0]
+    firmware = firmware_of(compensation, NAME)
+    return _home(firmware, _rules(firmware))[0]
 
 
 controller = ControllerFormat(

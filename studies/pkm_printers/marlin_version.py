@@ -154,13 +154,13 @@ def numbers(version: str) -> tuple[int, ...]:
 
 def possible_rules(version: str | None) -> PossibleRules:
     """The rules of a version: several of `2.0`, all of one that is not known."""
-    known = () if version is None else numbers(version)
-    if version is None or len(known) < 2:
+    parts = () if version is None else numbers(version)
+    if version is None or len(parts) < 2:
         return EVERY
     is_release = 0 if "RC" in version.upper() else 1
-    if len(known) == 2:
-        return PossibleRules(tuple(_between((*known, 0), (*known, 99))))
-    first = (*known, *[0] * (4 - len(known)), is_release)
+    if len(parts) == 2:
+        return PossibleRules(tuple(_between((*parts, 0), (*parts, 99))))
+    first = (*parts, *[0] * (4 - len(parts)), is_release)
     return PossibleRules(tuple(_between(first, first)))
 
 

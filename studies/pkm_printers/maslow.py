@@ -168,7 +168,7 @@ def _written(lines: Sequence[TextLine]) -> list[WrittenWord]:
     Old keys of anchors are a group of their own where newer ones stand beside them.
     """
     inside = _of_section(lines)
-    words: list[WrittenWord] = []
+    phrases: list[WrittenWord] = []
     for line, is_new in zip(lines, inside, strict=True):
         text = line.text.split("#")[0]
         match = ENTRY.match(text) if is_new else VALUE.search(text)
@@ -176,8 +176,8 @@ def _written(lines: Sequence[TextLine]) -> list[WrittenWord]:
             continue
         is_old = any(inside) and not is_new and match[2] in PLACES
         group = OLD_GROUP if is_old else GROUP
-        words.append(WrittenWord(group, match[2], match[3], line.number, line.error))
-    return words
+        phrases.append(WrittenWord(group, match[2], match[3], line.number, line.error))
+    return phrases
 
 
 def _of_section(lines: Sequence[TextLine]) -> list[bool]:

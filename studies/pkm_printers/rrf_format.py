@@ -34,8 +34,8 @@ UNKNOWN_WORDS = (
 def notes(compensation: Compensation) -> tuple[str, ...]:
     """Which version and file the lines are for, and what they do not hold."""
     single = len(set(_rods(delta_numbers(compensation, NAME)))) == 1
-    known = firmware_of(compensation, NAME)
-    file = None if known is None else known.file
+    firmware = firmware_of(compensation, NAME)
+    file = None if firmware is None else firmware.file
     sentences = [
         f"for {file or USUAL_FILE} of RepRapFirmware 3"
         if single
@@ -43,7 +43,7 @@ def notes(compensation: Compensation) -> tuple[str, ...]:
     ]
     if file is not None:
         sentences.append(STORED.format(file=file))
-    if known is None:
+    if firmware is None:
         sentences.append(UNKNOWN_WORDS)
     sentences += home_notes(compensation, NAME)
     return (*sentences, *trim_notes(compensation, NAME))
@@ -60,8 +60,8 @@ def write(compensation: Compensation) -> Texts:
     height = float(np.mean(numbers.endstops))
     adjust = numbers.endstops - height
     arms = _rods(numbers)
-    known = firmware_of(compensation, NAME)
-    retained = {} if known is None else known.keep
+    firmware = firmware_of(compensation, NAME)
+    retained = {} if firmware is None else firmware.keep
     lines = [f"; {sentence}" for sentence in compensation.comments]
     rods = arms[0] if len(set(arms)) == 1 else ":".join(arms)
     delta = (

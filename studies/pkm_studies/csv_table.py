@@ -201,8 +201,8 @@ def _header(above: Sequence[Line], width: int, file: str) -> tuple[str, ...]:
             for name, unit in zip(names, units, strict=True)
         ]
     while higher and _repeated(names):
-        words = higher.pop(0)[1]
-        names = [f"{w} {name}".strip() for w, name in zip(words, names, strict=True)]
+        labels = higher.pop(0)[1]
+        names = [f"{w} {name}".strip() for w, name in zip(labels, names, strict=True)]
     repeated = _repeated(names)
     if repeated:
         problem, remedy = "two columns of this name", "rename one of them"

@@ -70,13 +70,13 @@ def parameter_labels(kinematics: Kinematics, x: Array, q: Array) -> list[Drawing
 def shortened(names: Sequence[str]) -> str:
     """Names with a common stem in short: da1x, y, z."""
     stems = list(dict.fromkeys(stem for stem, _ in map(_split, names)))
-    words = []
+    phrases = []
     for stem in stems:
         tails = [tail for s, tail in map(_split, names) if s == stem]
-        words.append(stem + ", ".join(tails))
-    if len(words) > MOST_NAMES:
-        words = [*words[:MOST_NAMES], f"+{len(words) - MOST_NAMES}"]
-    return " ".join(words)
+        phrases.append(stem + ", ".join(tails))
+    if len(phrases) > MOST_NAMES:
+        phrases = [*phrases[:MOST_NAMES], f"+{len(phrases) - MOST_NAMES}"]
+    return " ".join(phrases)
 
 
 def _split(name: str) -> tuple[str, str]:
@@ -123,12 +123,12 @@ def _with_joined_points(
     scale = np.abs(by_p).max(axis=1, keepdims=True)
     in_row = np.abs(by_p) > LEAST_SLOPE * scale
     places = list(moved)
-    known = {k: location for k, location in enumerate(moved) if location is not None}
+    drawn = {k: location for k, location in enumerate(moved) if location is not None}
     for k in range(len(places)):
         rows = np.flatnonzero(in_row[:, k])
-        sharing = [j for j in known if in_row[rows, j].any()]
-        points = {tuple(np.round(known[j] / SAME_PLACE)) for j in sharing}
-        if k not in known and 1 <= len(points) <= MOST_ENDS:
+        sharing = [j for j in drawn if in_row[rows, j].any()]
+        points = {tuple(np.round(drawn[j] / SAME_PLACE)) for j in sharing}
+        if k not in drawn and 1 <= len(points) <= MOST_ENDS:
             places[k] = np.array(sorted(points)).mean(axis=0) * SAME_PLACE
     return places
 
@@ -173,18 +173,18 @@ def with_earlier_sessions(
     info: MachineInfo, study: Study, measurement: Measurement
 ) -> MachineInfo:
     """The table with what controller and prior have from earlier sessions."""
-    held = measurement.kinematics.held
+    fixed = measurement.kinematics.held
     rows = []
     for k, (p, row) in enumerate(
         zip(measurement.machine.parameters, info.parameters, strict=True)
     ):
         unit = units.display(p.unit)
-        known = dict(row)
+        changed = dict(row)
         if study.machine.controller is not None:
-            known["held"] = _in_unit(float(held[k]), unit)
+            changed["held"] = _in_unit(float(fixed[k]), unit)
         if p.expected is not None:
-            known["expected"] = _in_unit(p.expected, unit)
-        rows.append(known)
+            changed["expected"] = _in_unit(p.expected, unit)
+        rows.append(changed)
     return msgspec.structs.replace(
         info,
         parameters=rows,
@@ -321,8 +321,8 @@ def _far_end(setup: Setup, tool_points: Array, row: Index) -> list[float] | None
     if len(row) == 2:
         return [float(v) for v in tool_points[row[1]]]
     location = [setup.settings.get(f"at_{axis}") for axis in "xyz"]
-    known = [float(v) for v in location if v is not None]
-    return known if len(known) == len(location) else None
+    coordinates = [float(v) for v in location if v is not None]
+    return coordinates if len(coordinates) == len(location) else None
 
 
 def _points(line: Array) -> list[list[float]]:

@@ -154,9 +154,9 @@ def known_parameters(
         source = "standard deviations of the estimate, taken as independent"
         return value, np.diag(sd**2), source
     names = list(section.parameters)
-    at = [names.index(name) for name in free]
+    indices = [names.index(name) for name in free]
     factors = np.array([units.factor(row.unit) for row in rows])
-    covariance = np.array(section.covariance)[np.ix_(at, at)]
+    covariance = np.array(section.covariance)[np.ix_(indices, indices)]
     source = "covariance of the estimate"
     if stored.corrected is not None:
         source = "parameters and effects estimated together"
@@ -168,10 +168,10 @@ def _over_answers(
 ) -> tuple[Array, Array, str]:
     """The same over all answers of a diagnosis."""
     names = list(mixture.parameters)
-    at = [names.index(name) for name in free]
+    indices = [names.index(name) for name in free]
     rows = [mixture.parameters[name] for name in free]
     factors = np.array([units.factor(row.unit) for row in rows])
-    covariance = np.array(mixture.covariance)[np.ix_(at, at)]
+    covariance = np.array(mixture.covariance)[np.ix_(indices, indices)]
     value = np.array([row.value for row in rows]) * factors
     source = "parameters over all answers of the diagnosis"
     return value, covariance * np.outer(factors, factors), source

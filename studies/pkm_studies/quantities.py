@@ -29,38 +29,38 @@ def display_unit(si: str) -> str:
 
 
 def split_key(
-    key: str, known: Mapping[str, str], location: Location
+    key: str, unit_of: Mapping[str, str], location: Location
 ) -> tuple[str, str]:
-    """Name and unit of a key; `known` gives each name's SI unit. Raises InputError."""
+    """Name and unit of a key; `unit_of` gives each name's SI unit. Raises InputError."""
     stem, _, unit = key.rpartition("_")
-    if stem in known and unit in allowed_units(known[stem]):
+    if stem in unit_of and unit in allowed_units(unit_of[stem]):
         return stem, unit
-    if key in known and known[key] == "1":
+    if key in unit_of and unit_of[key] == "1":
         return key, "1"
-    raise _refusal(key, stem, unit, known, location)
+    raise _refusal(key, stem, unit, unit_of, location)
 
 
 def _refusal(
-    key: str, stem: str, unit: str, known: Mapping[str, str], location: Location
+    key: str, stem: str, unit: str, unit_of: Mapping[str, str], location: Location
 ) -> InputError:
-    name = stem if stem in known else key
-    if name not in known:
-        columns = [column(n, si) for n, si in known.items()]
+    name = stem if stem in unit_of else key
+    if name not in unit_of:
+        columns = [column(n, si) for n, si in unit_of.items()]
         return location.key(key).error("unknown field", suggest(key, columns))
     problem = "the unit is missing in the name"
     if name == stem:
         problem = f'"{unit}" is no unit for {stem}'
-    allowed = ", ".join(f"{name}_{u}" for u in allowed_units(known[name]))
+    allowed = ", ".join(f"{name}_{u}" for u in allowed_units(unit_of[name]))
     return location.key(key).error(problem, f"allowed: {allowed}")
 
 
 def read_values(
-    table: Mapping[str, float], known: Mapping[str, str], location: Location
+    table: Mapping[str, float], unit_of: Mapping[str, str], location: Location
 ) -> dict[str, float]:
-    """SI values by name; `known` gives each name's SI unit. Raises InputError."""
+    """SI values by name; `unit_of` gives each name's SI unit. Raises InputError."""
     values: dict[str, float] = {}
     for key, value in table.items():
-        name, unit = split_key(key, known, location)
+        name, unit = split_key(key, unit_of, location)
         if name in values:
             raise location.key(key).error(
                 f"{name} is given twice", "keep one of the two", value
@@ -114,12 +114,12 @@ def component_values(text: str, option: str, machine: Machine) -> dict[str, floa
 
     Raises InputError.
     """
-    known = {c.name: c.unit for c in machine.components}
+    unit_of = {c.name: c.unit for c in machine.components}
     location = Location(option)
     values = {}
     for entry in filter(None, text.replace(",", " ").split()):
         key, _, number = entry.partition("=")
-        name, unit = split_key(key, known, location)
+        name, unit = split_key(key, unit_of, location)
         try:
             value = float(number)
         except ValueError:

@@ -48,11 +48,11 @@ def studies() -> dict[str, ShippedStudy]:
 
 def find(name: str, field: str) -> ShippedStudy:
     """The shipped study of this name. Raises InputError about `field`."""
-    known = studies()
-    if name not in known:
-        remedy = suggest(name, known, "shipped")
+    available = studies()
+    if name not in available:
+        remedy = suggest(name, available, "shipped")
         raise InputError("no such shipped study", remedy, field=field, value=name)
-    return known[name]
+    return available[name]
 
 
 def study_path(path: Path) -> Path:

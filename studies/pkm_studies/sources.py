@@ -113,13 +113,13 @@ def _from_source(
             field="readings.path",
         )
     rows: list[Row] = list(collections[source].load()(folder))
-    known = [row for row in rows if row["setup"] in measurement.setups]
-    if not known:
+    of_setups = [row for row in rows if row["setup"] in measurement.setups]
+    if not of_setups:
         names = dict.fromkeys(row["setup"] for row in rows)
         raise study.location.key("setup").error(
             "no set-up has readings in the source", suggest("", names, "it has")
         )
-    return _build(known, str(folder), measurement)
+    return _build(of_setups, str(folder), measurement)
 
 
 def _build(rows: Sequence[Row], name: str, measurement: Measurement) -> Dataset:

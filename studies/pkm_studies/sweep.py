@@ -97,8 +97,8 @@ class VariedStudy:
         by_name = {claim.claim: claim for claim in self.result.claims}
         unknown = [name for name in names if name not in by_name]
         if unknown:
-            known = ", ".join(by_name) or "no claims"
-            _fail(f"{self._where}: no claim {unknown[0]}; it has {known}")
+            claims = ", ".join(by_name) or "no claims"
+            _fail(f"{self._where}: no claim {unknown[0]}; it has {claims}")
         chosen = [by_name[name] for name in names or by_name]
         failures = [claim_failure(c, self._where) for c in chosen if not c.met]
         if failures:
@@ -107,9 +107,9 @@ class VariedStudy:
     @property
     def _where(self) -> str:
         """The study's file, and its values."""
-        words = ", ".join(f"{k} = {_short(v)}" for k, v in self.setting.items())
+        phrase = ", ".join(f"{k} = {_short(v)}" for k, v in self.setting.items())
         name = self.study.path.name
-        return f"{name} with {words}" if words else name
+        return f"{name} with {phrase}" if phrase else name
 
     @functools.cached_property
     def _plain(self) -> Mapping[str, Any]:

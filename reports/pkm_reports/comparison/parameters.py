@@ -35,8 +35,8 @@ def blocks(results: Mapping[str, StudyResult]) -> list[Block]:
 
 
 def _row(name: str, estimates: list[Estimates]) -> list[str]:
-    known = [of[name] for of in estimates if name in of]
-    cells = [f"{name} [{text.unit_symbol(known[0].unit)}]"]
+    records = [of[name] for of in estimates if name in of]
+    cells = [f"{name} [{text.unit_symbol(records[0].unit)}]"]
     for of in estimates:
         if name not in of:
             cells += [text.MISSING, text.MISSING]
@@ -46,4 +46,4 @@ def _row(name: str, estimates: list[Estimates]) -> list[str]:
             text.fixed(of[name].value, decimals),
             text.fixed(of[name].sd, decimals),
         ]
-    return [*cells, text.trimmed(known[0].prior_sd, 3)]
+    return [*cells, text.trimmed(records[0].prior_sd, 3)]

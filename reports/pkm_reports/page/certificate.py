@@ -74,7 +74,7 @@ def _head(c: Certificate) -> Facts:
         ("Readings", f"{c.readings} of {'; '.join(c.setups)}"),
         ("Responsible", "; ".join(_joined([p.name, p.role]) for p in head.persons)),
     ]
-    return Facts([(term, words) for term, words in rows if words])
+    return Facts([(term, phrase) for term, phrase in rows if phrase])
 
 
 def _temperature(value: float | None) -> str:

@@ -255,8 +255,8 @@ def _block(block: Block, numbering: Numbering) -> DocumentBlock:
             return ItemsBlock(block.kind, items, block.numbered)
         case Facts():
             rows = [
-                Fact(text.cleaned(term), text.cleaned(words))
-                for term, words in block.rows
+                Fact(text.cleaned(term), text.cleaned(phrase))
+                for term, phrase in block.rows
             ]
             return FactsBlock(block.kind, rows)
         case Code():

@@ -21,8 +21,8 @@ def render_pdf(document: Document) -> bytes:
     Text reaches typst as JSON, hence as strings that it never reads as markup.
     """
     images = {f"{name}.svg": _svg(image) for name, image in document.images.items()}
-    words = msgspec.json.encode(document.page)
-    return compile_typst("report.typ", {"report.json": words, **images})
+    encoded = msgspec.json.encode(document.page)
+    return compile_typst("report.typ", {"report.json": encoded, **images})
 
 
 def compile_typst(template: str, files: Mapping[str, bytes]) -> bytes:

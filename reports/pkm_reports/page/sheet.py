@@ -89,8 +89,8 @@ def write_sheet(
             "a measurement sheet needs poses: the result holds none, and none were"
             " handed over"
         )
-    words = msgspec.json.encode(build(result, poses))
-    page = pdf.compile_typst("sheet.typ", {"sheet.json": words})
+    encoded = msgspec.json.encode(build(result, poses))
+    page = pdf.compile_typst("sheet.typ", {"sheet.json": encoded})
     folder.mkdir(parents=True, exist_ok=True)
     return write_own(folder / "measurement_sheet.pdf", page)
 

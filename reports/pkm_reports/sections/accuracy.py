@@ -130,8 +130,8 @@ def _improvement(name: str, component: ComponentAccuracy) -> str:
 def _remainder(name: str, component: ComponentAccuracy) -> str:
     unit = component.after.unit
     after = text.quantity(component.after.rms, unit)
-    known = text.quantity(component.known.rms, unit)
-    return f"{name} stays at {after} (known to {known})"
+    remaining = text.quantity(component.known.rms, unit)
+    return f"{name} stays at {after} (known to {remaining})"
 
 
 def _bars_caption(components: Components) -> str:
@@ -214,9 +214,9 @@ def _realised(
     caption = (
         "Errors of a virtual machine after compensation; its true parameters are known."
     )
-    known = [ratio for ratio in ratios if math.isfinite(ratio)]
-    if known:
-        low, high = text.fixed(min(known), 2), text.fixed(max(known), 2)
+    finite = [ratio for ratio in ratios if math.isfinite(ratio)]
+    if finite:
+        low, high = text.fixed(min(finite), 2), text.fixed(max(finite), 2)
         caption += f" Realised over predicted: {low} to {high}."
     return Table(columns, rows, caption)
 

@@ -38,18 +38,18 @@ def answer(forecast: ForecastSection) -> Table:
 
 
 def _about(forecast: ForecastSection) -> str:
-    words = (
+    phrase = (
         f"Errors that come back at the same command are measured at nodes and subtracted in"
         f" advance, relative to {forecast.reference}. The plan has"
         f" {text.count(len(forecast.nodes), 'node')}, which set-up {forecast.setup} reads"
         f" in {forecast.minutes:.0f} min."
     )
     if not forecast.readings:
-        return f"{words} They are not measured yet."
+        return f"{phrase} They are not measured yet."
     grid = " x ".join(str(count) for count in forecast.table.values())
     rows = text.count(forecast.readings, "measured row")
     return (
-        f"{words} A field of errors is estimated from {rows} with their noise known, and"
+        f"{phrase} A field of errors is estimated from {rows} with their noise known, and"
         f" the controller's table has {grid} commands."
     )
 

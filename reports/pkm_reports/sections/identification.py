@@ -129,10 +129,10 @@ def _parameters_caption(values: Estimates) -> str:
         f" {verdicts.count('prior')} stay as uncertain as the tolerance.",
     ]
     shrinkages = {name: parameters.shrinkage(p) for name, p in values.items()}
-    known = {name: x for name, x in shrinkages.items() if math.isfinite(x)}
-    if known:
-        best = min(known, key=lambda name: known[name])
-        share = text.percent(known[best])
+    finite = {name: x for name, x in shrinkages.items() if math.isfinite(x)}
+    if finite:
+        best = min(finite, key=lambda name: finite[name])
+        share = text.percent(finite[best])
         sentences.append(f"Most improved: {best}, to {share} of its tolerance.")
     pulls = [pull for pull in map(_pull, values.values()) if math.isfinite(pull)]
     if pulls:

@@ -89,7 +89,7 @@ def build_view(result: StudyResult) -> PageView | None:
     if len(drawing.tool_points) > MOST:
         return None
     lines = [ViewLine(line.kind, _mm(line.points)) for line in drawing.lines]
-    labels = [ViewLabel(_mm([place.at])[0], place.text) for place in drawing.labels]
+    labels = [ViewLabel(_mm([label.at])[0], label.text) for label in drawing.labels]
     readings = _readings(result, drawing)
     shown = circles(result.gap, readings)
     return PageView(lines, labels, readings, _fields(result), shown)
@@ -97,8 +97,10 @@ def build_view(result: StudyResult) -> PageView | None:
 
 def encoded_view(view: PageView) -> str:
     """JSON for a script element: no character of it ends the element."""
-    words = msgspec.json.encode(view).decode("utf-8")
-    return words.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    encoded = msgspec.json.encode(view).decode("utf-8")
+    return (
+        encoded.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    )
 
 
 # -- readings --------------------------------------------------------------------------
@@ -158,13 +160,13 @@ def _error_fields(prediction: PredictionSection) -> list[ViewField]:
     if not points:
         return []
     at = _mm([point.at for point in points])
-    words = [text.cleaned(text.named_quantities(p.command, 4)) for p in points]
+    phrases = [text.cleaned(text.named_quantities(p.command, 4)) for p in points]
     return [
         ViewField(
             name=f"error of {text.cleaned(name)}",
             unit=text.unit_symbol(component.after.unit),
             at=at,
-            words=words,
+            words=phrases,
             before=[rounded(point.before[name]) for point in points],
             after=[rounded(point.after[name]) for point in points],
         )

@@ -51,8 +51,8 @@ class FurtherPromise:
     @property
     def without(self) -> Array:
         """Rms errors (k,) without the axes."""
-        known = self.known[: self.promise.workspace]
-        return np.hypot(np.sqrt(np.mean(known**2, axis=0)), self.promise.rms)
+        remaining = self.known[: self.promise.workspace]
+        return np.hypot(np.sqrt(np.mean(remaining**2, axis=0)), self.promise.rms)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +102,10 @@ def promised_accuracy(
     covariance, tolerance = covariances(machine, section)
     varying = _varying(maps, covariance)
     driven = [k for k in varying if machine.components[k].compensatable]
-    known = {**_instrument_uncertainty(result, machine, reference), **uncertainty}
+    uncertainty_by_name = {
+        **_instrument_uncertainty(result, machine, reference),
+        **uncertainty,
+    }
     zeroed = reference == "home"
     smooth = smooth_functions(command, machine.home_command if zeroed else None)
 
@@ -113,13 +116,15 @@ def promised_accuracy(
         rms = promised_rms(result, machine, slope[: len(workspace)], chosen, covariance)
         rms = np.array([promised.get(n, r) for n, r in zip(names, rms, strict=True)])
         shares = zip(names, UNCERTAINTY_SHARE * rms, strict=True)
-        given = [known.get(name, share) for name, share in shares]
+        uncertainty_shares = [
+            uncertainty_by_name.get(name, share) for name, share in shares
+        ]
         return Promise(
             names,
             slope,
             [covariance, tolerance],
             rms,
-            np.array(given),
+            np.array(uncertainty_shares),
             zeroed=zeroed,
             smooth=smooth,
             workspace=len(workspace),
@@ -128,7 +133,7 @@ def promised_accuracy(
     others = [k for k in varying if k not in driven]
     components = tuple(machine.components[k] for k in driven)
     every = [machine.components[k].name for k in varying]
-    assumed = [name for name in every if name not in known]
+    assumed = [name for name in every if name not in uncertainty_by_name]
     return PromisedAccuracy(
         machine=machine,
         command=command,
@@ -235,13 +240,13 @@ def _further(
         return None
     try:
         values = parameters.values
-        known = driven_errors(
+        correctable = driven_errors(
             kinematics, maps.command, values, reference, believed=values
         )
     except AssemblyError:
         return None
     components = tuple(machine.components[k] for k in chosen)
-    return FurtherPromise(promise(chosen), components, known[:, chosen])
+    return FurtherPromise(promise(chosen), components, correctable[:, chosen])
 
 
 def covariances(
@@ -251,14 +256,14 @@ def covariances(
     size = len(machine.parameters)
     covariance, tolerance = np.zeros((size, size)), np.zeros((size, size))
     names = list(section.parameters)
-    known = {p.name for p in machine.parameters}
-    rows = [k for k, name in enumerate(names) if name in known]
-    at = [machine.index(names[k]) for k in rows]
+    names_of_machine = {p.name for p in machine.parameters}
+    rows = [k for k, name in enumerate(names) if name in names_of_machine]
+    indices = [machine.index(names[k]) for k in rows]
     factors = [units.factor(section.parameters[names[k]].unit) for k in rows]
     part = np.array(section.covariance)[np.ix_(rows, rows)]
-    covariance[np.ix_(at, at)] = part * np.outer(factors, factors)
+    covariance[np.ix_(indices, indices)] = part * np.outer(factors, factors)
     prior = [section.parameters[names[k]].prior_sd for k in rows]
-    tolerance[at, at] = (np.array(prior) * np.array(factors)) ** 2
+    tolerance[indices, indices] = (np.array(prior) * np.array(factors)) ** 2
     return covariance, tolerance
 
 

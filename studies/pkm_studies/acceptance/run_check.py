@@ -105,10 +105,10 @@ def _compare(
     noise = np.diag(_noise_sigma(measurement, series, section) ** 2)
     total = jacobian @ covariance @ jacobian.T + noise
     count = len(measurement.machine.parameters)
-    of_setup, known = jacobian[:, count:], covariance[count:, count:]
+    of_setup, of_parameters = jacobian[:, count:], covariance[count:, count:]
     root = linalg.cho_factor(total)
     weighed = linalg.cho_solve(root, residual)
-    gain = of_setup @ known @ of_setup.T
+    gain = of_setup @ of_parameters @ of_setup.T
     remaining = residual - gain @ weighed
     keep = np.eye(len(y)) - gain @ linalg.cho_solve(root, np.eye(len(y)))
     sd = np.sqrt(np.einsum("ij,jk,ik->i", keep, total, keep))
@@ -128,12 +128,12 @@ def _knowledge(
     names = list(section.parameters)
     of_machine = {p.name for p in measurement.machine.parameters}
     stored = np.array(section.covariance)
-    known = [(k, n) for k, n in enumerate(measurement.names) if n in names]
-    known = [(k, n) for k, n in known if n in of_machine]
-    places = [k for k, _ in known]
-    rows = [names.index(n) for _, n in known]
-    factor = np.array([units.factor(section.parameters[n].unit) for _, n in known])
-    theta[places] = factor * [section.parameters[n].value for _, n in known]
+    columns = [(k, n) for k, n in enumerate(measurement.names) if n in names]
+    columns = [(k, n) for k, n in columns if n in of_machine]
+    places = [k for k, _ in columns]
+    rows = [names.index(n) for _, n in columns]
+    factor = np.array([units.factor(section.parameters[n].unit) for _, n in columns])
+    theta[places] = factor * [section.parameters[n].value for _, n in columns]
     covariance[places] = covariance[:, places] = 0.0
     covariance[np.ix_(places, places)] = stored[np.ix_(rows, rows)] * np.outer(
         factor, factor

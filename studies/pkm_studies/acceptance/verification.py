@@ -92,13 +92,13 @@ def _further(
         if column not in table.header or not any(table.cells(column)):
             continue
         demand = section.further[name]
-        known = np.array([offsets[name] for offsets in section.offsets])
+        expected = np.array([offsets[name] for offsets in section.offsets])
         measured = table.numbers(column)
-        known_of_rows = known[target]
+        known_of_rows = expected[target]
         with_axes = np.where(taken_back, measured, measured - known_of_rows)
-        remaining = _by_pose(with_axes, target, len(known))
+        remaining = _by_pose(with_axes, target, len(expected))
         judged = judge({name: remaining}, {name: demand})[name]
-        without = float(np.sqrt(np.mean((remaining + known) ** 2)))
+        without = float(np.sqrt(np.mean((remaining + expected) ** 2)))
         verdicts[name] = replace(judged, without=without)
     return verdicts
 
@@ -240,8 +240,8 @@ def plan_folder(
     healthy = healthy_accuracy(result, planned, section.components)
     section = msgspec.structs.replace(section, healthy=healthy)
     text = plan.to_fill_in(section, machine)
-    known = list(result.written.values())
-    path = own_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), known)
+    earlier_files = list(result.written.values())
+    path = own_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), earlier_files)
     written = {**result.written, path.name: files.digest(text.encode())}
     result = msgspec.structs.replace(
         result, acceptance=section, verification=None, written=written

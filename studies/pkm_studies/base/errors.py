@@ -105,9 +105,9 @@ def shorten(text: str, length: int) -> str:
     return f"{cut.rstrip()} ..."
 
 
-def suggest(word: str, known: Iterable[str], kind: str = "allowed") -> str:
+def suggest(word: str, allowed: Iterable[str], kind: str = "allowed") -> str:
     """Remedy for an unknown name: the nearest known one, and the list."""
-    names = list(dict.fromkeys(known))
+    names = list(dict.fromkeys(allowed))
     if not names:
         return f"nothing is {kind} here: remove it"
     listing = f"{kind}: {', '.join(names)}"

@@ -128,9 +128,9 @@ def function(reference: str, origin: Origin, location: Location) -> Callable[...
 
 def criterion(name: str, location: Location) -> str:
     """The name of a known criterion. Raises InputError."""
-    known = _criteria()
-    if name not in known:
-        raise location.error("no such criterion", suggest(name, known), name)
+    available = _criteria()
+    if name not in available:
+        raise location.error("no such criterion", suggest(name, available), name)
     return name
 
 

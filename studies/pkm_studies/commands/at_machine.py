@@ -50,9 +50,9 @@ def next_reading(
 
     adviser = Adviser(loaded, wanted)
     if not follow:
-        known = adviser.advise(readings)
-        print("\n".join(advice_sentences(adviser, known)))
-        return FAILED if known.objections else DONE
+        advice = adviser.advise(readings)
+        print("\n".join(advice_sentences(adviser, advice)))
+        return FAILED if advice.objections else DONE
     for lines in adviser.watch(readings):
         print("\n".join([*lines, ""]), flush=True)
     return 0

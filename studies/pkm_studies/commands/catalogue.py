@@ -71,11 +71,11 @@ def _list_studies(as_json: bool) -> int:
 def _list_importers(as_json: bool) -> int:
     from pkm_studies.importers import importers
 
-    known = [(name, one.about) for name, one in importers().items()]
+    listed = [(name, one.about) for name, one in importers().items()]
     if as_json:
-        console.print_json([{"name": name, "about": about} for name, about in known])
+        console.print_json([{"name": name, "about": about} for name, about in listed])
         return DONE
-    _print_rows([(name, [about]) for name, about in known])
+    _print_rows([(name, [about]) for name, about in listed])
     return DONE
 
 

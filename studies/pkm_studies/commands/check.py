@@ -37,11 +37,11 @@ def check(
     from pkm_studies.commands import checks, closure_picture
     from pkm_studies.user_code import consent
 
-    given = consent(allow_code=allow_code)
+    permission = consent(allow_code=allow_code)
     code = DONE
     if picture is not None:
-        print(f"Picture: {closure_picture.draw(paths[0], picture, given)}")
-    for path, verdict in checks.check(paths, given):
+        print(f"Picture: {closure_picture.draw(paths[0], picture, permission)}")
+    for path, verdict in checks.check(paths, permission):
         if isinstance(verdict, InputError):
             console.print_error(str(verdict))
             code = BAD_INPUT

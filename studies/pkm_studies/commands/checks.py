@@ -55,14 +55,17 @@ def check(
     """
     resolved: list[ResolvedStudy] = []
     alone = all(p.suffix != ".csv" for p in paths)
-    given = any(p.suffix not in (".csv", ".py") for p in paths)
+    has_study = any(p.suffix not in (".csv", ".py") for p in paths)
     for path in [p for p in paths if p.suffix == ".py"]:
         yield path, _verdict(partial(_check_machine, path, consent))
     for path in [p for p in paths if p.suffix not in (".csv", ".py")]:
         check_study = partial(_check_study, path, consent, resolved, alone=alone)
         yield path, _verdict(check_study)
     for path in [p for p in paths if p.suffix == ".csv"]:
-        yield path, _verdict(partial(_check_readings, path, resolved, given=given))
+        yield (
+            path,
+            _verdict(partial(_check_readings, path, resolved, has_study=has_study)),
+        )
 
 
 def _verdict(check_file: Callable[[], Verdict]) -> Verdict | InputError:
@@ -165,17 +168,17 @@ def _content(study: Study, resolved: ResolvedStudy) -> str:
 
 
 def _check_readings(
-    path: Path, resolved: Sequence[ResolvedStudy], *, given: bool
+    path: Path, resolved: Sequence[ResolvedStudy], *, has_study: bool
 ) -> Verdict:
     """What a readings file holds, by the studies that name it, or by all.
 
-    given  whether a study was given, which may have an error
+    has_study  whether a study was given, which may have an error
     """
     if not resolved:
         rows = sources.check_text(path)
         rest = (
             "set-ups, poses and units are checked once the study has no error"
-            if given
+            if has_study
             else "give the study as well to check set-ups, poses and units"
         )
         return Verdict(f"{rows} rows are sound as text; {rest}")

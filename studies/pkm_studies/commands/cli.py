@@ -62,13 +62,13 @@ class Subcommand(TyperCommand):
         Other options may be given again: the last one counts, as in a call that changes
         a default of a script.
         """
-        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
-        for parameter in given:
+        _, _, ordered = self.make_parser(ctx).parse_args(args=list(args))
+        for parameter in ordered:
             takes_one = not getattr(parameter, "multiple", True)
             holds_readings = bool(READINGS & {*parameter.opts})
-            if takes_one and holds_readings and given.count(parameter) > 1:
+            if takes_one and holds_readings and ordered.count(parameter) > 1:
                 raise InputError(
-                    f"it is given {given.count(parameter)} times, and takes one file",
+                    f"it is given {ordered.count(parameter)} times, and takes one file",
                     "give it once",
                     field=parameter.opts[0],
                 )
@@ -192,8 +192,8 @@ def _guarded(arguments: Sequence[str] | None) -> int:
 
 
 def _call(arguments: Sequence[str] | None) -> int:
-    given = None if arguments is None else list(arguments)
-    code = app(args=given, prog_name="oed", standalone_mode=False)
+    ordered = None if arguments is None else list(arguments)
+    code = app(args=ordered, prog_name="oed", standalone_mode=False)
     if code == INTERRUPTED:  # typer's code for Ctrl-C
         _interrupted()
     sys.stdout.flush()

@@ -35,9 +35,9 @@ def draw(path: Path, picture: Path, consent: Consent = Consent.RECORDED) -> str:
     files.check_new(picture)
     machine = _machine(path, consent)
     closure = closest_closure(machine, machine.home_command)
-    words = _verdict(machine, closure)
-    _save(machine, closure, words, picture)
-    return f"{picture}: {words}"
+    phrase = _verdict(machine, closure)
+    _save(machine, closure, phrase, picture)
+    return f"{picture}: {phrase}"
 
 
 def _machine(path: Path, consent: Consent) -> Machine:
@@ -51,11 +51,13 @@ def _machine(path: Path, consent: Consent) -> Machine:
     return study_machine(load(shipped.study_path(path), consent), assembled=False)
 
 
-def _save(machine: Machine, closure: ClosestClosure, words: str, picture: Path) -> None:
+def _save(
+    machine: Machine, closure: ClosestClosure, phrase: str, picture: Path
+) -> None:
     from pkm_reports import style
     from pkm_reports.sections import draw_closure
 
-    title = f"{machine.name} {words.partition(':')[0]}"
+    title = f"{machine.name} {phrase.partition(':')[0]}"
     with style.applied():
         figure = draw_closure(closure, title, [c.name for c in machine.joints])
         content, kind = io.BytesIO(), picture.suffix[1:].lower()

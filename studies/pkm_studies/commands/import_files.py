@@ -71,6 +71,6 @@ def import_files(
     )
     for statement in imported.statements:
         print(statement)
-    words = ["run", str(path), "--out", str(out / "report")]
-    print(f"Study: {path}; then: oed {shlex.join(words)}")
+    arguments = ["run", str(path), "--out", str(out / "report")]
+    print(f"Study: {path}; then: oed {shlex.join(arguments)}")
     return 0

@@ -78,8 +78,8 @@ def history(
     """Show how a machine drifts over its sessions, and when to calibrate again."""
     from pkm_studies.sessions import machine_history
 
-    given = consent(allow_code=allow_code)
-    report = machine_history(folders, limit, study, given)
+    permission = consent(allow_code=allow_code)
+    report = machine_history(folders, limit, study, permission)
     for sentence in report.sentences:
         print(sentence)
     return DONE if report.is_trusted else FAILED
@@ -100,9 +100,9 @@ def adjust(
     """Choose what to adjust at the machine, by how much, and what it brings."""
     from pkm_studies.sessions import adjust_folder, adjustment_sentences
 
-    given = consent(allow_code=allow_code)
+    permission = consent(allow_code=allow_code)
     section, paths = adjust_folder(
-        folder, wanted=wanted, study_file=study, consent=given
+        folder, wanted=wanted, study_file=study, consent=permission
     )
     for line in adjustment_sentences(section):
         print(line)

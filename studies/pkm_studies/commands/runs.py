@@ -210,10 +210,10 @@ def forecast(
     result = stages.forecast_study(loaded, folder, readings=readings, seed=seed)
     for sentence in forecast_sentences(result.forecast):
         print(sentence)
-    name, words = ("forecast_nodes.csv", "To fill in")
+    name, phrase = ("forecast_nodes.csv", "To fill in")
     if result.forecast is not None and result.forecast.readings:
-        name, words = ("forecast_table.csv", "Table")
-    print(f"{words}: {own_files.latest(folder / name)}")
+        name, phrase = ("forecast_table.csv", "Table")
+    print(f"{phrase}: {own_files.latest(folder / name)}")
     failing = [
         claim_failure(claim, loaded.path.name)
         for claim in result.claims

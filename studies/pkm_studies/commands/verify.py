@@ -53,13 +53,13 @@ def verify(
     """Plan the acceptance test of a compensated machine, or judge its readings."""
     from pkm_studies import csv_table
 
-    given = consent(allow_code=allow_code)
+    permission = consent(allow_code=allow_code)
     if readings is not None:
         _check_judged(promise, uncertainty, planned)
         if "setup" in csv_table.read(readings).header:
-            return _compare(folder, readings, study, given)
+            return _compare(folder, readings, study, permission)
         return _judge(folder, readings)
-    return _plan(folder, promise, uncertainty, power, poses, study, given, planned)
+    return _plan(folder, promise, uncertainty, power, poses, study, permission, planned)
 
 
 def _check_judged(promise: str, uncertainty: str, planned: Path | None) -> None:
@@ -88,11 +88,13 @@ def _judge(folder: Path, readings: Path) -> int:
     return DONE if verdict.passed else FAILED
 
 
-def _compare(folder: Path, readings: Path, study: Path | None, given: Consent) -> int:
+def _compare(
+    folder: Path, readings: Path, study: Path | None, permission: Consent
+) -> int:
     """Compare readings along runs with what the compensated machine should read."""
     from pkm_studies import acceptance
 
-    check = acceptance.check_folder(folder, readings, study, given)
+    check = acceptance.check_folder(folder, readings, study, permission)
     for sentence in acceptance.check_sentences(check):
         print(sentence)
     return DONE if check.passed else FAILED
@@ -105,7 +107,7 @@ def _plan(
     power: float,
     poses: int,
     study: Path | None,
-    given: Consent,
+    permission: Consent,
     planned: Path | None,
 ) -> int:
     from pkm_studies import acceptance
@@ -117,7 +119,7 @@ def _plan(
         power=power,
         most=poses,
         study_file=study,
-        consent=given,
+        consent=permission,
         planned=planned,
     )
     for sentence in acceptance.plan_sentences(section):

@@ -133,14 +133,14 @@ def _without_axes(
     predicted = [name for name in undriven if name in unknown]
     if not predicted:
         return {}
-    known = driven_errors(
+    correctable = driven_errors(
         content.kinematics,
         content.command,
         content.identified.values,
         prediction.reference,  # type: ignore[arg-type]
         believed=content.identified.values,
     )
-    rms = _rms(content, known, {n: undriven[n] for n in predicted})
+    rms = _rms(content, correctable, {n: undriven[n] for n in predicted})
     return {n: float(np.hypot(rms[n], unknown[n])) for n in predicted}
 
 

@@ -68,9 +68,9 @@ def build_compensation(
             file=str(folder / "result.json"),
         )
     notes = [f"parameters: section {parameters.origin} of result.json"]
-    held = study.machine.controller
-    if held is not None and (controller.table or controller.joints is not None):
-        notes.append(replaces_values(held))
+    joint_values = study.machine.controller
+    if joint_values is not None and (controller.table or controller.joints is not None):
+        notes.append(replaces_values(joint_values))
     if identified.is_virtual(result):
         notes.append("the readings are simulated: these values fit no real machine")
     content = Compensation(
@@ -84,7 +84,7 @@ def build_compensation(
         notes=(*notes, *parameters.conditions),
         tables=tuple(result.corrected.tables) if result.corrected and tables else (),
         controller=study.controller,
-        held=held or "",
+        held=joint_values or "",
     )
     if controller.draws:
         draws = identified.drawn_parameters(result, machine, parameters, folder)
@@ -238,10 +238,10 @@ def _with_version(study: Study, controller: ControllerFormat, version: str) -> S
             field="--firmware",
             value=version,
         )
-    known = study.controller
-    if known is None or known.firmware != controller.name:
-        known = ControllerTable(firmware=controller.name)
-    stated = msgspec.structs.replace(known, version=version, m665_b=None)
+    firmware = study.controller
+    if firmware is None or firmware.firmware != controller.name:
+        firmware = ControllerTable(firmware=controller.name)
+    stated = msgspec.structs.replace(firmware, version=version, m665_b=None)
     return msgspec.structs.replace(study, controller=stated)
 
 
@@ -290,7 +290,7 @@ def export_result(
     if whole is not None:
         document = msgspec.json.format(msgspec.json.encode(whole.section), indent=1)
         texts = {**texts, BUDGET_FILE: document.decode() + "\n"}
-        advice = [words.rstrip(".") for words in whole.section.advice[:1]]
+        advice = [sentence.rstrip(".") for sentence in whole.section.advice[:1]]
         sentences = (*sentences, whole.sentence, *advice)
     return Export(_write(texts, folder, out), sentences)
 

@@ -81,13 +81,13 @@ def with_offsets(
 
     Those of which nothing was predicted do not count.
     """
-    known = {} if prediction is None else prediction.components
+    components = {} if prediction is None else prediction.components
     counted = [
         (k, axis)
         for k, axis in enumerate(further.axes)
-        if axis.component in known and known[axis.component].known.rms > 0.0
+        if axis.component in components and components[axis.component].known.rms > 0.0
     ]
-    unknown = [known[axis.component].known for _, axis in counted]
+    unknown = [components[axis.component].known for _, axis in counted]
     targets = [SHARE * u.rms * units.factor(u.unit) for u in unknown]
     rows = np.eye(len(further))[[k for k, _ in counted]]
 
@@ -181,7 +181,7 @@ def sentences(grid: CommandGrid, want: TableAccuracy) -> tuple[str, ...]:
         f" in {count - 1} {'step' if count == 2 else 'steps'}"
         for axis, count in zip(grid.axes, grid.counts, strict=True)
     ]
-    words = (
+    phrase = (
         f"the table is a rectilinear grid of {math.prod(grid.counts)} commands, with"
         f" equal steps along each coordinate: {', '.join(parts)}"
     )
@@ -191,10 +191,10 @@ def sentences(grid: CommandGrid, want: TableAccuracy) -> tuple[str, ...]:
     )
     turned = [axis.name for axis in grid.axes if axis.turn]
     if turned:
-        words += f"; {', '.join(turned)} goes on at its first value after the last one"
+        phrase += f"; {', '.join(turned)} goes on at its first value after the last one"
     if grid.is_fine:
-        return words, reading
-    return words, reading, _limit(grid, want)
+        return phrase, reading
+    return phrase, reading, _limit(grid, want)
 
 
 def _limit(grid: CommandGrid, want: TableAccuracy) -> str:

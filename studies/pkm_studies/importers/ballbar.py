@@ -66,17 +66,17 @@ class BallbarImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """All runs of all files. Raises InputError."""
-        given, location = column_map.load(request)
-        model = column_map.model(request, given, location)
+        mapping, location = column_map.load(request)
+        model = column_map.model(request, mapping, location)
         tables = read_tables(request.files)
-        columns = trace_columns(given, tables[0], location)
-        circles = measured_circles(given, tables, columns, location)
+        columns = trace_columns(mapping, tables[0], location)
+        circles = measured_circles(mapping, tables, columns, location)
         runs = [
             _CircleRun(number, circle, trace, thin(*trace, circle.facts.readings))
             for number, (circle, trace) in enumerate(_pairs(circles), start=1)
         ]
         complete = msgspec.structs.replace(
-            given,
+            mapping,
             machine=model.described,
             instrument=INSTRUMENT,
             columns=dict(columns),
@@ -97,7 +97,7 @@ importer = BallbarImporter()
 
 def _study(
     request: ImportRequest,
-    given: ColumnMap,
+    mapping: ColumnMap,
     circles: Sequence[MeasuredCircle],
     model: Model,
     runs: Sequence[_CircleRun],
@@ -108,11 +108,11 @@ def _study(
         setup["length_mm"] = circle.length
         cup = zip("xyz", circle.cup, strict=True)
         setup |= {f"at_{axis}_mm": value for axis, value in cup}
-        if any(given.tool_mm):
-            setup["tool_mm"] = list(given.tool_mm)
+        if any(mapping.tool_mm):
+            setup["tool_mm"] = list(mapping.tool_mm)
         setups[circle.setup] = setup
     sigma = math.sqrt(float(np.mean([run.mean.sigma**2 for run in runs])))
-    noise = given.noise or {"length_um": float(f"{units.number(sigma, 'um'):.3g}")}
+    noise = mapping.noise or {"length_um": float(f"{units.number(sigma, 'um'):.3g}")}
     title = f"Ball-bar circles of {model.machine.name}"
     return column_map.imported_study(
         request, model, title, list(setups.values()), noise
@@ -120,13 +120,13 @@ def _study(
 
 
 def _rows(
-    runs: Sequence[_CircleRun], given: ColumnMap, model: Model, location: Location
+    runs: Sequence[_CircleRun], mapping: ColumnMap, model: Model, location: Location
 ) -> list[Row]:
     """One row a mean, commanded where the circle has its angle."""
     machine = model.machine
-    known = {c.name: c.unit for c in machine.command}
-    fixed = read_values(given.fixed, known, location.key("fixed"))
-    tool = units.to_si(given.tool_mm, "mm")
+    unit_of = {c.name: c.unit for c in machine.command}
+    fixed = read_values(mapping.fixed, unit_of, location.key("fixed"))
+    tool = units.to_si(mapping.tool_mm, "mm")
     solver = ToolPoints(Kinematics(machine), tool.tolist())
     rows: list[Row] = []
     for run in runs:

@@ -32,7 +32,7 @@ class MeasuredCircle:
 
 
 def measured_circles(
-    given: ColumnMap,
+    mapping: ColumnMap,
     tables: Sequence[CsvTable],
     columns: dict[str, str],
     location: Location,
@@ -41,41 +41,41 @@ def measured_circles(
 
     Raises InputError where a run belongs to no circle, or to two.
     """
-    if given.circle is not None and given.circles:
+    if mapping.circle is not None and mapping.circles:
         raise location.key("circles").error(
             "[circle] is given as well", "move it into a table [[circles]] of its own"
         )
-    if given.circle is not None:
-        facts = given.circle
+    if mapping.circle is not None:
+        facts = mapping.circle
         runs = [run for t in tables for run in traces(t, columns, facts).values()]
-        return [MeasuredCircle(facts, given.setup, runs)]
-    if not given.circles:
+        return [MeasuredCircle(facts, mapping.setup, runs)]
+    if not mapping.circles:
         raise location.key("circle").error(
             "missing",
             "give a --map file with [circle] centre_mm = [x, y, z] and radius_mm, or"
             " [[circles]] of several",
         )
-    return _several(given, tables, columns, location.key("circles"))
+    return _several(mapping, tables, columns, location.key("circles"))
 
 
 def _several(
-    given: ColumnMap,
+    mapping: ColumnMap,
     tables: Sequence[CsvTable],
     columns: dict[str, str],
     location: Location,
 ) -> list[MeasuredCircle]:
-    names = _setups(given, location)
+    names = _setups(mapping, location)
     taken: dict[str, set[int]] = {table.file: set() for table in tables}
     circles = []
-    for k, facts in enumerate(given.circles):
+    for k, facts in enumerate(mapping.circles):
         runs: list[BarTrace] = []
-        for table in _tables_of(k, given.circles, tables, location.item(k)):
+        for table in _tables_of(k, mapping.circles, tables, location.item(k)):
             measured = traces(table, columns, facts, facts.runs or None)
             _check_runs(facts, measured, taken[table.file], table, location.item(k))
             taken[table.file] |= set(measured)
             runs += measured.values()
         circles.append(MeasuredCircle(facts, names[k], runs))
-    _check_all_taken(given.circles[-1], tables, columns, taken, location)
+    _check_all_taken(mapping.circles[-1], tables, columns, taken, location)
     return circles
 
 
@@ -96,8 +96,8 @@ def _tables_of(
         yield tables[k]
     for i, name in enumerate(circles[k].files):
         if name not in by_name:
-            at, remedy = location.key("files").item(i), ", ".join(by_name)
-            raise at.error("this file is not imported", f"there are {remedy}", name)
+            field, remedy = location.key("files").item(i), ", ".join(by_name)
+            raise field.error("this file is not imported", f"there are {remedy}", name)
         yield by_name[name]
 
 
@@ -146,16 +146,16 @@ def _check_all_taken(
 # -- set-ups ---------------------------------------------------------------------------
 
 
-def _setups(given: ColumnMap, location: Location) -> list[str]:
+def _setups(mapping: ColumnMap, location: Location) -> list[str]:
     """The set-up of each circle: one for each place of the cup and bar."""
     mounted: dict[str, object] = {}
     names = []
-    for k, circle in enumerate(given.circles):
+    for k, circle in enumerate(mapping.circles):
         mounting = (
             circle.cup_mm or circle.centre_mm,
             circle.length_mm or circle.radius_mm,
         )
-        name = circle.setup or _name(given.setup, mounting, mounted)
+        name = circle.setup or _name(mapping.setup, mounting, mounted)
         if mounted.setdefault(name, mounting) != mounting:
             raise (
                 location.item(k)

@@ -48,28 +48,28 @@ class BarTrace(NamedTuple):
 
 
 def trace_columns(
-    given: ColumnMap, table: CsvTable, location: Location
+    mapping: ColumnMap, table: CsvTable, location: Location
 ) -> dict[str, str]:
     """Column of the CSV by quantity with unit. Raises InputError."""
     columns = {}
-    for name, source in given.columns.items():
+    for name, source in mapping.columns.items():
         if not isinstance(source, str):
-            at = location.key("columns").key(name)
+            field = location.key("columns").key(name)
             problem = "a column of a ball bar takes no factor or offset"
-            raise at.error(problem, "state its unit in the name, as in deviation_um")
+            raise field.error(problem, "state its unit in the name, as in deviation_um")
         columns[name] = source
         read_values({name: 0.0}, QUANTITIES, location.key("columns"))
         if source not in table.header:
-            at, remedy = location.key("columns").key(name), ", ".join(table.header)
+            field, remedy = location.key("columns").key(name), ", ".join(table.header)
             problem = "the file has no such column"
-            raise at.error(problem, f"the file has {remedy}", source)
+            raise field.error(problem, f"the file has {remedy}", source)
     stems = {name.rpartition("_")[0] for name in columns}
-    for quantity, (words, unit) in WORDS.items():
+    for quantity, (phrase, unit) in WORDS.items():
         for header in table.header:
-            if quantity not in stems and any(w in header.lower() for w in words):
+            if quantity not in stems and any(w in header.lower() for w in phrase):
                 columns[f"{quantity}_{_unit_in(header, quantity) or unit}"] = header
                 stems.add(quantity)
-    _check_single(columns, given, table, location)
+    _check_single(columns, mapping, table, location)
     for wanted in (("deviation",), ("angle", "time")):
         if not stems & set(wanted):
             name = usual_column(wanted[0], QUANTITIES[wanted[0]])
@@ -82,14 +82,14 @@ def trace_columns(
 
 
 def _check_single(
-    columns: dict[str, str], given: ColumnMap, table: CsvTable, location: Location
+    columns: dict[str, str], mapping: ColumnMap, table: CsvTable, location: Location
 ) -> None:
     """Raises InputError for a second column of deviations that the map leaves open."""
-    if any(name.startswith("deviation") for name in given.columns):
+    if any(name.startswith("deviation") for name in mapping.columns):
         return
     others = [h for h in table.header if h not in columns.values()]
-    words, _ = WORDS["deviation"]
-    second = [h for h in others if any(w in h.lower() for w in words)]
+    phrase, _ = WORDS["deviation"]
+    second = [h for h in others if any(w in h.lower() for w in phrase)]
     if second:
         raise location.key("columns").error(
             f"two columns of deviations: {second[0]} as well",
@@ -101,12 +101,12 @@ def _check_single(
 def _unit_in(header: str, quantity: str) -> str | None:
     """The unit that a header names, as in `Deviation (um)`."""
     text = header.replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b0", "deg")
-    words = "".join(c if c.isalnum() else " " for c in text).split()[1:]
+    phrase = "".join(c if c.isalnum() else " " for c in text).split()[1:]
     wanted = QUANTITIES[quantity]
-    known = [w for w in words if units.UNITS.get(w, ("", 0.0))[0] == wanted]
+    in_unit = [w for w in phrase if units.UNITS.get(w, ("", 0.0))[0] == wanted]
     # "in" is a word as well: another unit goes before it
-    known.sort(key=lambda word: word == "in")
-    return known[0] if known else None
+    in_unit.sort(key=lambda word: word == "in")
+    return in_unit[0] if in_unit else None
 
 
 def traces(

@@ -69,17 +69,17 @@ def model(request: ImportRequest, column_map: ColumnMap, location: Location) -> 
         machine = study_machine(study)
         return _model(machine, study.machine, study.folder, request)
     described: str | MachineTable | None = request.machine
-    origin, at = Origin.command(request.consent), Location("--machine")
+    origin, field = Origin.command(request.consent), Location("--machine")
     if described is None:
-        described, at = column_map.machine, location.key("machine")
+        described, field = column_map.machine, location.key("machine")
         origin = _map_origin(request)
     if described is None:
-        raise at.error("missing", "give --machine, or machine in the map")
+        raise field.error("missing", "give --machine, or machine in the map")
     if isinstance(described, str):
-        machine = catalogue.machine(described, origin, at)
+        machine = catalogue.machine(described, origin, field)
         described = MachineTable(model=described)
     else:
-        machine = described_machine(described, origin, at)
+        machine = described_machine(described, origin, field)
     return _model(machine, described, origin.folder, request)
 
 
@@ -95,15 +95,17 @@ def instrument(
     It has the channels that it has on the machine.
     """
     reference = column_map.instrument or default
-    at = location.key("instrument")
+    field = location.key("instrument")
     if reference is None:
-        raise at.error("missing", "name one of `oed list instruments` in a --map file")
+        raise field.error(
+            "missing", "name one of `oed list instruments` in a --map file"
+        )
     origin = _map_origin(request)
-    loaded = catalogue.instrument(reference, origin, at)
+    loaded = catalogue.instrument(reference, origin, field)
     reason = loaded.for_machine(machine).unfit(machine)
     if reason is not None:
         problem = f"it cannot read {machine.name}: {reason}"
-        raise at.error(problem, "take another of `oed list instruments`", reference)
+        raise field.error(problem, "take another of `oed list instruments`", reference)
     return loaded.for_machine(machine), _from_folder(reference, origin.folder, request)
 
 

@@ -23,18 +23,18 @@ BRACES = re.compile(r"\{([^{}]*)\}")
 DIGITS = 14
 
 
-def expanded(given: ColumnMap, location: Location) -> ColumnMap:
+def expanded(mapping: ColumnMap, location: Location) -> ColumnMap:
     """The map with one entry a column, plain ones as their name. Raises InputError."""
     columns: dict[str, str | ColumnSource] = {}
-    for name, entry in given.columns.items():
-        at = location.key("columns").key(name)
-        for single, source in _singles(name, source_of(entry), at):
+    for name, entry in mapping.columns.items():
+        field = location.key("columns").key(name)
+        for single, source in _singles(name, source_of(entry), field):
             if single in columns:
-                raise at.error(f"{single} is given twice", "remove one of the two")
-            _check(single, source, at)
+                raise field.error(f"{single} is given twice", "remove one of the two")
+            _check(single, source, field)
             is_plain = source == ColumnSource(column=source.column)
             columns[single] = source.column if is_plain else source
-    return msgspec.structs.replace(given, columns=columns)
+    return msgspec.structs.replace(mapping, columns=columns)
 
 
 def source_of(entry: str | ColumnSource) -> ColumnSource:
@@ -61,26 +61,26 @@ def values(entry: str | ColumnSource, table: CsvTable) -> Array:
 def sentence(name: str, entry: str | ColumnSource) -> str:
     """What was taken for a column, in words."""
     source = source_of(entry)
-    words = [source.column]
+    phrases = [source.column]
     if source.factor != 1.0:
-        words.append(f"times {_number(source.factor):.9g}")
+        phrases.append(f"times {_number(source.factor):.9g}")
     if source.k is not None:
-        words.append(f"over k = {source.k:g}")
+        phrases.append(f"over k = {source.k:g}")
     if source.offset != 0.0:
-        words.append(f"plus {_number(source.offset):.9g}")
-    return f"{' '.join(words)} as {name}"
+        phrases.append(f"plus {_number(source.offset):.9g}")
+    return f"{' '.join(phrases)} as {name}"
 
 
 def _singles(
-    name: str, source: ColumnSource, at: Location
+    name: str, source: ColumnSource, field: Location
 ) -> Sequence[tuple[str, ColumnSource]]:
     """An entry with braces as single ones. Raises InputError."""
-    parts, others = _parts(name, at), _parts(source.column, at)
+    parts, others = _parts(name, field), _parts(source.column, field)
     if len(parts) != len(others):
         problem = f"{len(parts)} columns of readings, {len(others)} of the file"
-        raise at.error(problem, "list as many in both braces", source.column)
-    factors = _list(source.factor, len(parts), at.key("factor"))
-    offsets = _list(source.offset, len(parts), at.key("offset"))
+        raise field.error(problem, "list as many in both braces", source.column)
+    factors = _list(source.factor, len(parts), field.key("factor"))
+    offsets = _list(source.offset, len(parts), field.key("offset"))
     return [
         (part, ColumnSource(column=other, factor=factor, offset=offset, k=source.k))
         for part, other, factor, offset in zip(
@@ -89,22 +89,22 @@ def _singles(
     ]
 
 
-def _parts(text: str, at: Location) -> list[str]:
+def _parts(text: str, field: Location) -> list[str]:
     """The names that a name with braces stands for. Raises InputError."""
     pairs = BRACES.findall(text)
     if not pairs:
         return [text]
     if len(pairs) > 1:
-        raise at.error("two pairs of braces", "write one", text)
+        raise field.error("two pairs of braces", "write one", text)
     choices = [choice.strip() for choice in pairs[0].split(",")]
     return [BRACES.sub(lambda _, c=choice: c, text) for choice in choices]  # type: ignore[misc]
 
 
-def _list(value: float | list[float], count: int, at: Location) -> list[float]:
+def _list(value: float | list[float], count: int, field: Location) -> list[float]:
     numbers = value if isinstance(value, list) else [value] * count
     if len(numbers) != count:
         problem = f"{len(numbers)} numbers for {count} columns"
-        raise at.error(problem, "give one number, or one a column")
+        raise field.error(problem, "give one number, or one a column")
     return numbers
 
 
@@ -112,20 +112,22 @@ def _number(value: float | list[float]) -> float:
     return value[0] if isinstance(value, list) else value
 
 
-def _check(name: str, source: ColumnSource, at: Location) -> None:
+def _check(name: str, source: ColumnSource, field: Location) -> None:
     """Raises InputError for a factor that leaves nothing, and for k of no spread."""
     is_spread = name.startswith(SIGMA)
     if source.factor == 0.0:
-        raise at.key("factor").error("a factor of 0 leaves nothing", "correct it", 0.0)
+        raise field.key("factor").error(
+            "a factor of 0 leaves nothing", "correct it", 0.0
+        )
     if source.k is not None and not is_spread:
-        raise at.key("k").error(
+        raise field.key("k").error(
             "k is the coverage factor of an uncertainty",
             f"give it to a column {SIGMA}...",
             source.k,
         )
     if is_spread and source.offset != 0.0:
         problem = "a standard deviation has no offset"
-        raise at.key("offset").error(problem, "remove it", _number(source.offset))
+        raise field.key("offset").error(problem, "remove it", _number(source.offset))
     is_text = name in (*LABELS, *UNITLESS)
     if is_text and source != ColumnSource(column=source.column):
-        raise at.error(f"{name} has no unit", "give the column's name alone")
+        raise field.error(f"{name} has no unit", "give the column's name alone")

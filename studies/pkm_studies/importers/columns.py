@@ -56,19 +56,21 @@ class ColumnsImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Machine, instrument and columns of the map. Raises InputError."""
-        given, location = column_map.load(request)
-        model = column_map.model(request, given, location)
-        tool, reference = column_map.instrument(request, given, location, model.machine)
-        table = joined(read_tables(request.files))
-        columns = mapped_columns(given, table, model.machine, tool, location)
-        complete = msgspec.structs.replace(
-            given, machine=model.described, instrument=reference, columns=columns
+        mapping, location = column_map.load(request)
+        model = column_map.model(request, mapping, location)
+        tool, reference = column_map.instrument(
+            request, mapping, location, model.machine
         )
-        read = rows(table, columns, given, tool, location)
+        table = joined(read_tables(request.files))
+        columns = mapped_columns(mapping, table, model.machine, tool, location)
+        complete = msgspec.structs.replace(
+            mapping, machine=model.described, instrument=reference, columns=columns
+        )
+        read = rows(table, columns, mapping, tool, location)
         placed, left_out = without_partial_joints(read, model.machine)
-        if given.orientation is not None:
+        if mapping.orientation is not None:
             nominal_poses.check_orientations(
-                placed, given, Kinematics(model.machine), tool, table
+                placed, mapping, Kinematics(model.machine), tool, table
             )
         return session(
             request,
@@ -78,7 +80,7 @@ class ColumnsImporter:
             setup=setup_table(complete, reference, tool),
             rows=placed,
             statements=[
-                *statements(table, columns, given, tool, model.machine),
+                *statements(table, columns, mapping, tool, model.machine),
                 *left_out,
             ],
             # a closure read by its joints alone says nothing of the base frame
@@ -145,7 +147,7 @@ def joined(tables: Sequence[CsvTable]) -> CsvTable:
 
 
 def mapped_columns(
-    given: ColumnMap,
+    mapping: ColumnMap,
     table: CsvTable,
     machine: Machine,
     tool: Instrument,
@@ -155,38 +157,40 @@ def mapped_columns(
 
     What the map does not say is taken where the CSV's name is a readings column.
     """
-    known = {c.name: c.unit for c in (*machine.command, *machine.joints)}
-    known |= {c.name: c.unit for c in tool.channels} | dict(COVARIATES)
-    known |= sigma_units(tool.channels)
-    known |= dict.fromkeys(tension_columns(machine), "N")
-    columns = dict(given.columns)
-    at = location.key("columns")
+    unit_of = {c.name: c.unit for c in (*machine.command, *machine.joints)}
+    unit_of |= {c.name: c.unit for c in tool.channels} | dict(COVARIATES)
+    unit_of |= sigma_units(tool.channels)
+    unit_of |= dict.fromkeys(tension_columns(machine), "N")
+    columns = dict(mapping.columns)
+    field = location.key("columns")
     for name, source in column_sources.names(columns).items():
-        if not _is_known(name, known):
-            possible = [column_name(stem, unit) for stem, unit in known.items()]
-            raise at.key(name).error("no column of readings", suggest(name, possible))
+        if not _is_known(name, unit_of):
+            possible = [column_name(stem, unit) for stem, unit in unit_of.items()]
+            raise field.key(name).error(
+                "no column of readings", suggest(name, possible)
+            )
         if source not in table.header:
             remedy = suggest(source, table.header, "the file has")
-            raise at.key(name).error("the file has no such column", remedy, source)
+            raise field.key(name).error("the file has no such column", remedy, source)
     taken = {*column_sources.names(columns).values()}
-    taken |= {*orientations.source_columns(given.orientation)}
+    taken |= {*orientations.source_columns(mapping.orientation)}
     stems = {_stem(name) for name in columns}
     for name in table.header:
         is_free = name not in taken and _stem(name) not in stems
-        if is_free and _is_known(name, known):
+        if is_free and _is_known(name, unit_of):
             columns[name] = name
     channels = {channel.name: channel.unit for channel in tool.channels}
-    read_values(given.noise, channels, location.key("noise"))
+    read_values(mapping.noise, channels, location.key("noise"))
     settings = {setting.name: setting.unit for setting in tool.settings}
-    read_values(given.settings, settings, location.key("settings"))
-    is_read = read_channels(tool, columns) or given.orientation is not None
+    read_values(mapping.settings, settings, location.key("settings"))
+    is_read = read_channels(tool, columns) or mapping.orientation is not None
     if not is_read and tool.implied is None:
         channel = tool.channels[0]
         remedy = (
             f"add {usual_column(channel.name, channel.unit)} to [columns] of a --map"
             f" file; the file has {', '.join(table.header)}"
         )
-        raise at.error(f"no column for {channel.name}", remedy)
+        raise field.error(f"no column for {channel.name}", remedy)
     return columns
 
 
@@ -199,13 +203,13 @@ def read_channels(
 
 
 def _channels(
-    tool: Instrument, columns: Mapping[str, str | ColumnSource], given: ColumnMap
+    tool: Instrument, columns: Mapping[str, str | ColumnSource], mapping: ColumnMap
 ) -> list[str]:
     """Channels that are read, those of an orientation in another form included."""
     names = set(read_channels(tool, columns))
-    if given.orientation is not None and tool.orientation is not None:
+    if mapping.orientation is not None and tool.orientation is not None:
         stated = tool.orientation
-        whole = given.orientation.direction is None
+        whole = mapping.orientation.direction is None
         names |= set(stated.names if whole else stated.axis_names)
     return [channel.name for channel in tool.channels if channel.name in names]
 
@@ -213,7 +217,7 @@ def _channels(
 def rows(
     table: CsvTable,
     columns: Mapping[str, str | ColumnSource],
-    given: ColumnMap,
+    mapping: ColumnMap,
     tool: Instrument,
     location: Location,
 ) -> list[Row]:
@@ -226,17 +230,17 @@ def rows(
         values = column_sources.values(source, table)
         _check_sizes(values, name, column_sources.source_of(source).column, table)
         cells[name] = ["" if value != value else repr(float(value)) for value in values]
-    if given.orientation is not None:
-        at = location.key("orientation")
-        angles = orientations.angle_columns(given.orientation, tool, table, at)
+    if mapping.orientation is not None:
+        field = location.key("orientation")
+        angles = orientations.angle_columns(mapping.orientation, tool, table, field)
         for name in angles:
             if _stem(name) in {_stem(other) for other in cells}:
                 problem = f"{name} has a column of its own as well"
-                raise at.error(problem, "remove one of the two")
+                raise field.error(problem, "remove one of the two")
         cells |= angles
-    for name, number in given.fixed.items():
+    for name, number in mapping.fixed.items():
         cells[name] = [repr(number)] * len(table)
-    cells.setdefault("setup", [given.setup] * len(table))
+    cells.setdefault("setup", [mapping.setup] * len(table))
     cells.setdefault("run", ["1"] * len(table))
     if "order" not in cells:
         cells["order"] = _order(cells["setup"], cells["run"])
@@ -287,38 +291,38 @@ def without_partial_joints(
 
 
 def setup_table(
-    given: ColumnMap, reference: str, tool: Instrument
+    mapping: ColumnMap, reference: str, tool: Instrument
 ) -> dict[str, object]:
     """The [[setup]] of a complete map; its channels are those that were read."""
-    table: dict[str, object] = {"name": given.setup, "instrument": reference}
-    channels = _channels(tool, given.columns, given)
+    table: dict[str, object] = {"name": mapping.setup, "instrument": reference}
+    channels = _channels(tool, mapping.columns, mapping)
     if 0 < len(channels) < len(tool.channels):
         table["channels"] = channels
-    if any(given.tool_mm):
-        table["tool_mm"] = list(given.tool_mm)
-    return {**table, **given.settings}
+    if any(mapping.tool_mm):
+        table["tool_mm"] = list(mapping.tool_mm)
+    return {**table, **mapping.settings}
 
 
 def statements(
     table: CsvTable,
     columns: Mapping[str, str | ColumnSource],
-    given: ColumnMap,
+    mapping: ColumnMap,
     tool: Instrument,
     machine: Machine,
 ) -> list[str]:
     """What was taken for what, and what was not taken."""
     taken = ", ".join(map(column_sources.sentence, columns, columns.values()))
     sentences = [f"Readings: {len(table)} lines of {table.file}; {taken}."]
-    for name, number in given.fixed.items():
+    for name, number in mapping.fixed.items():
         sentences.append(f"All readings: {name} = {number:g}.")
-    if given.orientation is not None and tool.orientation is not None:
-        sentences.append(orientations.statement(given.orientation, tool.orientation))
+    if mapping.orientation is not None and tool.orientation is not None:
+        sentences.append(orientations.statement(mapping.orientation, tool.orientation))
     used = {*column_sources.names(columns).values()}
-    used |= {*orientations.source_columns(given.orientation)}
+    used |= {*orientations.source_columns(mapping.orientation)}
     unused = [name for name in table.header if name not in used]
     if unused:
         sentences.append(f"Not used: {', '.join(unused)}.")
-    channels = _channels(tool, columns, given)
+    channels = _channels(tool, columns, mapping)
     absent = [c.name for c in tool.channels if c.name not in channels]
     if absent and channels:
         sentences.append(
@@ -343,7 +347,7 @@ def _order(setups: Sequence[str], runs: Sequence[str]) -> list[str]:
     return order
 
 
-def _is_known(name: str, known: Mapping[str, str]) -> bool:
+def _is_known(name: str, unit_of: Mapping[str, str]) -> bool:
     """Whether a readings file may have a column of this name."""
     if name in LABELS or name in UNITLESS:
         return True
@@ -353,7 +357,7 @@ def _is_known(name: str, known: Mapping[str, str]) -> bool:
         return False
     if is_temperature(column.stem):
         return column.unit == "K"
-    return known.get(column.stem) == column.unit
+    return unit_of.get(column.stem) == column.unit
 
 
 def _stem(name: str) -> str:

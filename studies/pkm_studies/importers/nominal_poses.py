@@ -20,13 +20,13 @@ from pkm_studies.resolve import ToolPoints
 
 
 def nominal_frames(
-    rows: Sequence[Row], kinematics: Kinematics, given: ColumnMap
+    rows: Sequence[Row], kinematics: Kinematics, mapping: ColumnMap
 ) -> tuple[Array, Array]:
     """Rotations (n, 3, 3) and tool points (n, 3), m, of the nominal machine; NaN out of reach.
 
     At the recorded joints where there are any, else at the commands. Raises InputError.
     """
-    machine, tool = kinematics.machine, units.to_si(given.tool_mm, "mm")
+    machine, tool = kinematics.machine, units.to_si(mapping.tool_mm, "mm")
     stems = {name.rpartition("_")[0]: name for name in rows[0]}
     joints = [stems.get(joint.name, "") for joint in machine.joints]
     if not all(joints):
@@ -72,7 +72,7 @@ def si_numbers(rows: Sequence[Row], names: list[str]) -> Array:
 
 def check_orientations(
     rows: Sequence[Row],
-    given: ColumnMap,
+    mapping: ColumnMap,
     kinematics: Kinematics,
     tool: Instrument,
     table: CsvTable,
@@ -91,9 +91,9 @@ def check_orientations(
     names = {stem: name for stem, name in stems.items() if stem in stated.names}
     if not set(stated.axis_names) <= set(names):
         return
-    wanted, _ = nominal_frames(rows, kinematics, given)
+    wanted, _ = nominal_frames(rows, kinematics, mapping)
     read = orientations.of_rows(rows, names, stated)
     is_whole = len(names) == len(stated.names) and not stated.axis_only
     orientations.check_sense(
-        turn, read, wanted, given.orientation, table.file, is_whole=is_whole
+        turn, read, wanted, mapping.orientation, table.file, is_whole=is_whole
     )

@@ -32,11 +32,11 @@ FEWEST: Final = 4
 FORMS = ("quaternion", "rotation_vector_rad", "rotation_vector_deg", "direction")
 
 
-def source_columns(given: OrientationColumns | None) -> tuple[str, ...]:
+def source_columns(columns: OrientationColumns | None) -> tuple[str, ...]:
     """Columns of the CSV that give the orientation."""
-    if given is None:
+    if columns is None:
         return ()
-    stated = [getattr(given, form) for form in FORMS]
+    stated = [getattr(columns, form) for form in FORMS]
     return tuple(name for names in stated if names is not None for name in names)
 
 
@@ -75,14 +75,14 @@ def statement(given: OrientationColumns, stated: Orientation) -> str:
     """What was taken for an orientation, in a sentence."""
     form = next(f for f in FORMS if getattr(given, f) is not None)
     names = ", ".join(getattr(given, form))
-    words = {
+    meaning = {
         "quaternion": f"{names} as the quaternion w, x, y, z",
         "direction": f"{names} as the direction of the tool axis",
     }.get(form, f"{names} as a rotation vector in {form.rpartition('_')[2]}")
     sense = "the platform's frame to the instrument's"
     if given.inverse:
         sense = "the instrument's frame to the platform's"
-    return f"Orientation: {words}, from {sense}; angles: {stated.formula}."
+    return f"Orientation: {meaning}, from {sense}; angles: {stated.formula}."
 
 
 def rotate_rows(

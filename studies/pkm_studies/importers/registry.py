@@ -14,15 +14,15 @@ KIND = "importers"
 
 def importers() -> dict[str, Importer]:
     """Every importer by its name; a warning names those that cannot be loaded."""
-    known: dict[str, Importer] = {}
+    by_name: dict[str, Importer] = {}
     for entry in plugins(KIND):
-        if entry.name in known:
+        if entry.name in by_name:
             continue
         try:
-            known[entry.name] = _load(entry)
+            by_name[entry.name] = _load(entry)
         except InputError as error:
             warnings.warn(str(error), stacklevel=2)
-    return known
+    return by_name
 
 
 def importer(name: str) -> Importer:

@@ -87,21 +87,23 @@ class TrackerImporter:
 
     def read(self, request: ImportRequest) -> ImportedSession:
         """Poses and points, in the machine's frame. Raises InputError."""
-        given, location = column_map.load(request)
-        model = column_map.model(request, given, location)
+        mapping, location = column_map.load(request)
+        model = column_map.model(request, mapping, location)
         tool, reference = column_map.instrument(
-            request, given, location, model.machine, INSTRUMENT
+            request, mapping, location, model.machine, INSTRUMENT
         )
         table = columns.joined(read_tables(request.files))
-        given = msgspec.structs.replace(given, columns=with_measured(given, table))
-        mapped = columns.mapped_columns(given, table, model.machine, tool, location)
-        complete = msgspec.structs.replace(
-            given, machine=model.described, instrument=reference, columns=mapped
+        mapping = msgspec.structs.replace(
+            mapping, columns=with_measured(mapping, table)
         )
-        rows = columns.rows(table, mapped, given, tool, location)
+        mapped = columns.mapped_columns(mapping, table, model.machine, tool, location)
+        complete = msgspec.structs.replace(
+            mapping, machine=model.described, instrument=reference, columns=mapped
+        )
+        rows = columns.rows(table, mapped, mapping, tool, location)
         rows, left_out = columns.without_partial_joints(rows, model.machine)
         kinematics = Kinematics(model.machine)
-        rows, sentence = _registered(rows, given, kinematics, tool, table, location)
+        rows, sentence = _registered(rows, mapping, kinematics, tool, table, location)
         return columns.session(
             request,
             complete,
@@ -110,12 +112,12 @@ class TrackerImporter:
             setup=_setup(complete, reference, tool),
             rows=rows,
             statements=[
-                *columns.statements(table, mapped, given, tool, model.machine),
+                *columns.statements(table, mapped, mapping, tool, model.machine),
                 *uncertainty_sentences(table, mapped),
                 *left_out,
                 *sentence,
             ],
-            errors="home" if given.registration == "known" else "best_fit",
+            errors="home" if mapping.registration == "known" else "best_fit",
         )
 
 
@@ -133,7 +135,7 @@ def best_fit(measured: Array, wanted: Array) -> BestFit:
 
 def _registered(
     rows: list[Row],
-    given: ColumnMap,
+    mapping: ColumnMap,
     kinematics: Kinematics,
     tool: Instrument,
     table: CsvTable,
@@ -143,13 +145,13 @@ def _registered(
 
     Raises InputError.
     """
-    if given.registration == "known":
-        nominal_poses.check_orientations(rows, given, kinematics, tool, table)
+    if mapping.registration == "known":
+        nominal_poses.check_orientations(rows, mapping, kinematics, tool, table)
         return rows, ["Frame: the points are taken to be in the machine's frame."]
     angles = _orientation_columns(rows, tool, location)
     names = [nominal_poses.channel_column(rows, channel) for channel in CHANNELS]
     measured = nominal_poses.si_numbers(rows, names)
-    _, wanted = nominal_poses.nominal_frames(rows, kinematics, given)
+    _, wanted = nominal_poses.nominal_frames(rows, kinematics, mapping)
     used = np.isfinite(measured).all(axis=1) & np.isfinite(wanted).all(axis=1)
     if used.sum() < 4:
         raise InputError(
@@ -168,12 +170,14 @@ def _registered(
             if np.isfinite(value)
         }
         changed.append({**row, **cells, **_turned_sigma(row, fit.rotation)})
-    nominal_poses.check_orientations(rows, given, kinematics, tool, table, fit.rotation)
+    nominal_poses.check_orientations(
+        rows, mapping, kinematics, tool, table, fit.rotation
+    )
     if angles and tool.orientation is not None:
         changed = orientations.rotate_rows(
             changed, angles, tool.orientation, fit.rotation
         )
-    return changed, _frame_sentences(fit, given)
+    return changed, _frame_sentences(fit, mapping)
 
 
 def _turned_sigma(row: Row, by: Rotation) -> dict[str, str]:
@@ -233,13 +237,13 @@ def _check_fit(fit: BestFit, measured: Array, wanted: Array, table: CsvTable) ->
     )
 
 
-def _frame_sentences(fit: BestFit, given: ColumnMap) -> list[str]:
+def _frame_sentences(fit: BestFit, mapping: ColumnMap) -> list[str]:
     shift = ", ".join(f"{v:.6g}" for v in units.from_si(fit.shift, "mm"))
     vector = units.from_si(fit.rotation.as_rotvec(), "deg")
     turn = ", ".join(f"{v:.5g}" for v in vector)
     rms = units.number(fit.rms, "mm")
     role = "free within 10 mm and 20 mrad, and identified with the machine"
-    if given.registration == "best_fit":
+    if mapping.registration == "best_fit":
         role = "held there: what the machine's errors share with a rigid motion is lost"
     return [
         f"Frame: best fit to the nominal poses, shift {shift} mm, rotation vector"
@@ -248,23 +252,23 @@ def _frame_sentences(fit: BestFit, given: ColumnMap) -> list[str]:
     ]
 
 
-def _setup(given: ColumnMap, reference: str, tool: Instrument) -> dict[str, object]:
+def _setup(mapping: ColumnMap, reference: str, tool: Instrument) -> dict[str, object]:
     tolerance = {name: 0.0 for name in FREE}
-    if given.registration == "free":
+    if mapping.registration == "free":
         tolerance = dict(FREE)
-    return {**columns.setup_table(given, reference, tool), "tolerance": tolerance}
+    return {**columns.setup_table(mapping, reference, tool), "tolerance": tolerance}
 
 
 # -- columns that a header explains ----------------------------------------------------
 
 
-def with_measured(given: ColumnMap, table: CsvTable) -> dict[str, str | ColumnSource]:
+def with_measured(mapping: ColumnMap, table: CsvTable) -> dict[str, str | ColumnSource]:
     """The map's columns, with the points of the file where it names none.
 
     Raises InputError where two columns may be a coordinate, and for points that the
     tracker's user deleted.
     """
-    mapped: dict[str, str | ColumnSource] = dict(given.columns)
+    mapped: dict[str, str | ColumnSource] = dict(mapping.columns)
     if any(name.startswith(CHANNELS) for name in [*mapped, *table.header]):
         return mapped
     _check_deleted(table)

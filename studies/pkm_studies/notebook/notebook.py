@@ -55,8 +55,8 @@ def load_study(study: str | Path, *, allow_code: bool = False) -> Study:
     >>> study.name
     'planar_step_calibration'
     """
-    given = consent(allow_code=allow_code)
-    return load(shipped.study_path(Path(study)), given)
+    permission = consent(allow_code=allow_code)
+    return load(shipped.study_path(Path(study)), permission)
 
 
 def build_study(
@@ -327,8 +327,8 @@ def write_compensation(
     """
     from pkm_studies.compensation import export_result, named_format
 
-    given = view.state.study.consent
-    controller = named_format(to, Origin.command(given))
+    permission = view.state.study.consent
+    controller = named_format(to, Origin.command(permission))
     result, study, folder = result_so_far(view.state), view.state.study, Path(out)
     return export_result(
         result, study, controller, folder, force=force, commands=commands

@@ -110,10 +110,10 @@ def _limits(
 def _joint_ranges(
     table: LimitsTable, measurement: Measurement, location: Location
 ) -> dict[str, tuple[float, float]]:
-    known = {c.name: c.unit for c in measurement.machine.joints}
+    unit_of = {c.name: c.unit for c in measurement.machine.joints}
     ranges = {}
     for key, span in table.joints.items():
-        name, unit = quantities.split_key(key, known, location)
+        name, unit = quantities.split_key(key, unit_of, location)
         low, high = units.to_si(span.from_, unit), units.to_si(span.to, unit)
         ranges[name] = float(low), float(high)
     return ranges
@@ -194,13 +194,13 @@ def candidates(
     warnings: list[str] = []
     location = study.location.key("design")
     for i, table in enumerate(study.design.candidates):
-        at = location.key("candidates").item(i)
-        lookup.known_name(table.setup, measurement.setups, at.key("setup"))
-        series, lost = grids.grid_series(table, measurement, at, strict=False)
+        field = location.key("candidates").item(i)
+        lookup.known_name(table.setup, measurement.setups, field.key("setup"))
+        series, lost = grids.grid_series(table, measurement, field, strict=False)
         if lost:
             refusals[CANNOT_HOLD] += lost
             warnings.append(
-                f"{at.field}: {lost} of {lost + len(series)} poses are left out,"
+                f"{field.field}: {lost} of {lost + len(series)} poses are left out,"
                 f" because {table.setup} cannot hold its reading there"
             )
         count = len(series)
@@ -208,11 +208,11 @@ def candidates(
         for reason, number in reasons.items():
             refusals[reason] += number
             warnings.append(
-                f"{at.field}: {number} of {count} candidates are left out: they"
+                f"{field.field}: {number} of {count} candidates are left out: they"
                 f" {reason}"
             )
         if study.design.limits is None or study.design.limits.travel_mm is None:
-            warnings += _hold_warnings(measurement, series, at)
+            warnings += _hold_warnings(measurement, series, field)
         every.append(series)
     return tuple(every), dict(refusals), tuple(warnings)
 
@@ -322,8 +322,8 @@ def _further(
     if table.with_ is None:
         return ()
     by_name = {plan.name: plan.series for plan in plans}
-    at = location.key("with")
-    return by_name[lookup.known_name(table.with_, by_name, at, "reference plan")]
+    field = location.key("with")
+    return by_name[lookup.known_name(table.with_, by_name, field, "reference plan")]
 
 
 def _spacing(

@@ -102,12 +102,17 @@ def _csv_rows(path: Path, location: Location, name: str) -> Rows | None:
 
 def _parameters(rows: Rows, machine: Machine, location: Location, name: str) -> Array:
     """Parameters (np,), SI; those without a row are nominal. Raises InputError."""
-    values, known = machine.nominal.copy(), [p.name for p in machine.parameters]
+    values, names_of_machine = (
+        machine.nominal.copy(),
+        [p.name for p in machine.parameters],
+    )
     for parameter, row in rows.items():
-        if parameter not in known:
+        if parameter not in names_of_machine:
             problem = f"{machine.name} has no parameter {parameter}"
-            raise location.error(problem, suggest(parameter, known, "parameters"), name)
-        k = known.index(parameter)
+            raise location.error(
+                problem, suggest(parameter, names_of_machine, "parameters"), name
+            )
+        k = names_of_machine.index(parameter)
         si = machine.parameters[k].unit
         number, nominal = _number(row, "value"), _number(row, "nominal")
         unit = str(row.get("unit"))
@@ -119,8 +124,8 @@ def _parameters(rows: Rows, machine: Machine, location: Location, name: str) -> 
         if nominal is not None and not math.isclose(
             nominal, drawn, rel_tol=SAME, abs_tol=SAME
         ):
-            words = f"{parameter} = {drawn:.9g} for {nominal:.9g} {unit}"
-            raise _other_machine(location, name, words)
+            phrase = f"{parameter} = {drawn:.9g} for {nominal:.9g} {unit}"
+            raise _other_machine(location, name, phrase)
     return values
 
 
@@ -133,8 +138,8 @@ def _number(row: Mapping[str, Any], key: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def _other_machine(location: Location, name: str, words: str) -> InputError:
-    problem = f"it is the table of another machine: {words}"
+def _other_machine(location: Location, name: str, phrase: str) -> InputError:
+    problem = f"it is the table of another machine: {phrase}"
     return location.error(problem, "name a table of this machine", name)
 
 

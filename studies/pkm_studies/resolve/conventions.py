@@ -99,9 +99,9 @@ def readings_comments(
     """
     lines = machine_frames(machine)
     for name in header:
-        words = _meaning(name, machine, setups)
-        if words:
-            lines.append(f"{name}: {words}")
+        phrase = _meaning(name, machine, setups)
+        if phrase:
+            lines.append(f"{name}: {phrase}")
     return lines
 
 
@@ -120,8 +120,8 @@ def comments_of_study(study: Study) -> Callable[[Sequence[str]], Sequence[str]]:
     machine = study_machine(study)
     setups = {}
     for i, table in enumerate(study.setup):
-        at = study.location.key("setup").item(i).key("instrument")
-        listed: Instrument = catalogue.instrument(table.instrument, study.origin, at)
+        field = study.location.key("setup").item(i).key("instrument")
+        listed: Instrument = catalogue.instrument(table.instrument, study.origin, field)
         setups[table.name] = listed.for_machine(machine)
     return lambda header: readings_comments(machine, setups, header)
 
@@ -173,4 +173,4 @@ def _meaning(name: str, machine: Machine, setups: Mapping[str, Instrument]) -> s
     meanings = dict.fromkeys(by_setup.values())
     if len(meanings) < 2:
         return "".join(meanings)
-    return "; ".join(f"{setup}: {words}" for setup, words in by_setup.items())
+    return "; ".join(f"{setup}: {phrase}" for setup, phrase in by_setup.items())

@@ -24,8 +24,8 @@ def prior_results(study: Study) -> Iterator[tuple[Location, str, StudyResult]]:
     named = [(location.key("from").item(i), name) for i, name in enumerate(prior.from_)]
     if prior.earlier is not None:
         named.append((location.key("earlier"), prior.earlier))
-    for at, name in named:
-        yield at, name, load_result(result_folder(study, name, at))
+    for field, name in named:
+        yield field, name, load_result(result_folder(study, name, field))
 
 
 def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
@@ -56,7 +56,7 @@ def doubtful_sessions(study: Study, new: Collection[str]) -> list[str]:
 
 def counted_digests(study: Study, new: Collection[str]) -> list[str]:
     """Digests of new readings and of those behind the prior, sorted."""
-    known = set(new)
+    digests_counted = set(new)
     for _, _, result in prior_results(study):
-        known.update(result.readings)
-    return sorted(known)
+        digests_counted.update(result.readings)
+    return sorted(digests_counted)

@@ -119,11 +119,11 @@ def _check_polish(study: Study, table: DesignTable, location: Location) -> None:
 
 def _check_criteria(study: Study, table: DesignTable, location: Location) -> None:
     for name in table.compound:
-        at = location.key("compound").key(name)
-        lookup.known_name(name, CRITERIA, at, "criterion")
+        field_location = location.key("compound").key(name)
+        lookup.known_name(name, CRITERIA, field_location, "criterion")
     for i, name in enumerate(table.compare):
-        at = location.key("compare").item(i)
-        lookup.known_name(name, CRITERIA, at, "criterion")
+        field_location = location.key("compare").item(i)
+        lookup.known_name(name, CRITERIA, field_location, "criterion")
     if table.compound and table.criterion != "D":
         raise location.key("compound").error(
             "a criterion is given as well", "keep criterion or compound"
@@ -163,8 +163,8 @@ def _check_branching(table: DesignTable, location: Location) -> None:
         problem = f"branch and bound needs a smooth criterion, not {', '.join(rough)}"
         remedy = f"take one of {', '.join(SMOOTH)}, or leave branch_nodes out"
         raise location.error(problem, remedy, nodes)
-    for name, given in _given_rules(table).items():
-        if given:
+    for name, value in _given_rules(table).items():
+        if value:
             problem = f"branch and bound does not know the rule {name}"
             raise location.error(problem, f"leave branch_nodes or {name} out", nodes)
 
@@ -191,9 +191,9 @@ def _check_method(table: DesignTable, location: Location) -> None:
                 table.solver,
             )
         return
-    at = location.key("method")
+    field_location = location.key("method")
     if table.judged_by not in WEIGHED:
-        raise at.error(
+        raise field_location.error(
             f"weights are for {', '.join(WEIGHED)}, not {table.judged_by}",
             f"take one of {', '.join(WEIGHED)}, or leave method out",
             table.method,
@@ -204,10 +204,12 @@ def _check_method(table: DesignTable, location: Location) -> None:
         "compare": bool(table.compare),
         "how_many": table.how_many is not None,
     }
-    for name, given in fields.items():
-        if given:
+    for name, value in fields.items():
+        if value:
             problem = f"weights do not go with {name}"
-            raise at.error(problem, f"leave method or {name} out", table.method)
+            raise field_location.error(
+                problem, f"leave method or {name} out", table.method
+            )
 
 
 def _check_needs(
@@ -254,11 +256,11 @@ def _accuracy(
     table: DesignTable, measurement: Measurement, location: Location
 ) -> dict[str, float]:
     machine = measurement.machine
-    known = {c.name: c.unit for c in machine.components}
+    unit_of = {c.name: c.unit for c in machine.components}
     if table.accuracy:
-        return quantities.read_values(table.accuracy, known, location)
+        return quantities.read_values(table.accuracy, unit_of, location)
     angle = 1.0 / machine.lever
-    return {name: 1.0 if unit == "m" else angle for name, unit in known.items()}
+    return {name: 1.0 if unit == "m" else angle for name, unit in unit_of.items()}
 
 
 def _least_distance(
@@ -282,8 +284,10 @@ def _retained(
 ) -> tuple[Series, ...]:
     if table.keep is not None:
         plans = {plan.name: plan for plan in references}
-        at = location.key("keep")
-        return plans[lookup.known_name(table.keep, plans, at, "reference plan")].series
+        field_location = location.key("keep")
+        return plans[
+            lookup.known_name(table.keep, plans, field_location, "reference plan")
+        ].series
     if table.keep_readings is None:
         return ()
     from pkm_studies import sources
@@ -299,13 +303,15 @@ def _free_ranges(
         return {}
     ranges: dict[str, dict[str, tuple[float, float]]] = {}
     for name, limits in table.polish.free.items():
-        at = location.key(name)
-        setup = measurement.setups[lookup.known_name(name, measurement.setups, at)]
-        known = {s.name: s.unit for s in setup.instrument.settings}
-        known |= dict.fromkeys(("tool_x", "tool_y", "tool_z"), "m")
+        field_location = location.key(name)
+        setup = measurement.setups[
+            lookup.known_name(name, measurement.setups, field_location)
+        ]
+        unit_of = {s.name: s.unit for s in setup.instrument.settings}
+        unit_of |= dict.fromkeys(("tool_x", "tool_y", "tool_z"), "m")
         ranges[name] = {}
         for key, (low, high) in limits.items():
-            moved, unit = quantities.split_key(key, known, at)
+            moved, unit = quantities.split_key(key, unit_of, field_location)
             ends = float(units.to_si(low, unit)), float(units.to_si(high, unit))
             ranges[name][moved] = ends
     return ranges

@@ -20,21 +20,23 @@ def check_sizes(study: Study, effects: Iterable[Effect]) -> None:
 
     `effects` are those of the study; all of the catalogue are known as well.
     """
-    known = {e.name: e for e in effects}
+    by_name = {e.name: e for e in effects}
     location = study.location.key("effects")
     for entry in catalogue.listing("effects"):
-        if entry.name not in known:
-            known[entry.name] = catalogue.effect(entry.name, study.origin, location)
+        if entry.name not in by_name:
+            by_name[entry.name] = catalogue.effect(entry.name, study.origin, location)
     for field in study.effects:
-        name = _effect_of(field, known)
-        at = location.key(field)
+        name = _effect_of(field, by_name)
+        field_location = location.key(field)
         if name is None:
-            remedy = suggest(field, [f"{n}_{_names(e)[0]}" for n, e in known.items()])
-            raise at.error("this begins with the name of no effect", remedy)
+            remedy = suggest(field, [f"{n}_{_names(e)[0]}" for n, e in by_name.items()])
+            raise field_location.error("this begins with the name of no effect", remedy)
         unit = field.removeprefix(f"{name}_")
-        if unit not in _factors(known[name]):
-            names = ", ".join(f"{name}_{u}" for u in _names(known[name]))
-            raise at.error(f"{name} is not measured in {unit}", f"write {names}")
+        if unit not in _factors(by_name[name]):
+            names = ", ".join(f"{name}_{u}" for u in _names(by_name[name]))
+            raise field_location.error(
+                f"{name} is not measured in {unit}", f"write {names}"
+            )
 
 
 def effect_with_sizes(effect: Effect, study: Study) -> Effect:
@@ -48,9 +50,9 @@ def effect_with_sizes(effect: Effect, study: Study) -> Effect:
     return effect
 
 
-def _effect_of(field: str, known: Iterable[str]) -> str | None:
+def _effect_of(field: str, allowed: Iterable[str]) -> str | None:
     """The longest name of an effect that begins a field."""
-    matching = [name for name in known if field.startswith(f"{name}_")]
+    matching = [name for name in allowed if field.startswith(f"{name}_")]
     return max(matching, key=len, default=None)
 
 

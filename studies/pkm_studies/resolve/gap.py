@@ -91,19 +91,19 @@ def _tried_effects(
     effects: dict[str, Effect] = {}
     named: set[str] = set()
     for i, entry in enumerate(table.effects):
-        at = location.key("effects").item(i)
+        field = location.key("effects").item(i)
         names = [entry]
         if entry == ALL:
             names = [e.name for e in catalogue.listing("effects")]
         for name in names:
-            effect = catalogue.effect(name, study.origin, at)
+            effect = catalogue.effect(name, study.origin, field)
             effects[effect.name] = effect
             if entry != ALL:
                 named.add(effect.name)
     for i, name in enumerate(table.without):
         if name not in effects:
-            at = location.key("without").item(i)
-            raise at.error("no such effect is tried", suggest(name, effects), name)
+            field = location.key("without").item(i)
+            raise field.error("no such effect is tried", suggest(name, effects), name)
     check_sizes(study, effects.values())
     instruments = _instruments(study)
     tried = tuple(
@@ -120,10 +120,10 @@ def _tried_effects(
 
 def _instruments(study: Study) -> list[str]:
     """Names of the instruments of the study's set-ups."""
-    at = study.location.key("setup")
+    field = study.location.key("setup")
     return [
         catalogue.instrument(
-            table.instrument, study.origin, at.item(i).key("instrument")
+            table.instrument, study.origin, field.item(i).key("instrument")
         ).name
         for i, table in enumerate(study.setup)
     ]
@@ -142,8 +142,8 @@ def _acting_effect(
         )
     for name in table.constants:
         if name not in effect.constants:
-            at = location.key("constants").key(name)
-            raise at.error("no such constant", suggest(name, effect.constants))
+            field = location.key("constants").key(name)
+            raise field.error("no such constant", suggest(name, effect.constants))
     return ActingEffect(
         effect=effect_with_sizes(effect, study),
         constants=_usual_constants(effect) | table.constants,
@@ -163,8 +163,10 @@ def _usual_constants(effect: Effect) -> dict[str, float]:
 
 
 def unknown_coefficient(
-    location: Location, name: str, known: Sequence[str]
+    location: Location, name: str, allowed: Sequence[str]
 ) -> InputError:
     """The error for a coefficient that an effect does not have on this machine."""
-    at = location.key("coefficients").key(name)
-    return at.error("the effect has no such coefficient here", suggest(name, known))
+    field = location.key("coefficients").key(name)
+    return field.error(
+        "the effect has no such coefficient here", suggest(name, allowed)
+    )

@@ -126,14 +126,14 @@ def _commands(series: Series, rows: np.ndarray) -> Array:
 
 def _condition_words(condition: RunCondition) -> list[str]:
     """The condition as parts of a run's name."""
-    words = []
+    phrases = []
     if condition.payload is not None:
-        words.append(f"{condition.payload:g} N")
+        phrases.append(f"{condition.payload:g} N")
     if condition.feed_mm_min is not None:
-        words.append(f"{condition.feed_mm_min:g} mm/min")
+        phrases.append(f"{condition.feed_mm_min:g} mm/min")
     if condition.start_min is not None:
-        words.append(f"at {condition.start_min:g} min")
-    return [*words, "+1" if condition.direction == 1 else "-1"]
+        phrases.append(f"at {condition.start_min:g} min")
+    return [*phrases, "+1" if condition.direction == 1 else "-1"]
 
 
 def _condition_si(condition: RunCondition) -> dict[str, float]:

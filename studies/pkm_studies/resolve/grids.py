@@ -86,7 +86,7 @@ class Circles:
         numbers = [(m, n) for m in self.circles for n in self.points]
         commands = [self._commands(m, n) for m, n in numbers]
         ends = np.cumsum([len(command) for command in commands])
-        held, _ = solve_held(
+        solved, _ = solve_held(
             self.measurement,
             self.setup,
             np.vstack(commands),
@@ -94,9 +94,9 @@ class Circles:
             self.location,
             strict=True,
         )
-        parts = np.split(held, ends[:-1])
+        parts = np.split(solved, ends[:-1])
         pairs = zip(numbers, parts, strict=True)
-        series = [self._series(command, *at) for at, command in pairs]
+        series = [self._series(command, *details) for details, command in pairs]
         size = len(self.points)
         return [series[k : k + size] for k in range(0, len(series), size)]
 
@@ -134,19 +134,19 @@ def grid_commands(
     keys: dict[str, str] = {}
     hold: str | None = None
     for key, axis in axes.items():
-        at = location.key(key)
+        field = location.key(key)
         name, unit = _coordinate(key, axis, machine, location)
         if name in keys:
-            raise at.error(f"{name} is given twice", f"keep {keys[name]} or {key}")
+            raise field.error(f"{name} is given twice", f"keep {keys[name]} or {key}")
         keys[name] = key
         if isinstance(axis, str):
             if hold is not None:
-                raise at.error(
+                raise field.error(
                     "one coordinate at most can be held",
                     f"give {key} or {keys[hold]} values",
                 )
             hold = name
-        values[name] = units.to_si(_axis_values(axis, at), unit)
+        values[name] = units.to_si(_axis_values(axis, field), unit)
     _check_complete(values, machine, location)
     axis_values = [values[c.name] for c in machine.command]
     mesh = np.meshgrid(*axis_values, indexing="ij")
@@ -174,10 +174,10 @@ def _coordinate(
     key: str, axis: Axis, machine: Machine, location: Location
 ) -> tuple[str, str]:
     """Name and unit of a grid's key; a held coordinate needs no unit."""
-    known = command_units(machine)
-    if axis == "hold" and key in known:
-        return key, known[key]
-    return quantities.split_key(key, known, location)
+    unit_of = command_units(machine)
+    if axis == "hold" and key in unit_of:
+        return key, unit_of[key]
+    return quantities.split_key(key, unit_of, location)
 
 
 def _axis_values(axis: Axis, location: Location) -> Array:
@@ -293,14 +293,14 @@ def grid_series(
         command, run = _pairs(table, measurement.kinematics, setup, location)
         return planned_series(measurement, table.setup, command, run, location), 0
     if kind is not None:
-        given = poses.given_poses(
+        listed = poses.given_poses(
             table, kind, measurement.kinematics, setup.tool, location
         )
         keys = dict.fromkeys(command_units(machine), kind)
         check_tool_workspace(
-            measurement.kinematics, given.command, keys, location, setup.tool
+            measurement.kinematics, listed.command, keys, location, setup.tool
         )
-        return planned_series(measurement, table.setup, *given, location), 0
+        return planned_series(measurement, table.setup, *listed, location), 0
     command, hold, keys = grid_commands(table.coordinates, machine, location)
     if hold is not None:
         command = mid_range(command, hold, machine, setup)

@@ -9,10 +9,10 @@ from pkm_studies.base import Location, suggest
 
 
 def known_name(
-    name: str, known: Iterable[str], location: Location, kind: str = "set-up"
+    name: str, allowed: Iterable[str], location: Location, kind: str = "set-up"
 ) -> str:
-    """The name, if it is one of `known`. Raises InputError."""
-    names = list(known)
+    """The name, if it is one of `allowed`. Raises InputError."""
+    names = list(allowed)
     if name not in names:
         listed_as = "set-ups" if kind == "set-up" else "allowed"
         raise location.error(f"no such {kind}", suggest(name, names, listed_as), name)
@@ -20,13 +20,13 @@ def known_name(
 
 
 def matching_names(
-    patterns: Sequence[str], known: Iterable[str], location: Location
+    patterns: Sequence[str], allowed: Iterable[str], location: Location
 ) -> list[str]:
     """Known names that match any of the patterns.
 
     Raises InputError for a pattern that matches nothing.
     """
-    names = list(known)
+    names = list(allowed)
     for i, pattern in enumerate(patterns):
         if not fnmatch.filter(names, pattern):
             remedy = suggest(pattern.strip("*"), names)

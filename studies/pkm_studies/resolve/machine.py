@@ -36,11 +36,11 @@ def with_adjustments(
     """
     if table.adjust is None:
         return machine
-    held = machine.frame if table.fixed is None else ()
+    fixed = machine.frame if table.fixed is None else ()
     adjustments: dict[str, Adjustment] = {}
     for i, entry in enumerate(table.adjust):
-        at = location.key("adjust").item(i)
-        adjustments |= _of_table(entry, machine, held, at)
+        field = location.key("adjust").item(i)
+        adjustments |= _of_table(entry, machine, fixed, field)
     parameters = tuple(
         dataclasses.replace(p, adjust=adjustments.get(p.name))
         for p in machine.parameters
@@ -49,23 +49,23 @@ def with_adjustments(
 
 
 def _of_table(
-    table: AdjustTable, machine: Machine, held: Collection[str], location: Location
+    table: AdjustTable, machine: Machine, fixed: Collection[str], location: Location
 ) -> dict[str, Adjustment]:
     """The adjustments of one table by parameter.
 
-    held  parameters that only choose the base frame
+    fixed  parameters that only choose the base frame
     """
     units = {p.name: p.unit for p in machine.parameters}
-    at = location.key("parameters")
-    names, unit = lookup.names_of_one_unit(table.parameters, units, at)
-    known = dict.fromkeys(AMOUNTS, unit)
-    amounts = quantities.read_values(table.amounts, known, location)
+    field = location.key("parameters")
+    names, unit = lookup.names_of_one_unit(table.parameters, units, field)
+    unit_of = dict.fromkeys(AMOUNTS, unit)
+    amounts = quantities.read_values(table.amounts, unit_of, location)
     for key, value in table.amounts.items():
         if value < 0.0 or (value == 0.0 and key.startswith("most")):
             raise location.key(key).error("no such amount", "give a number > 0", value)
-    conventions = [name for name in names if name in held]
+    conventions = [name for name in names if name in fixed]
     if conventions:
-        raise at.error(
+        raise field.error(
             f"{conventions[0]} only chooses the base frame, and nothing moves it",
             "name the others",
             table.parameters,
@@ -132,8 +132,8 @@ def _described(
     table: MachineTable, origin: Origin, location: Location, *, assembled: bool
 ) -> tuple[Machine, bool]:
     """The machine of a table, and whether it is another than one of the catalogue."""
-    at = location.key("model")
-    model: Machine = catalogue.machine(table.model, origin, at, assembled=assembled)
+    field = location.key("model")
+    model: Machine = catalogue.machine(table.model, origin, field, assembled=assembled)
     machine = _of_family(table, model, location)
     machine = _with_nominal(table, machine, location)
     machine = _with_ranges(table, machine, location)
@@ -203,14 +203,14 @@ def _of_family(table: MachineTable, model: Machine, location: Location) -> Machi
     if model.family is None:
         problem = f"{model.name} has one geometry"
         raise location.error(problem, "give its numbers as [machine.nominal]")
-    known = {d.name: d for d in model.family.dimensions}
+    by_name = {d.name: d for d in model.family.dimensions}
     geometry = {}
     for key, value in table.geometry.items():
         name, unit = quantities.split_key(
-            key, {n: d.unit for n, d in known.items()}, location
+            key, {n: d.unit for n, d in by_name.items()}, location
         )
         array = _array(value, location.key(key))
-        _check_shape(array, known[name], location.key(key))
+        _check_shape(array, by_name[name], location.key(key))
         geometry[name] = (
             units.to_si(array, unit)
             if array.ndim
@@ -219,7 +219,7 @@ def _of_family(table: MachineTable, model: Machine, location: Location) -> Machi
     try:
         return model.family.build(geometry)
     except ValueError as error:
-        names = ", ".join(quantities.column(d.name, d.unit) for d in known.values())
+        names = ", ".join(quantities.column(d.name, d.unit) for d in by_name.values())
         raise location.error(str(error), f"the table may have {names}") from error
 
 
@@ -240,17 +240,17 @@ def _check_shape(array: Array, dimension: Dimension, location: Location) -> None
     one_for_all = array.shape == wanted[1:]
     if not (fits or one_for_all):
         counts = " x ".join("any" if n is None else str(n) for n in wanted) or "1"
-        given = " x ".join(map(str, array.shape)) or "1"
-        problem = f"{given} numbers, where {counts} belong"
+        shape = " x ".join(map(str, array.shape)) or "1"
+        problem = f"{shape} numbers, where {counts} belong"
         raise location.error(problem, f"give {dimension.about}")
 
 
 def _with_nominal(table: MachineTable, model: Machine, location: Location) -> Machine:
     if not table.nominal:
         return model
-    known = {p.name: p.unit for p in model.parameters}
+    unit_of = {p.name: p.unit for p in model.parameters}
     return with_nominal(
-        model, quantities.read_values(table.nominal, known, location.key("nominal"))
+        model, quantities.read_values(table.nominal, unit_of, location.key("nominal"))
     )
 
 
@@ -283,8 +283,8 @@ def _with_ranges(table: MachineTable, model: Machine, location: Location) -> Mac
         return model
     command = _ranges(table.workspace, model.command, location.key("workspace"))
     joints = _ranges(table.travel, model.joints, location.key("travel"))
-    known = {c.name: c.unit for c in model.command}
-    stated = quantities.read_values(table.home, known, location.key("home"))
+    unit_of = {c.name: c.unit for c in model.command}
+    stated = quantities.read_values(table.home, unit_of, location.key("home"))
     home = dict(model.home) | stated
     machine = dataclasses.replace(
         model,
@@ -293,9 +293,9 @@ def _with_ranges(table: MachineTable, model: Machine, location: Location) -> Mac
         home=home,
         drawn=model.drawn or model,
     )
-    keys = {quantities.split_key(key, known, location)[0]: key for key in table.home}
+    keys = {quantities.split_key(key, unit_of, location)[0]: key for key in table.home}
     for _, name, _, *ends in machine.out_of_range(machine.home_command[None]):
-        unit = known[name]
+        unit = unit_of[name]
         key = keys.get(name, quantities.column(name, unit))
         value = quantities.format_as(home[name], unit, key)
         low, high = (quantities.format_as(end, unit, key) for end in ends)
@@ -311,10 +311,10 @@ def _ranges(
     location: Location,
 ) -> tuple[Coordinate, ...]:
     """Coordinates with the ranges of a table. Raises InputError."""
-    known = {c.name: c.unit for c in coordinates}
+    unit_of = {c.name: c.unit for c in coordinates}
     ranges = {}
     for key, ends in table.items():
-        name, unit = quantities.split_key(key, known, location)
+        name, unit = quantities.split_key(key, unit_of, location)
         low, high = (float(v) for v in units.to_si(ends, unit))
         if not low < high:
             remedy = "give [lower, upper]"

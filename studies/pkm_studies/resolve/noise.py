@@ -118,14 +118,14 @@ def _amounts(
     table: Mapping[str, float], setups: Sequence[Setup], location: Location
 ) -> dict[str, float]:
     """Amounts of noise, SI, by name: what a table states of some set-ups."""
-    known = _units(table, setups)
-    values = quantities.read_values(table, known, location)
+    unit_of = _units(table, setups)
+    values = quantities.read_values(table, unit_of, location)
     for key, (name, value) in zip(table, values.items(), strict=True):
         _check_amount(name, value, location.key(key), table[key])
         if value != 0.0 and not LEAST_SIGMA <= value <= LARGEST:
             raise location.key(key).error(
                 "no instrument has such a noise",
-                f"check its unit; {LEAST_SIGMA:g} to {LARGEST:g} {known[name]} are"
+                f"check its unit; {LEAST_SIGMA:g} to {LARGEST:g} {unit_of[name]} are"
                 " possible",
                 table[key],
             )
@@ -142,28 +142,28 @@ def _amounts(
 def _units(table: Mapping[str, float], setups: Sequence[Setup]) -> dict[str, str]:
     """SI units of the amounts that can be stated of some set-ups, by name."""
     channels = [c for s in setups for c in s.instrument.channels]
-    known = {c.name: c.unit for c in channels}
-    known |= {f"{c.name}{end}": c.unit for c in channels for end in (RUN, RESOLUTION)}
+    unit_of = {c.name: c.unit for c in channels}
+    unit_of |= {f"{c.name}{end}": c.unit for c in channels for end in (RUN, RESOLUTION)}
     renewed = {
         n.unit for s in setups for n in s.nuisances if n.name in s.instrument.renewed
     }
     if renewed or any(key.startswith(SEATING) for key in table):
-        known[SEATING] = next(iter(renewed), "m")
-    return known
+        unit_of[SEATING] = next(iter(renewed), "m")
+    return unit_of
 
 
-def _check_amount(name: str, value: float, location: Location, given: float) -> None:
+def _check_amount(name: str, value: float, location: Location, amount: float) -> None:
     """Raises InputError for a negative amount, and for single readings without noise."""
     if name.endswith(RUN) or name == SEATING:
         if value < 0.0:
             raise location.error(
                 "an amount of noise is a standard deviation",
                 "give a number >= 0; 0 says that there is none",
-                given,
+                amount,
             )
     elif value <= 0.0:
         raise location.error(
             "noise must be above 0",
             "give the standard deviation of one reading",
-            given,
+            amount,
         )

@@ -113,9 +113,9 @@ def request_of_table(
     components = {c.name: c.unit for c in machine.components}
     effects = _effects(table, study, open_tables, measurement_with, prediction)
     options, first = [], 0
-    for measured, at in open_tables.values():
+    for measured, field in open_tables.values():
         nuisances = None if effects is None else effects.readings.after(first)
-        option = _option(measured, measurement_with, at, nuisances)
+        option = _option(measured, measurement_with, field, nuisances)
         first += len(option.nominal_readings)
         options.append(option)
     reserved = _reserved_seconds(study, available)
@@ -166,8 +166,8 @@ def _effects(
     names = [name for measured, _ in tables.values() for name in measured.mounted]
     measurement = measurement_with(names)
     series = [
-        _grid(measured, name, measurement_with(measured.mounted), at)
-        for measured, at in tables.values()
+        _grid(measured, name, measurement_with(measured.mounted), field)
+        for measured, field in tables.values()
         for name in measured.mounted
     ]
     gap = gap_request(study, measurement.machine)

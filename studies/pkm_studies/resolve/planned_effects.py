@@ -39,12 +39,12 @@ def named_effects(
     """The effects named, or with a word all. Raises InputError for other names."""
     if isinstance(names, str):
         return list(request.effects)
-    known = {effect.name: effect for effect in request.effects}
+    by_name = {effect.name: effect for effect in request.effects}
     for k, name in enumerate(names):
-        if name not in known:
-            remedy = f"name some of {', '.join(known)}"
+        if name not in by_name:
+            remedy = f"name some of {', '.join(by_name)}"
             raise location.item(k).error("no such effect is tried", remedy, name)
-    return [known[name] for name in dict.fromkeys(names)]
+    return [by_name[name] for name in dict.fromkeys(names)]
 
 
 def check_effect_names(study: Study, request: GapRequest) -> None:

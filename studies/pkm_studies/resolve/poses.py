@@ -40,18 +40,18 @@ class Poses(NamedTuple):
 
 def form(table: GridTable, location: Location) -> str | None:
     """The field that gives the poses; None for a grid. Raises InputError for two."""
-    given = [name for name in FORMS if getattr(table, name) is not None]
+    limits = [name for name in FORMS if getattr(table, name) is not None]
     if table.pairs_mm is not None:
-        given.insert(0, "pairs_mm")
-    if len(given) > 1:
-        raise location.key(given[1]).error(
-            f"poses come from {' and '.join(given)}", "make one table for each"
+        limits.insert(0, "pairs_mm")
+    if len(limits) > 1:
+        raise location.key(limits[1]).error(
+            f"poses come from {' and '.join(limits)}", "make one table for each"
         )
-    if given == ["pairs_mm"]:
+    if limits == ["pairs_mm"]:
         return None
-    if not given and not table.coordinates:
+    if not limits and not table.coordinates:
         return "sample"
-    return given[0] if given else None
+    return limits[0] if limits else None
 
 
 def given_poses(
@@ -62,11 +62,11 @@ def given_poses(
     location: Location,
 ) -> Poses:
     """The commands of a table in one of FORMS. Raises InputError."""
-    machine, at = kinematics.machine, location.key(kind)
+    machine, field = kinematics.machine, location.key(kind)
     if kind in POINT_FORMS:
         fixed = _single_values(table, machine, location)
         points, run = _points(table, kind)
-        command = ToolPoints(kinematics, tool).commands(points, fixed, at)
+        command = ToolPoints(kinematics, tool).commands(points, fixed, field)
         return Poses(command, run)
     if kind == "sample":
         return _sampled(table, kinematics, tool, location)
@@ -74,8 +74,8 @@ def given_poses(
         key = next(iter(table.coordinates))
         raise location.key(key).error(f"{kind} says all about the poses", "remove it")
     if table.file is not None:
-        return _from_file(Path(location.file).parent / table.file, machine, at)
-    return _listed(table.poses or {}, machine, at)
+        return _from_file(Path(location.file).parent / table.file, machine, field)
+    return _listed(table.poses or {}, machine, field)
 
 
 # -- lists and files -------------------------------------------------------------------

@@ -66,12 +66,12 @@ def check_reach(
     machine, location = kinematics.machine, study.location.key("prediction")
     for number, length in enumerate([0.0, *request.table.tools]):
         tool = np.array([0.0, 0.0, length * units.MM])
-        at = location.key("tools_mm").item(number - 1) if number else location
+        field = location.key("tools_mm").item(number - 1) if number else location
         try:
             kinematics.inverse(machine.with_tool(request.command, tool), tool=tool)
         except AssemblyError as error:
             problem = reach.reach_problem(error, machine)
-            raise at.error(problem, reach.REACH_REMEDY) from error
+            raise field.error(problem, reach.REACH_REMEDY) from error
 
 
 def check_states(study: Study, covariates: pd.DataFrame) -> None:
@@ -101,25 +101,25 @@ def _states(study: Study) -> dict[str, Array]:
             'add effects = "catalogue" to [identify], or leave the states out',
         )
     values = {}
-    for name, given in states.items():
-        known = None
+    for name, value in states.items():
+        column = None
         with contextlib.suppress(units.UnitError):
-            known = columns.parse_column(name)
-        if known is None or not _is_covariate(known):
+            column = columns.parse_column(name)
+        if column is None or not _is_covariate(column):
             raise location.key(name).error(
                 "no covariate of a readings file with its unit",
                 "name one as in the file: payload_N, temp_<body>_C, direction",
             )
-        if known.stem in FROM_THE_SESSION:
+        if column.stem in FROM_THE_SESSION:
             raise location.key(name).error(
                 "no state that a machine is used at",
                 "leave it out: it is as in the session",
             )
-        listed = given if isinstance(given, list) else [given]
+        listed = value if isinstance(value, list) else [value]
         if not listed:
             raise location.key(name).error("no value", "state those in use", listed)
-        values[known.stem] = known.factor * np.array(listed, dtype=float)
-        _check_values(known.stem, values[known.stem], location.key(name), listed)
+        values[column.stem] = column.factor * np.array(listed, dtype=float)
+        _check_values(column.stem, values[column.stem], location.key(name), listed)
     return values
 
 
@@ -150,6 +150,6 @@ def wanted_accuracy(study: Study, machine: Machine) -> dict[str, float]:
     """
     if study.prediction is None:
         return {}
-    known = {c.name: c.unit for c in machine.components}
+    unit_of = {c.name: c.unit for c in machine.components}
     location = study.location.key("prediction").key("wanted")
-    return quantities.read_values(study.prediction.wanted, known, location)
+    return quantities.read_values(study.prediction.wanted, unit_of, location)

@@ -54,16 +54,16 @@ def quota_set(
     groups = _groups(candidates, table.whole_runs)
     quotas, places = [], []
     for i, quota in enumerate(table.quota):
-        at = location.key("quota").item(i)
-        members = _members(quota, measurement, candidates, groups, at)
-        least, most = _numbers(quota, size, at)
+        field_location = location.key("quota").item(i)
+        members = _members(quota, measurement, candidates, groups, field_location)
+        least, most = _numbers(quota, size, field_location)
         quotas.append(Quota(quota.name or f"quota {i + 1}", members, least, most))
-        places.append(at)
+        places.append(field_location)
     if table.equal is not None:
-        at = location.key("equal")
-        shares = _equal(table.equal, groups, size, at)
+        field_location = location.key("equal")
+        shares = _equal(table.equal, groups, size, field_location)
         quotas += shares
-        places += [at] * len(shares)
+        places += [field_location] * len(shares)
     quota_set = QuotaSet(tuple(quotas), size)
     _check_feasible(quota_set, places, location)
     return quota_set
@@ -123,10 +123,10 @@ def _numbers(
 ) -> tuple[int, int | None]:
     """Least and largest number of a quota."""
     for number, share in (("min", "min_share"), ("max", "max_share")):
-        given = getattr(quota, number), getattr(quota, share)
-        if None not in given:
+        stated = getattr(quota, number), getattr(quota, share)
+        if None not in stated:
             raise location.key(share).error(
-                f"{number} is given as well", "keep one of the two", given[1]
+                f"{number} is given as well", "keep one of the two", stated[1]
             )
     least, most = quota.min, quota.max
     if quota.min_share is not None:

@@ -71,13 +71,15 @@ def true_parameters(study: Study, measurement: Measurement) -> dict[str, float]:
         return {}
     location = study.location.key("readings").key("truth")
     common, special = quantities.split_tables(study.readings.truth)
-    known = {p.name: p.unit for p in measurement.parameters}
-    truth = quantities.read_values(common, known, location)
+    unit_of = {p.name: p.unit for p in measurement.parameters}
+    truth = quantities.read_values(common, unit_of, location)
     for name, table in special.items():
-        at = location.key(name)
-        setup = measurement.setups[lookup.known_name(name, measurement.setups, at)]
-        known = {n.name: n.unit for n in setup.nuisances}
-        values = quantities.read_values(table, known, at)
+        field_location = location.key(name)
+        setup = measurement.setups[
+            lookup.known_name(name, measurement.setups, field_location)
+        ]
+        unit_of = {n.name: n.unit for n in setup.nuisances}
+        values = quantities.read_values(table, unit_of, field_location)
         truth |= {f"{name}.{key}": value for key, value in values.items()}
     return truth
 

@@ -66,13 +66,13 @@ def _instrument(
     study: Study, table: SetupTable, machine: Machine, location: Location
 ) -> Instrument:
     """The instrument with the channels it has here. Raises InputError."""
-    at = location.key("instrument")
-    listed: Instrument = catalogue.instrument(table.instrument, study.origin, at)
+    field = location.key("instrument")
+    listed: Instrument = catalogue.instrument(table.instrument, study.origin, field)
     instrument = listed.for_machine(machine)
     reason = instrument.unfit(machine)
     if reason is not None:
         problem = f"it cannot read {machine.name}: {reason}"
-        raise at.error(problem, "take another", instrument.name)
+        raise field.error(problem, "take another", instrument.name)
     if table.channels is None:
         if instrument.single:
             first = instrument.channels[0].name
@@ -91,8 +91,8 @@ def _instrument(
 def _settings(
     table: SetupTable, instrument: Instrument, location: Location
 ) -> dict[str, float]:
-    known = {s.name: s.unit for s in instrument.settings}
-    settings = quantities.read_values(table.settings, known, location)
+    unit_of = {s.name: s.unit for s in instrument.settings}
+    settings = quantities.read_values(table.settings, unit_of, location)
     for s in instrument.settings:
         if s.default is None and s.name not in settings:
             key = quantities.column(s.name, s.unit)

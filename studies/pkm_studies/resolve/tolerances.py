@@ -45,9 +45,9 @@ def fleet_knowledge(
 
     Raises InputError where a result is not of this model, or has a prior of its own.
     """
-    at = [machine.index(name) for name in free]
-    nominal = machine.nominal[at]
-    tolerance = np.array([machine.parameters[k].tolerance for k in at])
+    indices = [machine.index(name) for name in free]
+    nominal = machine.nominal[indices]
+    tolerance = np.array([machine.parameters[k].tolerance for k in indices])
     machines = []
     results: dict[str, StudyResult] = {}
     folders = [study.folder / name for name in study.prior.from_]
@@ -137,8 +137,10 @@ def _information(
             name,
         )
     names = list(section.parameters)
-    at = [names.index(parameter) for parameter in free]
-    block = np.array(section.covariance)[np.ix_(at, at)] * np.outer(scale, scale)
+    indices = [names.index(parameter) for parameter in free]
+    block = np.array(section.covariance)[np.ix_(indices, indices)] * np.outer(
+        scale, scale
+    )
     information = readings_information(value, block, start, prior)
     return rescaled(information, tolerance / prior, shift)
 
@@ -324,12 +326,14 @@ def with_correlation(study: Study, machine: Machine) -> Machine:
     free -= set(machine.frame)
     groups = []
     for i, table in enumerate(tables):
-        at = location.item(i)
+        field_location = location.item(i)
         names = [p.name for p in machine.parameters]
-        matched = lookup.matching_names(table.parameters, names, at.key("parameters"))
+        matched = lookup.matching_names(
+            table.parameters, names, field_location.key("parameters")
+        )
         members = tuple(name for name in matched if name in free)
         if len(members) < 2:
-            raise at.key("parameters").error(
+            raise field_location.key("parameters").error(
                 "fewer than two parameters that have a tolerance",
                 f"name two or more of {', '.join(sorted(free))}",
                 table.parameters,
@@ -338,7 +342,7 @@ def with_correlation(study: Study, machine: Machine) -> Machine:
         changed = dataclasses.replace(machine, correlated=tuple(groups))
         matrix = ParameterVector(changed, []).correlation
         if matrix is not None and np.linalg.eigvalsh(matrix)[0] < LEAST:
-            raise at.key("correlation").error(
+            raise field_location.key("correlation").error(
                 "no errors have such correlations"
                 + (" together with those above" if i else ""),
                 f"{len(members)} parameters have one above"
@@ -367,22 +371,24 @@ def with_earlier(study: Study, machine: Machine) -> Machine:
         raise location.key("from").error(
             problem, "keep one: `earlier` knows more", prior.from_
         )
-    at = location.key("earlier" if prior.earlier is not None else "from")
+    field_location = location.key("earlier" if prior.earlier is not None else "from")
     value = prior.earlier if prior.earlier is not None else prior.from_
     if study.plan is not None:
         remedy = "remove [plan]; `oed plan STUDY --after DIR` plans after a session"
-        raise at.error("the planner of [plan] does not know it", remedy, value)
+        raise field_location.error(
+            "the planner of [plan] does not know it", remedy, value
+        )
     if machine.correlated:
         remedy = "remove [[prior.correlated]]: the results have correlations"
-        raise at.error("it has correlations of its own", remedy, value)
-    held = {p.name for p in machine.parameters if p.tolerance == 0.0}
-    held |= set(machine.frame)
-    free = [p.name for p in machine.parameters if p.name not in held]
+        raise field_location.error("it has correlations of its own", remedy, value)
+    fixed = {p.name for p in machine.parameters if p.tolerance == 0.0}
+    fixed |= set(machine.frame)
+    free = [p.name for p in machine.parameters if p.name not in fixed]
     if prior.earlier is None:
         return with_mean_and_covariance(
-            machine, free, *fleet_knowledge(study, machine, free, at)
+            machine, free, *fleet_knowledge(study, machine, free, field_location)
         )
-    result, folder = named_result(study, prior.earlier, at, machine)
+    result, folder = named_result(study, prior.earlier, field_location, machine)
     mean, covariance, _ = known_parameters(result, machine.name, free, folder)
     return with_mean_and_covariance(machine, free, mean, covariance)
 
@@ -392,12 +398,14 @@ def with_mean_and_covariance(
 ) -> Machine:
     """The machine with this mean (n,) and covariance (n, n) of free parameters."""
     sd = np.sqrt(np.diag(covariance))
-    known = dict(zip(free, zip(mean, sd, strict=True), strict=True))
+    mean_and_sd = dict(zip(free, zip(mean, sd, strict=True), strict=True))
     parameters = [
         dataclasses.replace(
-            p, expected=float(known[p.name][0]), tolerance=float(known[p.name][1])
+            p,
+            expected=float(mean_and_sd[p.name][0]),
+            tolerance=float(mean_and_sd[p.name][1]),
         )
-        if p.name in known
+        if p.name in mean_and_sd
         else p
         for p in machine.parameters
     ]

@@ -141,10 +141,12 @@ class ToolPoints:
     def _check(self, missed: Array, points: Array, location: Location) -> None:
         lost = np.flatnonzero(~(missed < 100.0 * MISS))
         if lost.size:
-            at = ", ".join(quantities.format_value(v, "m") for v in points[lost[0]])
+            pose_text = ", ".join(
+                quantities.format_value(v, "m") for v in points[lost[0]]
+            )
             raise location.error(
                 f"the tool of {self._machine.name} cannot be put on {lost.size} of"
-                f" {len(points)} points, the first at {at}",
+                f" {len(points)} points, the first at {pose_text}",
                 "move the points into the workspace, in coordinates of the base frame",
             )
 

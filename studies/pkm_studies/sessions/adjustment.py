@@ -59,11 +59,11 @@ def adjust_folder(
     machine = adjustable_machine(result, study, folder, wanted)
     section = _section(result, machine, wanted)
     result = msgspec.structs.replace(result, adjustment=section)
-    known = list(result.written.values())
+    earlier_files = list(result.written.values())
     written, paths = dict(result.written), []
     texts = {CSV: _to_csv(section), NOMINAL: _nominal_table(result)}
     for name, text in texts.items():
-        path = own_files.write_own(folder / name, text.encode(), known)
+        path = own_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
         paths.append(path)
     result = msgspec.structs.replace(result, written=written)
@@ -155,10 +155,10 @@ def _covariance(
         draws = earlier_result.read_draws(path, names) if path.is_file() else None
     if draws is None:
         return covariances(machine, section)[0]
-    at = [machine.index(name) for name in names]
-    about = draws - identified[at]
+    indices = [machine.index(name) for name in names]
+    about = draws - identified[indices]
     covariance = np.zeros((len(identified), len(identified)))
-    covariance[np.ix_(at, at)] = about.T @ about / len(draws)
+    covariance[np.ix_(indices, indices)] = about.T @ about / len(draws)
     return covariance
 
 
@@ -172,9 +172,9 @@ def _weights(machine: Machine, wanted: str) -> Array:
     )
 
 
-def _total(known: AdjustableMachine, wanted: str) -> tuple[str, str]:
+def _total(adjustable: AdjustableMachine, wanted: str) -> tuple[str, str]:
     """What the total error is and which components do not count; its unit."""
-    machine = known.kinematics.machine
+    machine = adjustable.kinematics.machine
     if not wanted:
         return (
             "root of the sum of squares of the components' rms errors in um, angles at a"
@@ -183,7 +183,9 @@ def _total(known: AdjustableMachine, wanted: str) -> tuple[str, str]:
         )
     about = f"root of the sum of squares of rms errors over the wanted ones ({wanted})"
     aside = [
-        c.name for c, w in zip(machine.components, known.weights, strict=True) if not w
+        c.name
+        for c, w in zip(machine.components, adjustable.weights, strict=True)
+        if not w
     ]
     if aside:
         about += f"; {', '.join(aside)} count for nothing"
@@ -194,10 +196,10 @@ def _total(known: AdjustableMachine, wanted: str) -> tuple[str, str]:
 
 
 def _section(
-    result: StudyResult, known: AdjustableMachine, wanted: str
+    result: StudyResult, adjustable: AdjustableMachine, wanted: str
 ) -> AdjustmentSection:
-    machine, plan = known.kinematics.machine, known.plan()
-    about, total_unit = _total(known, wanted)
+    machine, plan = adjustable.kinematics.machine, adjustable.plan()
+    about, total_unit = _total(adjustable, wanted)
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
 
     def by_component(values: Array) -> dict[str, float]:
@@ -205,8 +207,8 @@ def _section(
         return {name: units.number(value, unit) for (name, unit), value in pairs}
 
     return AdjustmentSection(
-        reference=known.reference,
-        poses=len(known.command),
+        reference=adjustable.reference,
+        poses=len(adjustable.command),
         unit=fine,
         about=about,
         total_unit=total_unit,
@@ -286,10 +288,10 @@ def _nominal_table(result: StudyResult) -> str:
         "",
         "[machine.nominal]",
     ]
-    known = {str(row["name"]) for row in result.machine.parameters}
+    parameter_names = {str(row["name"]) for row in result.machine.parameters}
     parameters = {} if section is None else section.parameters
     for name, p in parameters.items():
-        if name in known:
+        if name in parameter_names:
             lines.append(f"{name}_{p.unit} = {p.value:.9g}  # sd {p.sd:.2g}")
     return "\n".join(lines) + "\n"
 

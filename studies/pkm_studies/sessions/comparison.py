@@ -200,10 +200,10 @@ def _sentences(change: SessionChange, units: Mapping[str, str]) -> Iterator[str]
 
 
 def _combination(combination: CombinationChange, units: Mapping[str, str]) -> str:
-    words, unit = combination_words(combination, units)
+    phrase, unit = combination_words(combination, units)
     z = combination.change / combination.sd
     return (
-        f"{words}: {combination.change:+.4g} {unit}, sd {combination.sd:.2g} {unit},"
+        f"{phrase}: {combination.change:+.4g} {unit}, sd {combination.sd:.2g} {unit},"
         f" {z:+.1f} sd"
     )
 
@@ -213,14 +213,14 @@ def combination_words(
 ) -> tuple[str, str]:
     """A combination in words, `z2 less 0.5 times z1`, and the unit of its pivot."""
     (pivot, _), *others = combination.coefficients.items()
-    words = [pivot]
+    phrases = [pivot]
     for name, coefficient in others[: TERMS - 1]:
         sign = "less" if coefficient < 0.0 else "plus"
         amount = _amount(abs(coefficient), units[pivot], units[name])
-        words.append(f"{sign} {amount}{name}")
+        phrases.append(f"{sign} {amount}{name}")
     if len(others) >= TERMS:
-        words.append(f"and {len(others) - TERMS + 1} smaller terms")
-    return " ".join(words), units[pivot]
+        phrases.append(f"and {len(others) - TERMS + 1} smaller terms")
+    return " ".join(phrases), units[pivot]
 
 
 def _amount(size: float, unit: str, of_unit: str) -> str:

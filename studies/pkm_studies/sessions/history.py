@@ -99,13 +99,13 @@ def _sessions(folders: Sequence[Path]) -> Sessions:
     loaded = [load_result(path) for path in found_in]
     comparison.refuse_same_sessions(loaded, found_in)
     dates = [_date(path) for path in found_in]
-    known = [date for date in dates if date is not None]
-    if len(known) < len(dates):
+    dated = [date for date in dates if date is not None]
+    if len(dated) < len(dates):
         times = np.arange(len(found_in), dtype=float)
         order = np.arange(len(found_in))
         unit = "session"
     else:
-        days = np.array([date.toordinal() for date in known], dtype=float)
+        days = np.array([date.toordinal() for date in dated], dtype=float)
         order = np.argsort(days, kind="stable")
         times, unit = days[order], "day"
         if np.ptp(times) == 0.0:
@@ -182,10 +182,10 @@ def _combinations(
 
 
 def _line(combination: CombinationChange, shown: dict[str, str], unit: str) -> str:
-    words, of = comparison.combination_words(combination, shown)
+    phrase, of = comparison.combination_words(combination, shown)
     half = 1.96 * combination.sd
     low, high = combination.change - half, combination.change + half
-    return f"{words}: {combination.change:+.3g} {of}, {low:+.3g} to {high:+.3g}"
+    return f"{phrase}: {combination.change:+.3g} {of}, {low:+.3g} to {high:+.3g}"
 
 
 # -- when to calibrate again -----------------------------------------------------------
@@ -223,7 +223,7 @@ def _errors(
     latest, folder = sessions.results[-1], sessions.folders[-1]
     study = result_study(latest, folder, study_file, consent)
     accuracy = promised_accuracy(latest, study, str(folder / "result.json"), {}, {})
-    given = component_values(limits, "--limit", accuracy.machine)
+    component_limits = component_values(limits, "--limit", accuracy.machine)
     columns = [accuracy.machine.index(name) for name in names]
     factors = np.array([units.factor(shown[name]) for name in names])
     errors = []
@@ -235,7 +235,7 @@ def _errors(
                 maps=accuracy.promise.maps[:, k][:, columns] * factors,
                 unit=units.FINE[component.unit],
                 after=after,
-                limit=given.get(component.name, LIMIT * after),
+                limit=component_limits.get(component.name, LIMIT * after),
             )
         )
     return errors

@@ -157,9 +157,11 @@ def outlook_with_effects(
     total = pool.prior_information.copy()
     total[: pool.columns, : pool.columns] += prior_information(measurement)
     count = sum(map(len, taken))
-    known = total + information(pool.blocks[:count])
+    information_so_far = total + information(pool.blocks[:count])
     factors = pose_error_slopes(pool, raw, effects)
     weights = weights_of(factors.swapaxes(0, 1) / np.sqrt(len(raw)))
-    before, now = (np.asarray(np.linalg.inv(i), dtype=float) for i in (total, known))
+    before, now = (
+        np.asarray(np.linalg.inv(i), dtype=float) for i in (total, information_so_far)
+    )
     beliefs = Belief(before, weights), Belief(now, weights)
     return Outlook(pool, count, *beliefs, effects.others, holds_effects=True)

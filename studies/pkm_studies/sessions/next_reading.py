@@ -242,8 +242,8 @@ class Adviser:
         if correlation is not None:
             covariance[: len(scale), : len(scale)] = correlation[np.ix_(free, free)]
         if estimate is not None:
-            known = estimate.covariance[np.ix_(free, free)]
-            covariance[: len(scale), : len(scale)] = known / np.outer(scale, scale)
+            identified = estimate.covariance[np.ix_(free, free)]
+            covariance[: len(scale), : len(scale)] = identified / np.outer(scale, scale)
         count = len(measurement.machine.parameters)
         poses, components, _ = self.maps.raw.shape
         slopes = np.zeros((components, poses, len(free)))
@@ -352,8 +352,8 @@ def _limits(
         if study.design is not None and study.design.how_many is not None:
             table = study.design.how_many.wanted
             location = study.location.key("design").key("how_many").key("wanted")
-            known = {c.name: c.unit for c in machine.components}
-            values = quantities.read_values(table, known, location)
+            unit_of = {c.name: c.unit for c in machine.components}
+            values = quantities.read_values(table, unit_of, location)
         values |= state.resolved.wanted_accuracy
     return np.array([values.get(name, np.nan) for name in names])
 

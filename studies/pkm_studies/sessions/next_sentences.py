@@ -163,8 +163,8 @@ def skips(advice: Advice) -> list[str]:
     count = len(advice.skipped)
     if not count:
         return []
-    words = "1 reading is" if count == 1 else f"{count} readings are"
-    return [f"{words} not advised: the file's remarks skip the pose."]
+    phrase = "1 reading is" if count == 1 else f"{count} readings are"
+    return [f"{phrase} not advised: the file's remarks skip the pose."]
 
 
 def _next(adviser: Adviser, advice: Advice) -> list[str]:

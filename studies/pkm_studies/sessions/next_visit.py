@@ -32,7 +32,7 @@ def visit_lines(study: Study, named: Path, folder: Path) -> list[str]:
             *gap.next,
         ]
     table = str(folder / VISIT)
-    words = ["diagnose", str(named), "--readings", table, "--after", str(folder)]
+    phrases = ["diagnose", str(named), "--readings", table, "--after", str(folder)]
     return [
         *visit.words,
         "",
@@ -41,7 +41,7 @@ def visit_lines(study: Study, named: Path, folder: Path) -> list[str]:
             for run, count in zip(visit.runs, visit.poses, strict=True)
         ),
         "",
-        f"Fill in {table}, then: oed {shlex.join(words)} --out DIR",
+        f"Fill in {table}, then: oed {shlex.join(phrases)} --out DIR",
     ]
 
 
@@ -58,8 +58,8 @@ def _diagnosis(study: Study, result: StudyResult, folder: Path) -> GapSection:
 
 
 def _condition(run: ChosenRun) -> str:
-    words = list(_words(run.condition))
-    return f" ({', '.join(words)})" if words else ""
+    phrase = list(_words(run.condition))
+    return f" ({', '.join(phrase)})" if phrase else ""
 
 
 def _words(condition: Mapping[str, float]) -> Iterator[str]:

@@ -93,23 +93,23 @@ def sentences(
 
 def earlier_sentences(machine: MachineInfo) -> list[str]:
     """What the controller holds, and where the prior comes from."""
-    words = []
+    phrases = []
     if machine.controller:
-        words.append(
+        phrases.append(
             f"The controller holds {machine.controller}: errors before compensation are"
             " those that it leaves."
         )
     if machine.earlier:
-        words.append(
+        phrases.append(
             f"The prior is the posterior of {machine.earlier}, not the tolerances."
         )
     if machine.fleet:
         count = len(machine.fleet)
-        words.append(
+        phrases.append(
             f"The prior is the mean and spread of {count} other"
             f" machine{'s' * (count > 1)}, not the tolerances."
         )
-    return words
+    return phrases
 
 
 def accuracy_sentences(result: StudyResult) -> list[str]:
@@ -232,7 +232,7 @@ def _wanted(result: StudyResult) -> list[str]:
     return [
         f"Wanted accuracy, predicted against wanted ({scopes}): {'; '.join(parts)}."
         + "".join(undriven)
-        + "".join(f" To decide: {words}." for words in decide)
+        + "".join(f" To decide: {phrase}." for phrase in decide)
     ]
 
 

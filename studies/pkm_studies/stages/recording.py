@@ -104,8 +104,8 @@ class _Case:
         """Effects of known form of some columns (k,)."""
         discrepancy = self.columns.discrepancy
         groups = np.unique(discrepancy.group[mask])
-        known = [self._groups[g] for g in groups if not discrepancy.unknown[g]]
-        return list(dict.fromkeys(name.split(": ")[0] for name in known))
+        group_names = [self._groups[g] for g in groups if not discrepancy.unknown[g]]
+        return list(dict.fromkeys(name.split(": ")[0] for name in group_names))
 
     def predict(self, recorded: Mask) -> list[RemainingError]:
         """Errors with the covariates of some columns (k,) recorded."""
@@ -224,9 +224,9 @@ def _readings(plan: PlanToRecord, problem: GapProblem) -> PlannedReadings:
     ).raw
     pose = np.zeros((*raw.shape[:2], len(free)))
     pose[:, :, : len(machine.parameters)] = raw
-    unknowns, known = int(free.sum()), len(plan.information)
+    unknowns, pieces = int(free.sum()), len(plan.information)
     information = np.eye(unknowns)
-    information[:known, :known] = plan.information
+    information[:pieces, :pieces] = plan.information
     return PlannedReadings(
         white=white[:, free],
         sigma=problem.sigma,
@@ -237,10 +237,10 @@ def _readings(plan: PlanToRecord, problem: GapProblem) -> PlannedReadings:
 
 def _covariates(plan: PlanToRecord, case: _Case) -> Iterator[_Choice]:
     """Direction, time, a repeated reference, and thermometers, as far as effects need them."""
-    for name, words in COVARIATES.items():
+    for name, phrase in COVARIATES.items():
         mask = case.needing(name)
         if mask.any():
-            yield _Choice(name, words, case.names(mask), case.predict(mask))
+            yield _Choice(name, phrase, case.names(mask), case.predict(mask))
     timed = case.needing(TIME)
     if timed.any():
         yield from _repeated_reference(plan, case.names(timed))
@@ -254,8 +254,8 @@ def _repeated_reference(
     """The first readings once more at the end, with the time of all readings."""
     first = plan.series[0].take(np.arange(min(REFERENCE, len(plan.series[0]))))
     more = _case(plan, plan.measurement, [*plan.series, first], len(first))
-    words = f"the time, and the first {len(first)} readings once more at the end"
-    yield _Choice("reference run", words, effects, more.predict(more.needing(TIME)))
+    phrase = f"the time, and the first {len(first)} readings once more at the end"
+    yield _Choice("reference run", phrase, effects, more.predict(more.needing(TIME)))
 
 
 def _thermometers(plan: PlanToRecord, case: _Case, effect: Effect) -> Iterator[_Choice]:
@@ -313,8 +313,8 @@ def _further(plan: PlanToRecord) -> Iterator[_Choice]:
     """Measurements that the plan leaves out, beside its own."""
     for name, (measurement, series) in plan.further.items():
         more = _case(plan, measurement, [*plan.series, *series])
-        words = f"{sum(map(len, series))} readings of {name} as well"
-        yield _Choice(name, words, [], more.predict(more.nothing))
+        phrase = f"{sum(map(len, series))} readings of {name} as well"
+        yield _Choice(name, phrase, [], more.predict(more.nothing))
 
 
 def _accuracy(plan: PlanToRecord, mean_squares: Array) -> dict[str, float]:

@@ -55,13 +55,13 @@ def write(
     name. Returns the result with the digests of the files. Raises InputError where one
     of the files cannot be written, once the others are.
     """
-    known = written_before(folder)
+    earlier_files = written_before(folder)
     written: dict[str, str] = {}
     names: dict[str, str] = {}
     refused: list[OSError] = []
     for name, text in _texts(result, state).items():
         with _collected(refused):
-            path = own_files.write_own(folder / name, text.encode(), known)
+            path = own_files.write_own(folder / name, text.encode(), earlier_files)
             written[path.name] = files.digest(text.encode())
             names[name] = path.name
     if isinstance(state, Fitted) and state.posterior is not None:
@@ -80,9 +80,9 @@ def write(
 
 def add_forecast(folder: Path, result: StudyResult, state: RunState) -> StudyResult:
     """Write the files of a forecast beside a result of the folder, which names them."""
-    known, written = written_before(folder), dict(result.written)
+    earlier_files, written = written_before(folder), dict(result.written)
     for name, text in state.forecast_files.items():
-        path = own_files.write_own(folder / name, text.encode(), known)
+        path = own_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
     result = msgspec.structs.replace(result, written=written)
     rewrite(folder, result)

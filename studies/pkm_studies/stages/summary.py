@@ -79,13 +79,13 @@ def accuracy_rows(
     if budget is None:
         return lines
     for worst in budget.unmodelled[:1]:
-        words = f"+ {worst.effect} of {worst.expected}, not in the model"
-        lines.append(AccuracyRow(words, worst.with_it))
+        phrase = f"+ {worst.effect} of {worst.expected}, not in the model"
+        lines.append(AccuracyRow(phrase, worst.with_it))
     if budget.usual is not None:
         lines += _usual_rows(budget.usual)
     units = shown_components(prediction)
-    for words, better in improvements(budget.lines, budget.predicted, units):
-        lines.append(AccuracyRow(f"with {words}", better))
+    for phrase, better in improvements(budget.lines, budget.predicted, units):
+        lines.append(AccuracyRow(f"with {phrase}", better))
     return lines
 
 
@@ -141,17 +141,17 @@ def lines(
     tabled = headline.accuracy_sentences(result)
     if above and result.plan is not None:
         tabled += [*plan_sentences(result.plan)[:1], " ".join(result.plan.needs)]
-    findings = [words for words in result.headline if words not in tabled]
+    findings = [phrases for phrases in result.headline if phrases not in tabled]
     rest = [*_warnings(result, folder), *_files(result, folder)]
     claims = [f"Claim {outcome.verdict(claim)}" for claim in result.claims]
     if verbose:
         return [*table, *findings, *rest, *claims]
     details = headline.detail_sentences(result)
-    shown = [words for words in findings if words not in details]
+    shown = [phrases for phrases in findings if phrases not in details]
     rest = [*_held_out(result), *rest, *_claims(result)]
     if _height([*table, *shown, *rest]) >= MOST_LINES:
         residuals = headline.fit_sentences(result)
-        shown = [words for words in shown if words not in residuals]
+        shown = [phrases for phrases in shown if phrases not in residuals]
     complete = len(findings) == len(shown) and not above and not result.claims
     more = [] if complete else ["--verbose prints every sentence and claim."]
     return [*table, *shown, *rest, *more]
@@ -169,20 +169,20 @@ def _held_out(result: StudyResult) -> list[str]:
         return []
     confirming = sum(section.verdict == "confirms" for section in sections)
     inside = sorted(round(100.0 * section.coverage) for section in sections)
-    words = f"{len(sections)} of {len(result.held_out)} channels agree with the fit"
-    words += f", {confirming or 'none'} of them better than with the nominal numbers"
+    phrase = f"{len(sections)} of {len(result.held_out)} channels agree with the fit"
+    phrase += f", {confirming or 'none'} of them better than with the nominal numbers"
     ends = dict.fromkeys((inside[0], inside[-1]))
     shares = " to ".join(map(str, ends))
     return [
-        f"Held-out readings: {words}; {shares} % of each are inside the predicted 95 %."
+        f"Held-out readings: {phrase}; {shares} % of each are inside the predicted 95 %."
     ]
 
 
 def _warnings(result: StudyResult, folder: Path) -> list[str]:
     """Warnings that the headline does not state, and files that stay."""
-    stated = [words for words in result.warnings if words not in result.headline]
+    stated = [phrases for phrases in result.warnings if phrases not in result.headline]
     sentences = [*stated, *result_folder.changed_files(folder)]
-    return [f"Warning: {_sentence(words)}" for words in sentences]
+    return [f"Warning: {_sentence(phrases)}" for phrases in sentences]
 
 
 def _files(result: StudyResult, folder: Path) -> list[str]:

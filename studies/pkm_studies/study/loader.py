@@ -110,23 +110,23 @@ def _check_tables(study: StudyFile, location: Location) -> None:
     names = [s.name for s in study.setup]
     for i, name in enumerate(names):
         if name in names[:i]:
-            at = location.key("setup").item(i).key("name")
-            raise at.error("used twice", "give each set-up its own name", name)
+            field = location.key("setup").item(i).key("name")
+            raise field.error("used twice", "give each set-up its own name", name)
     for name, claim in study.expect.items():
         if (claim.equals, claim.min, claim.max, claim.contains) == (None,) * 4:
-            at = location.key("expect").key(name)
-            raise at.error("claims nothing", "add equals, min, max or contains")
+            field = location.key("expect").key(name)
+            raise field.error("claims nothing", "add equals, min, max or contains")
     if study.readings is not None:
         _check_readings(study.readings, location.key("readings"))
 
 
 def _check_readings(table: ReadingsTable, location: Location) -> None:
-    given = {
+    stated = {
         "files": table.files,
         "source": table.source,
         "simulate": table.simulate,
     }
-    sources = [name for name, value in given.items() if value]
+    sources = [name for name, value in stated.items() if value]
     if len(sources) != 1:
         problem = "it does not say where readings come from"
         if sources:

@@ -37,12 +37,12 @@ def with_setting(study: Study, setting: Mapping[str, Any], location: Location) -
 def _assign(tables: Any, field: str, value: Any, location: Location) -> None:
     """Set a field of nested tables, addressed by keys and names of list entries."""
     *way, last = field.split(".")
-    at = tables
+    entry = tables
     for key in way:
-        at = _entry(at, key, location)
-    if not isinstance(at, dict):
+        entry = _entry(entry, key, location)
+    if not isinstance(entry, dict):
         raise location.error("this is no field of a table", "name a field of the study")
-    at[last] = value
+    entry[last] = value
 
 
 def _entry(at: Any, key: str, location: Location) -> Any:

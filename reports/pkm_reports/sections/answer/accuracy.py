@@ -200,10 +200,10 @@ def _limit_cells(name: str, judged: Mapping[str, WantedVerdict]) -> list[str]:
     if name not in judged:
         return [text.MISSING] * len(LIMIT_COLUMNS)
     stated = judged[name]
-    words = text.VERDICTS[stated.judgement]
+    phrase = text.VERDICTS[stated.judgement]
     if stated.judgement == "pass":
-        words += ", confirmed" if stated.confirmed else ", predicted"
-    return [text.number(stated.wanted), percent(stated.probability), words]
+        phrase += ", confirmed" if stated.confirmed else ", predicted"
+    return [text.number(stated.wanted), percent(stated.probability), phrase]
 
 
 def _caption(prediction: PredictionSection, judged: Mapping[str, WantedVerdict]) -> str:
@@ -218,7 +218,7 @@ def _caption(prediction: PredictionSection, judged: Mapping[str, WantedVerdict])
         f"Within: probability that the machine keeps what is wanted, {scopes}; it passes"
         f" from {text.percent(SURE)} on. What no drive corrects is judged by its unknown"
         " part.",
-        *(f"To decide: {text.sentence(words)}" for words in decide),
+        *(f"To decide: {text.sentence(phrase)}" for phrase in decide),
     ]
     return " ".join(sentences)
 
@@ -294,8 +294,8 @@ def _worst_case(prediction: PredictionSection) -> list[Block]:
     ]
     if not worst:
         return []
-    words = "Largest error over the workspace, which 95 % of such machines stay below"
-    return [Paragraph(f"{words}: {text.listing(worst)}.")]
+    phrase = "Largest error over the workspace, which 95 % of such machines stay below"
+    return [Paragraph(f"{phrase}: {text.listing(worst)}.")]
 
 
 def _largest(spread: SpreadRecord) -> str:

@@ -124,10 +124,10 @@ def own_size(effect: str, corrected: CorrectedSection | None) -> str:
         if e.effect == effect and abs(e.value) > CLEAR * e.sd and not e.shape
     }
     order = sorted(clear, key=lambda name: -abs(clear[name].value))
-    words = [_coefficient(name, clear[name]) for name in order[:MOST_COEFFICIENTS]]
+    phrases = [_coefficient(name, clear[name]) for name in order[:MOST_COEFFICIENTS]]
     if len(order) > MOST_COEFFICIENTS:
-        words.append(f"{len(order) - MOST_COEFFICIENTS} smaller")
-    return text.listing(words)
+        phrases.append(f"{len(order) - MOST_COEFFICIENTS} smaller")
+    return text.listing(phrases)
 
 
 def _coefficient(name: str, estimate: EffectEstimate) -> str:
@@ -145,8 +145,8 @@ def _remains(gap: GapSection) -> str:
             f"{name} {text.in_unit_of(name, rms, gap.units)}"
             for name, rms in gap.rms_before.items()
         ]
-        words = f"What calibration leaves, rms: {'; '.join(sizes)}."
-        return " ".join([words, *text.sentences(gap.noise)])
+        phrase = f"What calibration leaves, rms: {'; '.join(sizes)}."
+        return " ".join([phrase, *text.sentences(gap.noise)])
     parts = []
     for name, before in gap.rms_before.items():
         after = missing.entry(gap.rms_after, name)
@@ -155,5 +155,5 @@ def _remains(gap: GapSection) -> str:
             f" {text.in_unit_of(name, after, gap.units)} after"
         )
         parts.append(change)
-    words = f"What remains with these causes in the model, rms: {'; '.join(parts)}."
-    return " ".join([words, *text.sentences(gap.noise)])
+    phrase = f"What remains with these causes in the model, rms: {'; '.join(parts)}."
+    return " ".join([phrase, *text.sentences(gap.noise)])

@@ -26,11 +26,11 @@ def blocks(result: StudyResult) -> list[Block]:
 
 
 def _scheduled(plan: PlanSection) -> str:
-    words = f"{wording.minutes(plan.cost)}{wording.of_budget(plan)}"
-    words += f" for {text.count(len(plan.stages), 'stage')}"
+    phrase = f"{wording.minutes(plan.cost)}{wording.of_budget(plan)}"
+    phrase += f" for {text.count(len(plan.stages), 'stage')}"
     if plan.price:
-        words += f", at a price of {text.trimmed(plan.price)}"
-    return f"{words}."
+        phrase += f", at a price of {text.trimmed(plan.price)}"
+    return f"{phrase}."
 
 
 def _designed(design: DesignSection) -> str:

@@ -77,11 +77,11 @@ def _machine(result: StudyResult) -> list[tuple[str, str]]:
 
 def _instruments(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
     described = {setup.instrument: setup.about for setup in setups}
-    words = [
+    phrases = [
         text.sentence(about or name.replace("_", " "))
         for name, about in described.items()
     ]
-    return [("Instrument", " ".join(words))] if words else []
+    return [("Instrument", " ".join(phrases))] if phrases else []
 
 
 def _setups(setups: Sequence[SetupInfo]) -> list[tuple[str, str]]:
@@ -104,10 +104,10 @@ def _settings(setup: SetupInfo) -> str:
 def _readings(result: StudyResult) -> list[tuple[str, str]]:
     design = result.design
     if design is not None:
-        words = f"{design.n}"
+        phrase = f"{design.n}"
         if design.candidates:
-            words += f", chosen from {design.candidates} candidates"
-        return [("Readings", f"{words}.")]
+            phrase += f", chosen from {design.candidates} candidates"
+        return [("Readings", f"{phrase}.")]
     if has_schedule(result.plan) or result.estimate is None:
         return []
     values = text.count(result.estimate.readings, "value")

@@ -44,7 +44,7 @@ def _count(section: IdentifiabilitySection) -> str:
 
 
 def _finding(finding: IdentifiabilityFinding) -> str:
-    words = text.sentence(finding.text)
+    phrase = text.sentence(finding.text)
     if not finding.remedies:
-        return words
-    return f"{words} What helps: {'; '.join(finding.remedies[:MOST])}."
+        return phrase
+    return f"{phrase} What helps: {'; '.join(finding.remedies[:MOST])}."

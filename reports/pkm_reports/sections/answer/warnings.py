@@ -22,7 +22,7 @@ def blocks(result: StudyResult) -> list[Block]:
     sentences = list(dict.fromkeys(map(text.sentence, ranked(result))))
     if not sentences:
         return [Paragraph("The study has no warnings.")]
-    return [Notice(words) for words in sentences]
+    return [Notice(sentence) for sentence in sentences]
 
 
 def ranked(result: StudyResult) -> Iterator[str]:

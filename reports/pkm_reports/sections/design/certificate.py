@@ -83,8 +83,8 @@ def criterion_value(criterion: str, value: Number) -> str:
 def _facts(design: DesignSection) -> Iterator[tuple[str, str]]:
     """Name and value of all that is stored; what is missing has an empty value."""
     criterion, setups = design.criterion, design.setups
-    known = criterion in MEANING
-    yield "Criterion", f"{criterion}: {MEANING[criterion]}" if known else criterion
+    explained = criterion in MEANING
+    yield "Criterion", f"{criterion}: {MEANING[criterion]}" if explained else criterion
     yield "Shares", _shares(design)
     yield "Value", criterion_value(criterion, design.value)
     yield "Bound", _bound(design)

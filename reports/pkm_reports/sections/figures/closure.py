@@ -63,8 +63,8 @@ def _drawing(figure: Figure, closure: ClosestClosure, joints: list[str]) -> None
     ends = units.from_si(closure.nearest.struts[:, 0], "mm")
     azimuth = scene.clearest_azimuth(ends) if len(ends) else scene.AZIMUTHS[0]
     x, y, right, top = DRAWING
-    place = (x, y, right - x, top - y)
-    axes: Any = figure.add_axes(place, projection="3d", proj_type="ortho")
+    bounds = (x, y, right - x, top - y)
+    axes: Any = figure.add_axes(bounds, projection="3d", proj_type="ortho")
     for shape, look in (
         (closure.guess, GUESS_LOOK),
         (closure.nearest, NEAREST_LOOK),
@@ -152,8 +152,8 @@ def _bars(axes: Axes, closure: ClosestClosure) -> None:
     for k in rows:
         _amount(axes, guess[k], k - 0.19, style.GREY)
         closes = k not in closure.still_open
-        words = "closes" if closes else _words(nearest[k])
-        _amount(axes, 0.0 if closes else nearest[k], k + 0.19, colours[k], words)
+        phrase = "closes" if closes else _words(nearest[k])
+        _amount(axes, 0.0 if closes else nearest[k], k + 0.19, colours[k], phrase)
     names = [_name(k, closure.joints[k]) for k in rows]
     style.fixed_ticks(axes, "y", list(map(float, rows)), names)
     axes.set_xlabel("missed by [m or rad]")
@@ -162,12 +162,12 @@ def _bars(axes: Axes, closure: ClosestClosure) -> None:
 
 
 def _amount(
-    axes: Axes, value: float, row: float, colour: str, words: str | None = None
+    axes: Axes, value: float, row: float, colour: str, phrase: str | None = None
 ) -> None:
     """A number at the end of its bar."""
     look: Any = {"va": "center", "fontsize": 7, "color": colour}
     end = float(np.nan_to_num(value))
-    axes.text(end, row, f" {_words(value) if words is None else words}", **look)
+    axes.text(end, row, f" {_words(value) if phrase is None else phrase}", **look)
 
 
 def _words(value: float) -> str:

@@ -102,9 +102,9 @@ def _histogram(axes: Axes, x: Array, limits: Limits) -> None:
         density=True,
         **look,
     )
-    at = np.linspace(*limits, 120)
-    prior = np.exp(-(at**2) / 2.0) / np.sqrt(2.0 * np.pi)
-    axes.plot(at, prior, color=style.GREY, lw=1.1)
+    grid = np.linspace(*limits, 120)
+    prior = np.exp(-(grid**2) / 2.0) / np.sqrt(2.0 * np.pi)
+    axes.plot(grid, prior, color=style.GREY, lw=1.1)
     axes.set_xlim(limits)
     axes.yaxis.set_visible(False)
     axes.spines["left"].set_visible(False)

@@ -130,8 +130,8 @@ def _write_percentages(axes: Axes, table: Array, low: float) -> None:
     """Percentages in the cells; a dash where there is none."""
     for (i, j), share in np.ndenumerate(table):
         dark = (share - low) / (1.0 - low) > DARK
-        known = style.INK if np.isfinite(share) else style.GREY
+        ink = style.INK if np.isfinite(share) else style.GREY
         letters: Any = {"ha": "center", "va": "center", "fontsize": 7.5}
-        letters["color"] = "white" if dark else known
+        letters["color"] = "white" if dark else ink
         letters["fontweight"] = "bold" if i == j else "normal"
         axes.text(j, i, text.percent(share), **letters)

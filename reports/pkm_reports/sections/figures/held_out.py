@@ -30,19 +30,19 @@ def draw(sets: Sequence[HeldOutSection]) -> Figure:
 def _panel(axes: Axes, entry: HeldOutSection) -> None:
     residuals = missing.array(entry.residuals)
     half = np.resize(missing.array(entry.half_widths or [None]), len(residuals))
-    at = np.arange(1, len(residuals) + 1)
+    number = np.arange(1, len(residuals) + 1)
     inside = ~(np.abs(residuals) > half)
-    bars: Any = {"color": style.LIGHT, "lw": min(7.0, 200.0 / len(at))}
-    axes.vlines(at, -half, half, label="95 % predictive interval", **bars)
+    bars: Any = {"color": style.LIGHT, "lw": min(7.0, 200.0 / len(number))}
+    axes.vlines(number, -half, half, label="95 % predictive interval", **bars)
     axes.plot(
-        at[inside],
+        number[inside],
         residuals[inside],
         "o",
         color=style.BLUE,
         label="inside",
     )
     cross: Any = {"color": style.RED, "ms": 5, "label": "outside"}
-    axes.plot(at[~inside], residuals[~inside], "X", **cross)
+    axes.plot(number[~inside], residuals[~inside], "X", **cross)
     axes.axhline(0.0, color=style.INK, lw=0.7)
     axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
     axes.set_title(style.label(f"{entry.name}: {entry.channel}", 70))

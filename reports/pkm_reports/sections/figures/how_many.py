@@ -105,5 +105,5 @@ def _ticks(sizes: Array) -> Sequence[float]:
     if len(sizes) <= MOST_TICKS:
         return [float(n) for n in sizes]
     places = np.geomspace(sizes[0], sizes[-1], MOST_TICKS)
-    nearest = [int(np.argmin(np.abs(np.log(sizes / place)))) for place in places]
+    nearest = [int(np.argmin(np.abs(np.log(sizes / size)))) for size in places]
     return sorted({float(sizes[k]) for k in nearest})

@@ -52,27 +52,27 @@ def _panel(axes: Axes, entry: KappaMap) -> None:
             label=label,
         )
         if np.isfinite(kappa).any():
-            at = int(np.nanargmin(kappa))
+            smallest = int(np.nanargmin(kappa))
             ring: Any = {
                 "ms": 9,
                 "mfc": "none",
                 "mec": colour,
                 "mew": 1.2,
             }
-            axes.plot(n[at], kappa[at], "o", **ring)
+            axes.plot(n[smallest], kappa[smallest], "o", **ring)
     low, high = float(np.nanmin(table)), float(np.nanmax(table))
     axes.set_ylim(0.8 * low, min(CUT * low, 1.25 * high))
     style.log_axis(axes, "y")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=8))
     axes.set(xlabel="points on each circle, n", ylabel="condition number κ")
     axes.set_title(style.label(entry.title, 44))
-    place: Any = {"loc": "upper center", "bbox_to_anchor": (0.48, -0.2)}
-    axes.legend(ncols=2, handlelength=1.6, columnspacing=1.2, **place)
+    legend: Any = {"loc": "upper center", "bbox_to_anchor": (0.48, -0.2)}
+    axes.legend(ncols=2, handlelength=1.6, columnspacing=1.2, **legend)
 
 
 def _smallest(n: Array, kappa: Array) -> str:
     """Smallest value of a line and where it is."""
     if not np.isfinite(kappa).any():
         return "not finite"
-    at = int(np.nanargmin(kappa))
-    return f"{text.number(kappa[at], 4)} at n = {n[at]:.0f}"
+    smallest = int(np.nanargmin(kappa))
+    return f"{text.number(kappa[smallest], 4)} at n = {n[smallest]:.0f}"

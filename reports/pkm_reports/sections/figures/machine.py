@@ -128,8 +128,8 @@ def _labelled(
     axes = panel(figure, room, alone, scene.box_around(cloud), azimuth)
     white: Any = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 0.4}
     look: Any = {"fontsize": 6.5, "color": style.BLUE, "bbox": white, "ha": "center"}
-    for place, label in zip(places, labels, strict=True):
-        axes.text(*place, style.label(label.text, 24), **look)
+    for position, label in zip(places, labels, strict=True):
+        axes.text(*position, style.label(label.text, 24), **look)
 
 
 def _setup_of_each(drawing: Drawing, count: int) -> list[str]:
@@ -145,8 +145,8 @@ def panel(
     azimuth: float = scene.VIEW["azim"],
 ) -> Any:
     """Draw a scene inside a box; the axes fill a rectangle of the figure."""
-    place = (room[0], room[1], room[2] - room[0], room[3] - room[1])
-    axes: Any = figure.add_axes(place, projection="3d", proj_type="ortho")
+    bounds = (room[0], room[1], room[2] - room[0], room[3] - room[1])
+    axes: Any = figure.add_axes(bounds, projection="3d", proj_type="ortho")
     colours = style.colours(shown.setups)
     for setup, bar in zip(shown.setups, shown.bars, strict=False):
         ends = _inside(bar, box)
@@ -199,8 +199,8 @@ def _inside(line: Array, box: Box) -> Array:
     if len(line) < 2 or (np.all(line >= low) and np.all(line <= high)):
         return line
     corners = np.arange(len(line))
-    at = np.linspace(0.0, len(line) - 1.0, 1 + STEPS * (len(line) - 1))
-    fine = np.column_stack([np.interp(at, corners, x) for x in line.T])
+    grid = np.linspace(0.0, len(line) - 1.0, 1 + STEPS * (len(line) - 1))
+    fine = np.column_stack([np.interp(grid, corners, x) for x in line.T])
     inside = (fine >= low) & (fine <= high)
     fine[~inside.all(axis=1)] = np.nan
     return fine

@@ -149,7 +149,7 @@ def _draw_limits(axes: Axes, plan: PlanSection) -> None:
 def _draw_sequences(axes: Axes, compared: Sequence[SequenceRecord]) -> None:
     """Sequences that the study asked for, each with the bound of its time below it."""
     for k, record in enumerate(compared):
-        place = points([record.sequence])
+        point = points([record.sequence])
         look: Any = {
             "marker": "DsP^vX"[k % 6],
             "ls": "",
@@ -158,7 +158,7 @@ def _draw_sequences(axes: Axes, compared: Sequence[SequenceRecord]) -> None:
         }
         look |= {"color": style.CYCLE[(k + 2) % len(style.CYCLE)], "mec": style.INK}
         axes.plot(
-            *place.T,
+            *point.T,
             label=style.label(f"sequence {record.name}", 48),
             **look,
         )
@@ -166,7 +166,7 @@ def _draw_sequences(axes: Axes, compared: Sequence[SequenceRecord]) -> None:
             label = "bound of a sequence's time" if k == len(compared) - 1 else None
             dash: Any = {"color": style.INK, "ms": 10, "mew": 1.4}
             axes.plot(
-                place[:, 0],
+                point[:, 0],
                 [record.bound],
                 "_",
                 label=label,

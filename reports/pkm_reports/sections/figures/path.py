@@ -133,8 +133,8 @@ def choose_plane(poses: Sequence[PlannedReading]) -> Plane | None:
     return _plane((first, second), np.column_stack([table[first], table[second]]))
 
 
-def _plane(names: tuple[str, str], at: Array) -> Plane:
-    low, high = np.nanmin(at, axis=0), np.nanmax(at, axis=0)
+def _plane(names: tuple[str, str], points: Array) -> Plane:
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     span = high - low
     turn = np.array([_full_turn(name) for name in names])
     turn[(span <= FULL_TURN / 2.0) | (span > FULL_TURN)] = np.inf
@@ -142,7 +142,7 @@ def _plane(names: tuple[str, str], at: Array) -> Plane:
     around = (FULL_TURN - span) / 2.0
     margin = np.where(span > 0.0, 0.07 * span, 1.0)
     room = np.where(np.isfinite(turn), around, margin)
-    return Plane(names, at, turn, np.array([low - room, high + room]))
+    return Plane(names, points, turn, np.array([low - room, high + room]))
 
 
 def _full_turn(name: str) -> float:
@@ -208,12 +208,12 @@ def _numbers_by_place(
     plane: Plane, group: Index
 ) -> Mapping[tuple[float, float], list[int]]:
     """Numbers of the readings at each place, first and last reading's places first."""
-    known = [int(k) for k in group if np.isfinite(plane.at[k]).all()]
-    places = {k: tuple(plane.at[k].round(3).tolist()) for k in known}
+    finite = [int(k) for k in group if np.isfinite(plane.at[k]).all()]
+    places = {k: tuple(plane.at[k].round(3).tolist()) for k in finite}
     numbers: dict[tuple[float, float], list[int]] = {
-        places[k]: [] for k in [*known[:1], *known[-1:], *known]
+        places[k]: [] for k in [*finite[:1], *finite[-1:], *finite]
     }
-    for k in known:
+    for k in finite:
         numbers[places[k]].append(k + 1)
     return numbers
 
@@ -228,21 +228,21 @@ def write(
     points = POINTS_PER_INCH / axes.figure.dpi
     corners = axes.bbox.get_points() * points
     taken: list[tuple[Array, Array]] = []
-    for place, readings in numbers.items():
+    for point, readings in numbers.items():
         axes.plot(
-            *place,
+            *point,
             "o",
             color=colour,
             ms=2.4,
             zorder=2,
         )
-        words = _joined(readings)
-        half = LETTER_SIZE * np.array([FRAME + LETTER * len(words), HALF_HEIGHT])
-        at = np.asarray(axes.transData.transform(place)) * points
-        centre = _free_centre(at, half, corners, taken)
+        phrase = _joined(readings)
+        half = LETTER_SIZE * np.array([FRAME + LETTER * len(phrase), HALF_HEIGHT])
+        pixel = np.asarray(axes.transData.transform(point)) * points
+        centre = _free_centre(pixel, half, corners, taken)
         if centre is not None:
             taken.append((centre, half))
-            _annotate(axes, words, place, centre - at, colour)
+            _annotate(axes, phrase, point, centre - pixel, colour)
 
 
 def _joined(readings: Sequence[int]) -> str:
@@ -254,12 +254,12 @@ def _joined(readings: Sequence[int]) -> str:
 
 
 def _free_centre(
-    at: Array, half: Array, corners: Array, taken: Sequence[tuple[Array, Array]]
+    point: Array, half: Array, corners: Array, taken: Sequence[tuple[Array, Array]]
 ) -> Array | None:
     """The first centre about a place where a label covers no other, in points."""
     middle, room = corners.mean(axis=0), np.ptp(corners, axis=0) / 2.0
     for offset in OFFSETS:
-        centre = at + DISTANCE * half * offset
+        centre = point + DISTANCE * half * offset
         outside = offset.any() and (np.abs(centre - middle) > room).any()
         if not outside and not _covered(centre, half, taken):
             return np.asarray(centre)
@@ -278,7 +278,7 @@ def _covered(
 
 
 def _annotate(
-    axes: Axes, words: str, place: tuple[float, float], shift: Array, colour: str
+    axes: Axes, phrase: str, point: tuple[float, float], shift: Array, colour: str
 ) -> None:
     frame: Any = {
         "boxstyle": "round,pad=0.18",
@@ -289,5 +289,5 @@ def _annotate(
     look: Any = {"fontsize": LETTER_SIZE, "annotation_clip": False, "zorder": 3}
     look |= {"ha": "center", "va": "center", "bbox": frame}
     offset: Any = tuple(shift)
-    note = axes.annotate(words, place, offset, textcoords="offset points", **look)
+    note = axes.annotate(phrase, point, offset, textcoords="offset points", **look)
     note.set_in_layout(False)

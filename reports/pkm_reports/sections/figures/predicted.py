@@ -37,8 +37,8 @@ def draw(plans: Sequence[PlanScore]) -> Figure:
         of_unit = f" [{text.unit_symbol(unit)}]" if unit else ""
         axes.set_xlabel(f"predicted rms error{of_unit}")
     handles, names = panels[0].get_legend_handles_labels()
-    place: Any = {"loc": "outside lower center", "ncols": columns}
-    figure.legend(handles[::-1], names[::-1], **place)
+    legend: Any = {"loc": "outside lower center", "ncols": columns}
+    figure.legend(handles[::-1], names[::-1], **legend)
     return figure
 
 
@@ -53,12 +53,12 @@ def _panel(
     tables = [plan.predicted for plan in plans]
     rms = np.column_stack([missing.column(tables, key) for key in keys])
     rms[~(rms > 0.0)] = np.nan
-    at = np.arange(len(keys))
-    known = np.isfinite(rms).any(axis=0)
-    least = np.nanmin(rms[:, known], axis=0)
-    most = np.nanmax(rms[:, known], axis=0)
+    rows = np.arange(len(keys))
+    finite = np.isfinite(rms).any(axis=0)
+    least = np.nanmin(rms[:, finite], axis=0)
+    most = np.nanmax(rms[:, finite], axis=0)
     axes.hlines(
-        at[known],
+        rows[finite],
         least,
         most,
         color=style.LIGHT,
@@ -71,13 +71,13 @@ def _panel(
         look |= {"mec": "white", "mew": 0.4, "zorder": 4.0 - 0.1 * k}
         axes.plot(
             rms[k],
-            at,
+            rows,
             label=labels[k],
             **look,
         )
-    if known.any():
+    if finite.any():
         axes.set_xlim(float(least.min()) / 1.35, 1.35 * float(most.max()))
     style.log_axis(axes, "x")
     stems = [text.split_unit(key)[0] for key in keys]
-    style.fixed_ticks(axes, "y", at.tolist(), stems)
+    style.fixed_ticks(axes, "y", rows.tolist(), stems)
     axes.set_ylim(len(keys) - 0.5, -0.5)

@@ -45,9 +45,9 @@ def _panel(
     values: Array,
     colour: str,
 ) -> None:
-    at = np.arange(1, len(values) + 1)
+    number = np.arange(1, len(values) + 1)
     axes.vlines(
-        at,
+        number,
         0.0,
         values,
         color=colour,
@@ -55,10 +55,10 @@ def _panel(
         alpha=0.6,
     )
     axes.plot(
-        at,
+        number,
         values,
         "o",
-        ms=2.6 if len(at) > MANY else 3.6,
+        ms=2.6 if len(number) > MANY else 3.6,
         color=colour,
     )
     axes.axhline(0.0, color=style.INK, lw=0.7)

@@ -20,10 +20,10 @@ def draw(robust: RobustSummary) -> Figure:
     """Share of the scenarios in which a plan is worth no more than so much."""
     values = missing.array(robust.values)
     nominal = missing.array(robust.nominal_values)
-    known = [v for v in (values, nominal) if np.isfinite(v).any()]
-    if not known:
+    finite = [v for v in (values, nominal) if np.isfinite(v).any()]
+    if not finite:
         return style.empty("No values of the scenarios are stored in this result.")
-    best = max(float(np.nanmax(v)) for v in known)
+    best = max(float(np.nanmax(v)) for v in finite)
     figure = style.figure(2.7)
     axes = figure.subplots()
     if robust.risk == "cvar" and 0.0 < robust.level < 1.0:

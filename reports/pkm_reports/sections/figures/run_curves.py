@@ -60,17 +60,17 @@ def _largest(values: Array) -> float:
 
 
 def _row(row: Sequence[Axes], curve: RunCurve) -> None:
-    at = missing.array(curve.at)
+    along = missing.array(curve.at)
     measured, predicted = missing.array(curve.measured), missing.array(curve.predicted)
     half = missing.array(curve.half_widths)
-    _predicted(row[0], at, predicted, half)
-    _measured(row[0], at, measured)
-    _band(row[1], at, np.zeros(len(at)), half)
-    _measured(row[1], at, measured - predicted)
+    _predicted(row[0], along, predicted, half)
+    _measured(row[0], along, measured)
+    _band(row[1], along, np.zeros(len(along)), half)
+    _measured(row[1], along, measured - predicted)
     if curve.compensated:
         remaining = missing.array(curve.compensated)
         half_after = missing.array(curve.compensated_half_widths)
-        _predicted(row[2], at, remaining, half_after)
+        _predicted(row[2], along, remaining, half_after)
     elif len(row) > 2:
         style.hide(row[2:])
     for axes in row:
@@ -84,19 +84,21 @@ def _row(row: Sequence[Axes], curve: RunCurve) -> None:
     row[0].set_ylabel(f"{name}\n{curve.channel} [{text.unit_symbol(curve.unit)}]")
 
 
-def _measured(axes: Axes, at: Array, values: Array) -> None:
+def _measured(axes: Axes, along: Array, values: Array) -> None:
     look: Any = {"ls": "", "marker": "o", "color": style.BLUE}
-    axes.plot(at, values, ms=2.6 if len(at) <= FEW else 1.4, label="measured", **look)
+    axes.plot(
+        along, values, ms=2.6 if len(along) <= FEW else 1.4, label="measured", **look
+    )
 
 
-def _predicted(axes: Axes, at: Array, values: Array, half: Array) -> None:
-    _band(axes, at, values, half)
-    axes.plot(at, values, color=style.ORANGE, lw=1.1, label="predicted")
+def _predicted(axes: Axes, along: Array, values: Array, half: Array) -> None:
+    _band(axes, along, values, half)
+    axes.plot(along, values, color=style.ORANGE, lw=1.1, label="predicted")
 
 
-def _band(axes: Axes, at: Array, values: Array, half: Array) -> None:
+def _band(axes: Axes, along: Array, values: Array, half: Array) -> None:
     look: Any = {"color": style.LIGHT, "lw": 0.0, "label": INTERVAL}
-    axes.fill_between(at, values - half, values + half, **look)
+    axes.fill_between(along, values - half, values + half, **look)
 
 
 # -- in words --------------------------------------------------------------------------

@@ -99,11 +99,11 @@ def fit_to(
     for _ in range(FITTING_STEPS):
         figure.draw_without_rendering()
         (x0, y0), (x1, y1) = _extent(figure, axes, box, canvas.get_renderer())
-        place = axes.get_position()
+        bounds = axes.get_position()
         scale = min(wanted / [x1 - x0, y1 - y0])
         centre = np.array([x0 + x1, y0 + y1]) / 2.0
-        corner = middle + scale * (np.array([place.x0, place.y0]) - centre)
-        axes.set_position((*corner, scale * place.width, scale * place.height))
+        corner = middle + scale * (np.array([bounds.x0, bounds.y0]) - centre)
+        axes.set_position((*corner, scale * bounds.width, scale * bounds.height))
 
 
 def _extent(

@@ -55,11 +55,11 @@ def _bar(
     bar: Any = {"color": style.SKY, "label": "mounting and reading"}
     axes.barh(k, end - begin, 0.6, left=begin, **bar)
     readings = text.count(stage.readings, "reading")
-    words = f"{readings}, {text.number(end - begin)} min"
+    phrase = f"{readings}, {text.number(end - begin)} min"
     letters: Any = {"va": "center", "fontsize": 7}
     if end <= LATE * right:
-        axes.text(end, k, f" {words}", ha="left", **letters)
+        axes.text(end, k, f" {phrase}", ha="left", **letters)
     elif begin > ROOM_BEFORE * right:
-        axes.text(begin, k, f"{words} ", ha="right", **letters)
+        axes.text(begin, k, f"{phrase} ", ha="right", **letters)
     else:
-        axes.text(begin, k, f" {words}", ha="left", **letters)
+        axes.text(begin, k, f" {phrase}", ha="left", **letters)

@@ -194,14 +194,14 @@ def _along_one_command(
     prediction: PredictionSection, commands: Mapping[str, Array], names: Sequence[str]
 ) -> Figure:
     """The error of a machine with one command, along that command."""
-    ((command, at),) = commands.items()
+    ((command, values),) = commands.items()
     figure = style.figure(2.4)
     axes = figure.subplots()
-    order = np.argsort(at)
+    order = np.argsort(values)
     for name in names:
         unit = text.unit_symbol(prediction.components[name].after.unit)
         label = style.label(f"{name} [{unit}]")
-        axes.plot(at[order], errors(prediction, name)[order], "o-", label=label)
+        axes.plot(values[order], errors(prediction, name)[order], "o-", label=label)
     axes.set(xlabel=text.heading(command), ylabel="error after compensation")
     axes.legend()
     return figure

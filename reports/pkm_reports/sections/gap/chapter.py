@@ -117,14 +117,14 @@ def _places(gap: GapSection) -> list[Block]:
         " that the place holds no more than it would if the gap were spread evenly over"
         " all legs, or all readings. One gap lies in several places at once."
     )
-    marks = ["chosen" if place.p_value < SIGNIFICANT else "" for place in places]
+    marks = ["chosen" if record.p_value < SIGNIFICANT else "" for record in places]
     return [Table(columns, rows, caption, marks)]
 
 
-def _place(place: PlaceRecord) -> str:
+def _place(record: PlaceRecord) -> str:
     """A place, and the one of another kind that has the same readings."""
-    name = _name(place.block)
-    return f"{name} (the same as {_name(place.same_as)})" if place.same_as else name
+    name = _name(record.block)
+    return f"{name} (the same as {_name(record.same_as)})" if record.same_as else name
 
 
 def _name(block: str) -> str:

@@ -30,15 +30,17 @@ def table(
     runs: Sequence[ChosenRun], title: str, cells: Sequence[str], caption: str
 ) -> Table:
     """Set-up, run and conditions of each run, and a further column of a title."""
-    known = [name for name in CONDITIONS if any(name in run.condition for run in runs)]
-    titles = [CONDITIONS[name][0] for name in known]
+    conditions = [
+        name for name in CONDITIONS if any(name in run.condition for run in runs)
+    ]
+    titles = [CONDITIONS[name][0] for name in conditions]
     columns = [
         TableColumn("Set-up"),
         wide_column("Run"),
         *number_columns(*titles, title),
     ]
     rows = [
-        [run.setup, run.run, *[_condition(run, name) for name in known], cell]
+        [run.setup, run.run, *[_condition(run, name) for name in conditions], cell]
         for run, cell in zip(runs, cells, strict=True)
     ]
     return Table(columns, rows, caption)

@@ -46,8 +46,8 @@ def measurements(plan: AlternativePlan) -> str:
     """The measurements of a plan in order: rough tracker (12) → bar 300 (24)."""
     steps = []
     for k, name in enumerate(plan.names):
-        known = k < len(plan.readings)
-        steps.append(f"{name} ({plan.readings[k]})" if known else name)
+        has_readings = k < len(plan.readings)
+        steps.append(f"{name} ({plan.readings[k]})" if has_readings else name)
     return " → ".join(steps) or "no reading"
 
 

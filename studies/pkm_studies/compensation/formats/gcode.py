@@ -59,12 +59,12 @@ def write(compensation: Compensation) -> Texts:
 def _reading(
     number: int, pose: MeasuringPose, machine: Machine, axes: dict[str, str]
 ) -> list[str]:
-    words = [
+    phrases = [
         f"{axes[c.name]}{units.number(float(value), display_unit(c.unit)):.4f}"
         for c, value in zip(machine.command, pose.command, strict=True)
     ]
     return [
-        f"G1 {' '.join(words)} F{FEED}",
+        f"G1 {' '.join(phrases)} F{FEED}",
         f"G4 P{DWELL:g}",
         f"(reading {number}, run {_plain(pose.run)})",
     ]

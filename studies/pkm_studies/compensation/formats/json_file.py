@@ -95,35 +95,35 @@ def offset_names(compensation: Compensation) -> list[tuple[str, str]]:
 def columns_about(compensation: Compensation) -> dict[str, str]:
     """What each column of the table holds, in words."""
     machine = compensation.machine
-    words = {}
+    about = {}
     for c in machine.command:
-        words[column(c.name, c.unit)] = _about("command", c.about)
+        about[column(c.name, c.unit)] = _about("command", c.about)
     for c in machine.command:
-        words[column(f"corrected_{c.name}", c.unit)] = (
+        about[column(f"corrected_{c.name}", c.unit)] = (
             f"{c.name} to send instead, to a controller with the nominal model"
         )
     for joint in machine.joints:
-        words[column(joint.name, joint.unit)] = _about(
+        about[column(joint.name, joint.unit)] = _about(
             "joint that holds the command", joint.about
         )
     whole = ""
     if compensation.held:
         whole = f"; replaces what the controller holds ({compensation.held})"
     for joint in machine.joints:
-        words[column(f"correction_{joint.name}", joint.unit)] = (
+        about[column(f"correction_{joint.name}", joint.unit)] = (
             f"to add to {joint.name} of the nominal model; interpolate linearly{whole}"
         )
     axes = zip(offset_names(compensation), compensation.further.axes, strict=True)
     for (name, _), axis in axes:
-        words[name] = (
+        about[name] = (
             f"{axis.about}, that stays with these joints, actual less nominal; a further"
             " axis takes it back, a table with the workpiece follows it"
         )
-    return words
+    return about
 
 
-def _about(role: str, words: str) -> str:
-    return f"{role}: {words}" if words else role
+def _about(role: str, phrase: str) -> str:
+    return f"{role}: {phrase}" if phrase else role
 
 
 def grid_rows(compensation: Compensation) -> list[dict[str, Any]]:
@@ -155,12 +155,12 @@ def _in_unit(values: Array, si: str) -> list[float]:
 def joints(texts: Texts, compensation: Compensation) -> Array:
     """Joints of a controller that computes with these parameters."""
     parameters = json.loads(texts[".json"])["parameters"]
-    held = [
+    node_commands = [
         units.to_si(parameters[p.name]["value"], parameters[p.name]["unit"])
         for p in compensation.machine.parameters
     ]
     return compensated_joints(
-        compensation.kinematics, compensation.command, np.array(held)
+        compensation.kinematics, compensation.command, np.array(node_commands)
     )
 
 

@@ -58,13 +58,13 @@ def geometry(root: ET.Element, loops: list[list[str]]) -> Mapping[str, float]:
     for joint in root.iter("joint"):
         for child in joint.iter():
             for attribute in ("xyz", "rpy"):
-                words = (child.get(attribute) or "").split()
-                for k, word in enumerate(words):
+                cells = (child.get(attribute) or "").split()
+                for k, word in enumerate(cells):
                     label = f"{joint.get('name')}.{child.tag}.{attribute}.{k}"
                     numbers[label] = float(word)
     for row in loops:
-        for side, words in (("a", row[2:5]), ("b", row[6:9])):
-            numbers |= {f"{row[0]}.{side}.{k}": float(w) for k, w in enumerate(words)}
+        for side, cells in (("a", row[2:5]), ("b", row[6:9])):
+            numbers |= {f"{row[0]}.{side}.{k}": float(w) for k, w in enumerate(cells)}
     return numbers
 
 
@@ -109,7 +109,7 @@ class _LinkTree:
         parent: str,
         child: str,
         axis: Array,
-        at: Array,
+        anchor: Array,
         turn: Array | None = None,
         limits: tuple[float, float] | None = None,
     ) -> str:
@@ -118,7 +118,7 @@ class _LinkTree:
         ET.SubElement(joint, "parent", link=parent)
         ET.SubElement(joint, "child", link=child)
         angles = np.zeros(3) if turn is None else turn
-        ET.SubElement(joint, "origin", xyz=text_of(at), rpy=text_of(angles))
+        ET.SubElement(joint, "origin", xyz=text_of(anchor), rpy=text_of(angles))
         ET.SubElement(joint, "axis", xyz=text_of(axis))
         if limits is not None:
             low, high = (repr(v) for v in limits)
@@ -139,9 +139,11 @@ def _platform(tree: _LinkTree, machine: Machine, skeleton: PlatformOnLimbs) -> N
     for name in names:
         first, last = name == names[0], name == names[-1]
         child = TOOL if last and not turns else f"platform_{name}"
-        at = np.array(fixed) if first else np.zeros(3)
+        position = np.array(fixed) if first else np.zeros(3)
         axis = np.eye(3)["xyz".index(name)]
-        parent = tree.joint(name, "prismatic", parent, child, axis, at, limits=wide)
+        parent = tree.joint(
+            name, "prismatic", parent, child, axis, position, limits=wide
+        )
     if not turns:
         return
     angles = _roll_pitch_yaw(skeleton.rotation)
@@ -159,9 +161,13 @@ def _limb(tree: _LinkTree, limb: Limb, joint: Coordinate, k: int) -> tuple[str, 
     along, zero = limb.end - limb.start, -limb.joint * limb.axis
     swing = f"swing{k}a", f"swing{k}b"
     if limb.kind == LEG:
-        at = tree.joint(swing[0], "continuous", BASE, f"fork{k}", first, limb.start)
-        at = tree.joint(swing[1], "continuous", at, f"leg{k}", second, np.zeros(3))
-        drive = (joint.name, "prismatic", at, f"strut{k}", limb.axis, zero)
+        end_body = tree.joint(
+            swing[0], "continuous", BASE, f"fork{k}", first, limb.start
+        )
+        end_body = tree.joint(
+            swing[1], "continuous", end_body, f"leg{k}", second, np.zeros(3)
+        )
+        drive = (joint.name, "prismatic", end_body, f"strut{k}", limb.axis, zero)
         return tree.joint(*drive, limits=limits), along
     if limb.kind == CRANK:
         turn = _roll_pitch_yaw(_rotation(limb.axis, -limb.joint))
@@ -172,8 +178,10 @@ def _limb(tree: _LinkTree, limb: Limb, joint: Coordinate, k: int) -> tuple[str, 
         drive = (joint.name, "prismatic", BASE, f"carriage{k}", limb.axis, location)
         parent = tree.joint(*drive, limits=limits)
     knee = limb.start - limb.centre
-    at = tree.joint(swing[0], "continuous", parent, f"fork{k}", first, knee)
-    last = tree.joint(swing[1], "continuous", at, f"strut{k}", second, np.zeros(3))
+    end_body = tree.joint(swing[0], "continuous", parent, f"fork{k}", first, knee)
+    last = tree.joint(
+        swing[1], "continuous", end_body, f"strut{k}", second, np.zeros(3)
+    )
     return last, along
 
 

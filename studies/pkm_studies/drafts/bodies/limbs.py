@@ -67,16 +67,16 @@ class DrawnLimb:
 
     def end_at(self, motion: float) -> Array:
         """The strut's end (3,) after a motion of the driven joint alone."""
-        axis, at = self.drive.axis, self.drive.at
+        axis, anchor = self.drive.axis, self.drive.at
         if self.kind == CRANK:
-            return np.asarray(at + turn(axis, motion) @ (self.end - at))
+            return np.asarray(anchor + turn(axis, motion) @ (self.end - anchor))
         return np.asarray(self.end + motion * axis)
 
     def slope(self, motion: float) -> Array:
         """Slope (3,) of the end over the motion."""
-        axis, at = self.drive.axis, self.drive.at
+        axis, anchor = self.drive.axis, self.drive.at
         if self.kind == CRANK:
-            return np.cross(axis, self.end_at(motion) - at)
+            return np.cross(axis, self.end_at(motion) - anchor)
         return axis
 
 

@@ -103,8 +103,8 @@ class _Reader:
         tools: dict[str, Array] = {}
         for name in TOOLS:
             if name in self.sites:
-                body, at = self.sites[name]
-                tools.setdefault(body, at)
+                body, offset = self.sites[name]
+                tools.setdefault(body, offset)
         bodies = self.bodies
         return BodyTree(
             bodies, tuple(_closed(bodies, loops)), tools, tuple(sorted(self.ignored))
@@ -169,14 +169,14 @@ class _Reader:
         )
 
     def _rotation(self, element: ET.Element, name: str) -> Array:
-        given = [key for key in TURNS if element.get(key) is not None]
-        if not given:
+        keys = [key for key in TURNS if element.get(key) is not None]
+        if not keys:
             return np.eye(3)
-        key = given[0]
+        key = keys[0]
         text = element.get(key, "")
-        if len(given) > 1 or key == "zaxis":
+        if len(keys) > 1 or key == "zaxis":
             raise self.location.error(
-                f"body {name} is turned by {', '.join(given)}", REMEDY
+                f"body {name} is turned by {', '.join(keys)}", REMEDY
             )
         if key == "quat":
             return of_quaternion(self._direction(text, 4))
@@ -227,8 +227,8 @@ class _Reader:
     def _direction(self, text: str, count: int) -> Array:
         return read_direction(text, count, self.location, REMEDY)
 
-    def _check_name(self, kind: str, name: str, known: Collection[str]) -> None:
-        if name and name in known:
+    def _check_name(self, kind: str, name: str, allowed: Collection[str]) -> None:
+        if name and name in allowed:
             raise self.location.error(
                 f"two of its elements <{kind}> have the name {name!r}",
                 "give each a name of its own",

@@ -80,8 +80,8 @@ class BodyTree:
         frames = {WORLD: (np.zeros(3), np.eye(3))}
         for name in self.bodies:
             for body in reversed(self.chain(name, frames)):
-                place, rotation = frames[body.parent]
-                there = place + rotation @ body.place, rotation @ body.rotation
+                origin, rotation = frames[body.parent]
+                there = origin + rotation @ body.place, rotation @ body.rotation
                 frames[body.name] = there
         return frames
 
@@ -99,8 +99,8 @@ class BodyTree:
 
     def point(self, name: str, local: Array) -> Array:
         """A point (3,) of a body in the base frame, as drawn."""
-        place, rotation = self.frame(name)
-        return np.asarray(place + rotation @ local)
+        origin, rotation = self.frame(name)
+        return np.asarray(origin + rotation @ local)
 
     def joints(self, name: str) -> list[PlacedJoint]:
         """The joints from the base to a body."""

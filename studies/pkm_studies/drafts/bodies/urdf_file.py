@@ -77,7 +77,7 @@ def _body(element: ET.Element, location: Location) -> Body:
         problem = f"joint {name} has no parent, no child, or mimics another"
         raise location.error(problem, "give each joint both links and its own motion")
     parent, child = (end.get("link", "") for end in ends if end is not None)
-    at, angles = (
+    position, angles = (
         read_numbers(_text(element, "origin", key), 3, location, REMEDY)
         for key in ("xyz", "rpy")
     )
@@ -85,12 +85,12 @@ def _body(element: ET.Element, location: Location) -> Body:
     for k in (2, 1, 0):
         rotation = rotation @ turn(np.eye(3)[k], angles[k])
     if kind == "fixed":
-        return Body(child, parent, at, rotation, ())
+        return Body(child, parent, position, rotation, ())
     if kind not in JOINTS:
         raise location.error(f"joint {name} is {kind}", f"use {', '.join(JOINTS)}")
     axis = read_direction(_text(element, "axis", "xyz", "1 0 0"), 3, location, REMEDY)
     joint = BodyJoint(name, JOINTS[kind], axis, np.zeros(3))
-    return Body(child, parent, at, rotation, (joint,))
+    return Body(child, parent, position, rotation, (joint,))
 
 
 def _check_parents(bodies: dict[str, Body], location: Location) -> None:

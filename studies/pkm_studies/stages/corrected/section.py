@@ -300,11 +300,11 @@ def _marginals(
     corrected: CorrectedEstimate, draws: Posterior
 ) -> Iterator[tuple[str, Marginal]]:
     """Posterior of every parameter that is free, and of every coefficient."""
-    coefficients, at = dict(_coefficients(corrected)), corrected.parameters
+    coefficients, parameters = dict(_coefficients(corrected)), corrected.parameters
     for k, p in enumerate(corrected.measurement.parameters):
         if corrected.estimate.prior_sd[k] == 0.0:
             continue
-        if k < at:
+        if k < parameters:
             unit = units.display(p.unit)
             values = units.from_si(draws.pooled[:, k], unit)
         else:
@@ -376,9 +376,9 @@ def _moves_machine(corrected: CorrectedEstimate, form: ChosenForm) -> bool:
         for state in corrected.states
         for column in form.effect.columns(state, **form.constants)
     ]
-    known = {p.name for p in corrected.measurement.machine.parameters}
+    names_of_machine = {p.name for p in corrected.measurement.machine.parameters}
     joints = any(np.any(v) for c in columns for v in c.joints.values())
-    return joints or any(n in known for c in columns for n in c.parameters)
+    return joints or any(n in names_of_machine for c in columns for n in c.parameters)
 
 
 def _of_diagnosis(corrected: CorrectedEstimate, gap: GapSection) -> list[str]:

@@ -103,14 +103,14 @@ def _with_fewest(
         reason = "the search found no plan that does"
         if fewest.at_least > most:
             reason = "by the bound, no plan of that size can"
-        words = (
+        phrase = (
             f"{most} readings do not reach it in {missed}; {reason}. Add a set-up or"
             " another instrument."
         )
     elif fewest.proven:
-        words = f"{fewest.size} readings reach it, and no plan of fewer can."
+        phrase = f"{fewest.size} readings reach it, and no plan of fewer can."
     else:
-        words = (
+        phrase = (
             f"{fewest.size} readings reach it; no plan of fewer than {fewest.at_least}"
             " can."
         )
@@ -119,7 +119,7 @@ def _with_fewest(
         fewest=fewest.size,
         at_least=fewest.at_least,
         most=most,
-        words=words,
+        words=phrase,
     )
 
 

@@ -328,14 +328,14 @@ def reference_command(
         )
     if not table.reference:
         return None
-    at, machine = location.key("reference"), measurement.machine
-    command, hold, keys = grid_commands(table.reference, machine, at)
+    field, machine = location.key("reference"), measurement.machine
+    command, hold, keys = grid_commands(table.reference, machine, field)
     if len(command) != 1:
-        raise at.error(
+        raise field.error(
             "the reference is one pose", "give one value for each coordinate"
         )
     if hold is not None:
         command = mid_range(command, hold, machine, setup)
-    check_tool_workspace(measurement.kinematics, command, keys, at, setup.tool)
-    command, _ = solve_held(measurement, name, command, hold, at, strict=True)
+    check_tool_workspace(measurement.kinematics, command, keys, field, setup.tool)
+    command, _ = solve_held(measurement, name, command, hold, field, strict=True)
     return np.asarray(command[0])

@@ -66,10 +66,10 @@ def polish_plan(
         moved = _moved_settings(polished.measurement, ranges)
         summary = PolishSummary(value, new_value, polished.summary, moved)
         return PolishedPlan(polished.measurement, polished.series, summary)
-    words = "polishing does not improve the criterion"
+    phrase = "polishing does not improve the criterion"
     if polished.value_after == polished.value_before:
-        words = polished.summary
-    summary = PolishSummary(value, value, words, {})
+        phrase = polished.summary
+    summary = PolishSummary(value, value, phrase, {})
     return PolishedPlan(measurement, tuple(series), summary)
 
 

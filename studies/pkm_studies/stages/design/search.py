@@ -150,14 +150,14 @@ def _combinations(
     The best few of the largest number, or within a budget the best of each number.
     """
     c = problem.candidates
-    given = c.blocks, _smooth(criterion), c.prior_information, problem.rules
+    arguments = c.blocks, _smooth(criterion), c.prior_information, problem.rules
     if problem.rules.budget is None:
-        return rank_combinations(*given, problem.setups)
+        return rank_combinations(*arguments, problem.setups)
     combinations = []
     largest = problem.setups.most_of(len(problem.new_setups))
     for most in range(1, largest + 1):
         limited = dataclasses.replace(problem.setups, most=most)
-        combinations += rank_combinations(*given, limited)[:1]
+        combinations += rank_combinations(*arguments, limited)[:1]
     return combinations
 
 

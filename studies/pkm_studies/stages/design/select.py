@@ -263,9 +263,9 @@ def select_design(
             problem, study_criteria, choice, table.robust, rng, location.key("robust")
         )
     if table.how_many is not None:
-        seed, at = resolved.study.seed, location.key("how_many")
+        seed, field_location = resolved.study.seed, location.key("how_many")
         size_summary = how_many.accuracy_by_size(
-            problem, study_criteria, choice, table.how_many, seed, at
+            problem, study_criteria, choice, table.how_many, seed, field_location
         )
     series, retained = problem.candidates.readings_of(choice.indices), request.retained
     measurement = _mounted(resolved, [*retained, *series])

@@ -63,10 +63,10 @@ def estimate_section(
     )
 
 
-def with_held(section: EstimateSection, held: list[HeldParameter]) -> EstimateSection:
+def with_held(section: EstimateSection, fixed: list[HeldParameter]) -> EstimateSection:
     """The section with held parameters that the readings contradict, as warnings."""
-    sentences = [_held_sentence(one) for one in held]
-    return replace(section, held=held, warnings=[*sentences, *section.warnings])
+    sentences = [_held_sentence(one) for one in fixed]
+    return replace(section, held=fixed, warnings=[*sentences, *section.warnings])
 
 
 def _held_sentence(one: HeldParameter) -> str:
@@ -92,8 +92,8 @@ def _commands(
     are known.
     """
     commands = np.unique(np.vstack([s.command for s in series]), axis=0)
-    known = commands[np.isfinite(commands).all(axis=1)]
-    return [displayed_command(measurement.machine, c) for c in known]
+    finite = commands[np.isfinite(commands).all(axis=1)]
+    return [displayed_command(measurement.machine, c) for c in finite]
 
 
 def _parameters(

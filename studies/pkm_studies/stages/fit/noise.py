@@ -27,8 +27,8 @@ def with_noise(
     records = {f"{n.kind} {n.of}".rstrip(): n for n in numbers}
     assumed = posterior.prior.statement.is_assumed
     stated_as = "assumed" if assumed else "stated"
-    words = _words(numbers, stated_as, posterior.structure.longest)
-    return msgspec.structs.replace(section, noise=records, noise_words=words)
+    phrase = _words(numbers, stated_as, posterior.structure.longest)
+    return msgspec.structs.replace(section, noise=records, noise_words=phrase)
 
 
 def with_assumption(

@@ -95,9 +95,9 @@ def contradictions(checks: Mapping[str, PredictiveCheckRecord]) -> list[str]:
 def sampling_warnings(posterior: Posterior, ess: int) -> list[str]:
     """What a user must know of how the posterior was sampled."""
     sentences = []
-    known = posterior.ess[np.isfinite(posterior.ess)]
-    least = float(known.min(initial=np.inf))
-    if not known.size:
+    finite = posterior.ess[np.isfinite(posterior.ess)]
+    least = float(finite.min(initial=np.inf))
+    if not finite.size:
         sentences.append(
             "the posterior has too few steps to tell its effective sample size; raise"
             " [posterior] steps"

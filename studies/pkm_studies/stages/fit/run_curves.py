@@ -121,8 +121,8 @@ def _reading_sd(
 ) -> Array:
     """Standard deviation (N,) of a new reading: parameters and noise."""
     jacobian = measurement.jacobian(series, estimate.theta)
-    known = np.einsum("ij,jk,ik->i", jacobian, estimate.covariance, jacobian)
-    return np.asarray(np.sqrt(known + estimate.noise.sigma**2))
+    variance = np.einsum("ij,jk,ik->i", jacobian, estimate.covariance, jacobian)
+    return np.asarray(np.sqrt(variance + estimate.noise.sigma**2))
 
 
 # -- run by run ------------------------------------------------------------------------
@@ -138,10 +138,10 @@ def run_curves(
         tips, phase = _along(measurement, s)
         for run in dict.fromkeys(s.run):
             members = np.flatnonzero(s.run == run)
-            kind, at, _ = run_shape(tips[members], phase[members])
+            kind, along, _ = run_shape(tips[members], phase[members])
             if kind not in DRAWN or len(members) < MIN_POINTS:
                 continue
-            order = np.argsort(at, kind="stable")
+            order = np.argsort(along, kind="stable")
             for k, channel in enumerate(channels):
                 rows = first + members[order] * len(channels) + k
                 unit = units.FINE[channel.unit]
@@ -151,7 +151,7 @@ def run_curves(
                     channel=channel.name,
                     unit=unit,
                     kind=kind,
-                    at=[round(float(v), DIGITS) for v in at[order]],
+                    at=[round(float(v), DIGITS) for v in along[order]],
                     measured=_displayed(curves.measured, rows, unit),
                     predicted=_displayed(curves.predicted, rows, unit),
                     half_widths=_displayed(HALF_WIDTH * curves.sd, rows, unit),

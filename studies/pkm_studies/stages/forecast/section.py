@@ -113,9 +113,9 @@ def measured(
     Raises InputError for files that cannot be used.
     """
     command, errors, sigma = files.read_nodes(task, path)
-    known = task.predicted_errors(command)
+    correctable = task.predicted_errors(command)
     try:
-        field = fit_error_field(task.model, command, errors - known, sigma)
+        field = fit_error_field(task.model, command, errors - correctable, sigma)
     except ValueError as error:
         raise InputError(str(error), "measure more nodes", file=str(path)) from error
     forecast = forecast_table(
@@ -252,9 +252,9 @@ def _doubts(
     for worst in np.flatnonzero(pull > DOUBT):
         row, component = divmod(int(field.read[worst]), k)
         pose = describe.displayed_command(task.kinematics.machine, command[row])
-        at = ", ".join(f"{name} = {value:.6g}" for name, value in pose.items())
+        pose_text = ", ".join(f"{name} = {value:.6g}" for name, value in pose.items())
         yield (
-            f"the error in {task.model.driven[component].name} at {at} is"
+            f"the error in {task.model.driven[component].name} at {pose_text} is"
             f" {pull[worst]:.1f} standard deviations off what the other nodes predict:"
             " measure it again"
         )

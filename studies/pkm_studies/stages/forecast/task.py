@@ -159,8 +159,8 @@ def _setup(resolved: ResolvedStudy, table: ForecastTable, location: Location) ->
         return next(iter(resolved.setups.values()))
     if table.setup not in resolved.setups:
         names = ", ".join(resolved.setups)
-        at = location.key("setup")
-        raise at.error("no such set-up", f"name one of {names}", table.setup)
+        field = location.key("setup")
+        raise field.error("no such set-up", f"name one of {names}", table.setup)
     return resolved.setups[table.setup]
 
 
@@ -168,9 +168,9 @@ def _by_component(
     model: JointErrors, table: dict[str, float], location: Location
 ) -> Array:
     """Values (k,) of the driven components, SI; NaN where none is stated."""
-    known = {c.name: c.unit for c in model.driven}
-    values = quantities.read_values(table, known, location)
-    return np.array([values.get(name, np.nan) for name in known])
+    unit_of = {c.name: c.unit for c in model.driven}
+    values = quantities.read_values(table, unit_of, location)
+    return np.array([values.get(name, np.nan) for name in unit_of])
 
 
 def _sigma(

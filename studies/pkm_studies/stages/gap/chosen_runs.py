@@ -108,8 +108,10 @@ def _with_earlier(
 
 def _least_before(separations: Sequence[SeparationRecord]) -> float | None:
     """The least separation before; None where one of them is not known."""
-    known = [s.before for s in separations if s.before is not None]
-    return min(known) if len(known) == len(separations) else None
+    separations_before = [s.before for s in separations if s.before is not None]
+    return (
+        min(separations_before) if len(separations_before) == len(separations) else None
+    )
 
 
 def _times(covariates: pd.DataFrame, design: GapDesignRequest, rules: Rules) -> Array:

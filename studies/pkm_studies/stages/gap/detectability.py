@@ -55,8 +55,8 @@ def preview(
         chosen, csv = chosen_runs.choose_runs(*design, planned, request, rng)
     table = detect.detect(planned, planned.stated_law, request.effects, rng)
     section = GapBeforeSection(table, fine, chosen, [])
-    words = sentences(section)
-    return GapPreview(msgspec.structs.replace(section, words=words), csv)
+    lines = sentences(section)
+    return GapPreview(msgspec.structs.replace(section, words=lines), csv)
 
 
 # -- sentences -------------------------------------------------------------------------

@@ -20,10 +20,10 @@ def sentences(gap: GapSection, factor: float) -> list[str]:
             f"The readings scatter {rounded(factor)} times as much from pose to pose as where"
             f" they were taken again ({gap.scatter_against}), and no effect explains it."
         )
-    words = [first, f"What scatters: {'; '.join(gap.noise)}."]
+    phrases = [first, f"What scatters: {'; '.join(gap.noise)}."]
     if gap.scatter_shape.startswith(("leg", "run")):
-        words.append(f"Most of it is in {gap.scatter_shape}.")
-    return words
+        phrases.append(f"Most of it is in {gap.scatter_shape}.")
+    return phrases
 
 
 def noise_words(checked: GoodnessSection, gap: GapSection | None) -> list[str]:

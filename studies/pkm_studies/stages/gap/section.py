@@ -111,8 +111,8 @@ def _note(effect: Effect, diagnosis: Diagnosis) -> EffectNote:
     column = ""
     if missing:
         column = sentences.columns_to_record(effect, diagnosis.problem.states)
-    known = msgspec.convert(effect, EffectNote, from_attributes=True)
-    return replace(known, missing=missing, column=column)
+    note = msgspec.convert(effect, EffectNote, from_attributes=True)
+    return replace(note, missing=missing, column=column)
 
 
 def _channels(diagnosis: Diagnosis) -> tuple[dict[str, str], np.ndarray]:
@@ -145,7 +145,7 @@ def _coefficients(
     """Coefficients, SI, with the prior standard deviation of each."""
     selected = _selected(diagnosis)
     by_name = {effect.name: effect for effect in effects}
-    known = {
+    priors = {
         (effect.name, column.name): column
         for effect in effects
         if effect.name in selected
@@ -153,7 +153,7 @@ def _coefficients(
     }
     records = []
     for c in diagnosis.coefficients:
-        column = known.get((c.effect, c.name))
+        column = priors.get((c.effect, c.name))
         effect = by_name.get(c.effect)
         if effect is not None:
             c = replace(c, unit=effect.unit(c.name))

@@ -63,7 +63,7 @@ def place_names(gap: GapSection) -> list[str]:
     """The places that are named, without their shares."""
     if not gap.effect_reported:
         return []
-    return [_place_name(place.block) for place in named_places(gap.where)]
+    return [_place_name(record.block) for record in named_places(gap.where)]
 
 
 def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
@@ -72,9 +72,9 @@ def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
     Of two places of the same readings the first stands for both.
     """
     places: list[PlaceRecord] = []
-    for place in where:
-        if place.p_value < SIGNIFICANT and not any(_same(place, o) for o in places):
-            places.append(place)
+    for record in where:
+        if record.p_value < SIGNIFICANT and not any(_same(record, o) for o in places):
+            places.append(record)
     if not places:
         return []
     best = places[0]
@@ -84,19 +84,19 @@ def named_places(where: Sequence[PlaceRecord]) -> list[PlaceRecord]:
     return places[:MAX_PLACES]
 
 
-def _same(place: PlaceRecord, other: PlaceRecord) -> bool:
+def _same(record: PlaceRecord, other: PlaceRecord) -> bool:
     """Whether two places have the same readings."""
-    return place.block == other.same_as or place.same_as == other.block
+    return record.block == other.same_as or record.same_as == other.block
 
 
-def _place(place: PlaceRecord) -> str:
+def _place(record: PlaceRecord) -> str:
     """`leg 1 or run 2, which are the same readings (80 % of it)`."""
-    name = _place_name(place.block)
-    if place.same_as:
-        name = f"{name} or {_place_name(place.same_as)}, which are the same readings"
-    if place.strength is None:
+    name = _place_name(record.block)
+    if record.same_as:
+        name = f"{name} or {_place_name(record.same_as)}, which are the same readings"
+    if record.strength is None:
         return name
-    return f"{name} ({format_probability(place.strength)} of it)"
+    return f"{name} ({format_probability(record.strength)} of it)"
 
 
 def _place_name(block: str) -> str:
@@ -147,7 +147,7 @@ def second_explanation(gap: GapSection) -> list[str]:
     if len(gap.answers) < 2:
         return []
     best, *rest = gap.answers
-    words = [
+    phrases = [
         f"An effect of unknown form may act beside it{chance_of(answer.visible)}."
         for answer in rest
         if has_its_causes(answer, gap)
@@ -157,33 +157,36 @@ def second_explanation(gap: GapSection) -> list[str]:
     others = [answer for answer in rest if not has_its_causes(answer, gap)]
     if gap.verdict == UNKNOWN:
         # the first sentence counts all answers with something of unknown form
-        words += _beside_unknown(others)
+        phrases += _beside_unknown(others)
         others = [answer for answer in others if UNKNOWN not in answer.effects]
     second = max(others, key=lambda answer: answer.visible, default=best)
     if second is best or second.visible < CONSIDERABLE:
-        return words
+        return phrases
     if not second.effects and second.probability > probability_of_causes(gap):
-        return [*words, "Noise alone is more likely, but not enough to report no gap."]
+        return [
+            *phrases,
+            "Noise alone is more likely, but not enough to report no gap.",
+        ]
     causes, chance = _spoken(second) or "no gap at all", chance_of(second.visible)
     if gap.verdict == "none" and second.visible > best.probability:
-        words.append(
+        phrases.append(
             f"More likely than noise alone is {causes}{chance}, but not than noise and what"
             " is too small to be seen together."
         )
-        return words
-    return [*words, f"The next most likely explanation is {causes}{chance}."]
+        return phrases
+    return [*phrases, f"The next most likely explanation is {causes}{chance}."]
 
 
 def _beside_unknown(answers: Sequence[AnswerRecord]) -> list[str]:
     """Effects that may act beside one of unknown form."""
-    words = []
+    phrases = []
     for answer in answers:
         if UNKNOWN in answer.effects and answer.visible >= CONSIDERABLE:
             names = tuple(name for name in answer.effects if name != UNKNOWN)
             causes = _spoken(msgspec.structs.replace(answer, effects=names))
             chance = chance_of(answer.visible)
-            words.append(f"{capitalised(causes)} may act beside it{chance}.")
-    return words
+            phrases.append(f"{capitalised(causes)} may act beside it{chance}.")
+    return phrases
 
 
 def _spoken(answer: AnswerRecord) -> str:
@@ -211,23 +214,23 @@ def closure_sentences(gap: GapSection) -> list[str]:
     """How far the gap shrinks on held-out readings, or by how much it grows there."""
     if not gap.effect_reported:
         return []
-    known = [(c, c.value) for c in gap.closure if c.value is not None]
-    shrinking = [_closure(c, value) for c, value in known if value >= 0.0]
-    growing = [_growth(c, value) for c, value in known if value < 0.0]
+    closures = [(c, c.value) for c in gap.closure if c.value is not None]
+    shrinking = [_closure(c, value) for c, value in closures if value >= 0.0]
+    growing = [_growth(c, value) for c, value in closures if value < 0.0]
     causes = join_words([plain_name(n) for n in gap.selected]) or "the remainder"
     lead = (
         f"With {causes} in the model, the mean square of what calibration leaves beyond"
         " the noise"
     )
-    words = []
+    phrases = []
     if shrinking:
-        words.append(f"{lead} shrinks by {join_words(shrinking)}.")
+        phrases.append(f"{lead} shrinks by {join_words(shrinking)}.")
     if growing:
-        words.append(
+        phrases.append(
             f"{lead} grows by {join_words(growing)}: what was fitted to the other readings"
             " does not carry over to these."
         )
-    return words
+    return phrases
 
 
 def may_grow(gap: GapSection) -> bool:
@@ -391,16 +394,16 @@ def _no_gap(gap: GapSection) -> list[str]:
     unseen = sum(answer.unseen for answer in gap.answers)
     chance = f"(probability {format_probability(nothing)})"
     explains = "explains" if nothing >= EVEN else "may explain"
-    words = [
+    phrases = [
         f"No gap is found: noise alone {explains} what calibration leaves {chance}."
     ]
     if unseen >= CONSIDERABLE:
         part = format_probability(unseen)
-        words.append(
+        phrases.append(
             f"Something may act that is too small for these readings to show"
             f" (probability {part})."
         )
-    return words
+    return phrases
 
 
 def _classes(gap: GapSection) -> str:
@@ -559,12 +562,12 @@ def _next_steps(gap: GapSection) -> list[str]:
         note = gap.about.get(name)
         if note is None:
             continue
-        known, effect = " ".join(steps), plain_name(name)
+        named_steps, effect = " ".join(steps), plain_name(name)
         is_sure = probability_of(name, gap.answers) >= SURE
         doubtful = not is_sure or _is_one_of_several(name, gap)
-        if doubtful and note.exposed_by and note.exposed_by not in known:
+        if doubtful and note.exposed_by and note.exposed_by not in named_steps:
             steps.append(f"To tell {effect} from the others: {note.exposed_by}.")
-        if note.remedy and note.remedy not in known:
+        if note.remedy and note.remedy not in named_steps:
             lead = f"If it is {effect}" if doubtful else f"Remedy for {effect}"
             steps.append(f"{lead}: {note.remedy}.")
     if _asks_for_readings(gap):

@@ -87,10 +87,10 @@ def _trace(
     rows = diagnosis.problem.rows.iloc[members]
     setup, names = str(rows.iloc[0]["setup"]), list(dict.fromkeys(rows["run"]))
     run = str(names[0]) if len(names) == 1 else f"{len(names)} runs"
-    kind, at, radius = run_shape(tips[members], rows["phase"].to_numpy(dtype=float))
+    kind, along, radius = run_shape(tips[members], rows["phase"].to_numpy(dtype=float))
     if len(names) > 1:
-        kind, at, radius = "points", np.arange(1.0, len(members) + 1.0), None
-    order = np.argsort(at, kind="stable")
+        kind, along, radius = "points", np.arange(1.0, len(members) + 1.0), None
+    order = np.argsort(along, kind="stable")
     unit = units.FINE[_channel_unit(diagnosis, setup, channel)]
 
     def displayed(part: Array) -> list[float]:
@@ -104,7 +104,7 @@ def _trace(
         channel=channel,
         unit=unit,
         kind=kind,
-        at=_rounded(at[order], PLACE_DIGITS),
+        at=_rounded(along[order], PLACE_DIGITS),
         before=displayed(parts["before"]),
         explained=displayed(parts["explained"]),
         unexplained=displayed(parts["unexplained"]),
@@ -200,10 +200,10 @@ def spots(diagnosis: Diagnosis) -> tuple[list[Spot], str]:
     places = []
     for k in dict.fromkeys(owner):
         members = owner == k
-        at = units.from_si(tips[members].mean(axis=0), "mm")
+        position = units.from_si(tips[members].mean(axis=0), "mm")
         before = _rms(diagnosis.before[members] / scale[members])
         after = _rms(diagnosis.after[members] / scale[members])
-        places.append(Spot(_rounded(at, PLACE_DIGITS), before, after))
+        places.append(Spot(_rounded(position, PLACE_DIGITS), before, after))
     return places, unit
 
 

@@ -19,11 +19,11 @@ def capitalised(text: str) -> str:
     return text[:1].upper() + text[1:]
 
 
-def join_words(words: Sequence[str], last: str = "and") -> str:
+def join_words(names: Sequence[str], last: str = "and") -> str:
     """a, b and c."""
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} {last} {words[-1]}"
+    if len(names) < 2:
+        return "".join(names)
+    return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
 def format_probability(p: float) -> str:

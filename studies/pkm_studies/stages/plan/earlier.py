@@ -63,7 +63,7 @@ def read_earlier_session(
     done = Counter(stored.drawing.reading_of if stored.drawing else [])
     seconds = _session_seconds(resolved, request.options, done)
     tolerance = measurement.tolerance[measurement.free]
-    words = (
+    phrase = (
         f"Planned after {', '.join(done) or 'no readings'} ({sum(done.values())}"
         f" readings, {units.number(seconds, 'min'):.0f} min), with the machine as"
         f" identified from them ({source})."
@@ -75,7 +75,7 @@ def read_earlier_session(
         plan=plan,
         covariance=covariance / np.outer(tolerance, tolerance),
         seconds=seconds,
-        words=words,
+        words=phrase,
     )
 
 
@@ -91,11 +91,11 @@ def stored_knowledge(
     machine = resolved.machine
     free = resolved.measurement_with(()).free_names
     value, covariance, _ = known_parameters(stored, machine.name, free, folder)
-    at = [machine.index(name) for name in free]
+    indices = [machine.index(name) for name in free]
     values = machine.nominal.copy()
-    values[at] = value
+    values[indices] = value
     whole = np.zeros((len(values), len(values)))
-    whole[np.ix_(at, at)] = covariance
+    whole[np.ix_(indices, indices)] = covariance
     return EstimatedParameters(values, whole)
 
 

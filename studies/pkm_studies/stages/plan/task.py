@@ -144,8 +144,8 @@ def build_task(
     budget = request.budget
     if earlier is not None:
         # what an earlier session learned of effects is not known to the plan
-        known = len(earlier.covariance)
-        start[:known, :known] = earlier.covariance
+        known_count = len(earlier.covariance)
+        start[:known_count, :known_count] = earlier.covariance
         budget -= earlier.seconds
     return PlanTask(
         resolved=resolved,

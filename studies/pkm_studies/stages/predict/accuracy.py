@@ -62,9 +62,9 @@ def accuracy_section(
     for i, command in enumerate(prediction.command):
         before = _by_component(prediction, prediction.sd_before[i], fine)
         after = _by_component(prediction, prediction.sd_after[i], fine)
-        at = [float(v) for v in tips[i]]
+        tip = [float(v) for v in tips[i]]
         points.append(
-            MapPoint(describe.displayed_command(machine, command), before, after, at)
+            MapPoint(describe.displayed_command(machine, command), before, after, tip)
         )
     return PredictionSection(
         reference=prediction.reference,

@@ -153,7 +153,7 @@ def identified(
 
 
 def accuracy(
-    known: ParameterKnowledge,
+    knowledge: ParameterKnowledge,
     command: Array,
     references: Sequence[Reference],
     rng: np.random.Generator,
@@ -163,39 +163,43 @@ def accuracy(
 
     Before any reading the variance is the mean over machines as they may be built.
     """
-    measurement = known.measurement
+    measurement = knowledge.measurement
     maps = maps_by_reference(measurement.kinematics, command, references, tool)
     variances: dict[Reference, Array] = {}
-    if known.mean is None:
+    if knowledge.mean is None:
         variances = variance_over_machines(
-            measurement, known.series, command, references, rng, tool
+            measurement, knowledge.series, command, references, rng, tool
         )
     count = len(measurement.machine.parameters)
     result = {}
     for reference in references:
-        remaining = _remaining(known, command, reference, tool)
-        before = known.before(command, reference, tool)
-        if known.effects is None or known.draws is None or known.mean is None:
+        remaining = _remaining(knowledge, command, reference, tool)
+        before = knowledge.before(command, reference, tool)
+        if (
+            knowledge.effects is None
+            or knowledge.draws is None
+            or knowledge.mean is None
+        ):
             predicted = prediction.predict(
                 maps[reference],
                 measurement.prior_covariance[:count, :count],
-                known.covariance,
+                knowledge.covariance,
                 rng,
-                mean=known.mean,
-                centre=known.centre,
+                mean=knowledge.mean,
+                centre=knowledge.centre,
                 known=remaining,
                 before=before,
-                draws=known.draws,
-                worth=known.worth,
+                draws=knowledge.draws,
+                worth=knowledge.worth,
                 reference=reference,
                 variance=variances.get(reference),
             )
         else:
             predicted = _with_effects(
-                known,
-                known.effects,
-                known.draws,
-                known.mean,
+                knowledge,
+                knowledge.effects,
+                knowledge.draws,
+                knowledge.mean,
                 maps[reference],
                 remaining,
                 before,
@@ -210,7 +214,7 @@ def accuracy(
 
 
 def _with_effects(
-    known: ParameterKnowledge,
+    knowledge: ParameterKnowledge,
     effects: ActingEffects,
     parameters: Array,
     mean: Array,
@@ -235,10 +239,10 @@ def _with_effects(
     )
     of_effects = effects.draws.mean(axis=0)
     if remaining is None:
-        remaining = maps.remaining @ mean - _change_by_controller(known, mean, maps)
+        remaining = maps.remaining @ mean - _change_by_controller(knowledge, mean, maps)
     remaining = remaining + acting.raw @ of_effects
-    if known.corrected is not None:  # as far as drives can
-        remaining = remaining - (acting.raw - acting.remaining) @ known.corrected
+    if knowledge.corrected is not None:  # as far as drives can
+        remaining = remaining - (acting.raw - acting.remaining) @ knowledge.corrected
     if before is not None:
         before = before + acting.raw @ of_effects
     draws = np.hstack([parameters, effects.draws - of_effects])
@@ -252,7 +256,7 @@ def _with_effects(
         known=remaining,
         before=before,
         draws=draws,
-        worth=known.worth,
+        worth=knowledge.worth,
         reference=reference,
     )
 
@@ -265,13 +269,13 @@ def compared(
 ) -> dict[str, Accuracy]:
     """Accuracy of each candidate at commands (n, n_dof), all by the same draws."""
     return {
-        name: accuracy(known, command, [reference], copy.deepcopy(rng))[reference]
-        for name, known in candidates.items()
+        name: accuracy(knowledge, command, [reference], copy.deepcopy(rng))[reference]
+        for name, knowledge in candidates.items()
     }
 
 
 def with_absorbed_effects(
-    known: ParameterKnowledge,
+    knowledge: ParameterKnowledge,
     command: Array,
     reference: Reference,
     rng: np.random.Generator,
@@ -281,41 +285,41 @@ def with_absorbed_effects(
     At commands (n, n_dof) of the workspace, against a reference. The same knowledge
     where there are no effects.
     """
-    effects, mean = known.effects, known.mean
+    effects, mean = knowledge.effects, knowledge.mean
     if effects is None or mean is None:
-        return known
-    machine = known.measurement.machine
-    maps = error_maps(known.measurement.kinematics, command, reference)
+        return knowledge
+    machine = knowledge.measurement.machine
+    maps = error_maps(knowledge.measurement.kinematics, command, reference)
     acting = effects.maps(command, reference, rng)
     error = acting.raw @ effects.draws.mean(axis=0)
-    tolerance = known.measurement.tolerance[: len(machine.parameters)]
+    tolerance = knowledge.measurement.tolerance[: len(machine.parameters)]
     shift = absorbing_shift(maps, error, tolerance)
-    return dataclasses.replace(known, sent=machine.nominal + mean + shift)
+    return dataclasses.replace(knowledge, sent=machine.nominal + mean + shift)
 
 
 def _change_by_controller(
-    known: ParameterKnowledge, mean: Array, maps: ErrorMaps
+    knowledge: ParameterKnowledge, mean: Array, maps: ErrorMaps
 ) -> Array | float:
     """Change (n, k) of the pose by parameters sent that are not the identified ones."""
-    if known.sent is None:
+    if knowledge.sent is None:
         return 0.0
-    shift = known.sent - known.measurement.machine.nominal - mean
+    shift = knowledge.sent - knowledge.measurement.machine.nominal - mean
     return np.asarray((maps.raw - maps.remaining) @ shift)
 
 
 def _remaining(
-    known: ParameterKnowledge, command: Array, reference: Reference, tool: Array
+    knowledge: ParameterKnowledge, command: Array, reference: Reference, tool: Array
 ) -> Array | None:
     """Exact errors (n, k) that compensation leaves if the estimate is right.
 
     None where they are taken to first order: before any reading, for another reference,
     and where an estimate is so far off that the machine cannot reach a pose.
     """
-    if known.mean is None or reference != "home":
+    if knowledge.mean is None or reference != "home":
         return None
-    kinematics = known.measurement.kinematics
-    identified = kinematics.machine.nominal + known.mean
-    sent = identified if known.sent is None else known.sent
+    kinematics = knowledge.measurement.kinematics
+    identified = kinematics.machine.nominal + knowledge.mean
+    sent = identified if knowledge.sent is None else knowledge.sent
     try:
         return driven_errors(
             kinematics, command, identified, reference, believed=sent, tool=tool

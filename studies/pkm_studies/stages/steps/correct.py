@@ -49,12 +49,12 @@ def correct_for_effects(state: Fitted) -> Fitted:
     if not effects:
         return state
     state.progress.stage("parameters and effects together")
-    given = readings_with_covariates(state, request)
+    effect_readings = readings_with_covariates(state, request)
     if state.with_effects:
-        _refuse_untestable(state, given, effects)
+        _refuse_untestable(state, effect_readings, effects)
     try:
         corrected = estimate_with_effects(
-            given,
+            effect_readings,
             effects,
             state.estimate.theta,
             stages=state.resolved.identification_stages,
@@ -102,10 +102,10 @@ def _effects(
 
 
 def _refuse_untestable(
-    state: Fitted, given: EffectReadings, effects: Sequence[Effect]
+    state: Fitted, effect_readings: EffectReadings, effects: Sequence[Effect]
 ) -> None:
     """Raises InputError for an effect that these readings cannot show."""
-    states = given.problem(state.estimate.theta).states
+    states = effect_readings.problem(state.estimate.theta).states
     for effect in effects:
         reason = untestable(effect, states)
         if reason is not None:

@@ -61,13 +61,13 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
     estimate = fit_warnings.with_warnings(measurement, estimate)
     state = with_delivered(state, fitted_as)
-    held = []
+    fixed = []
     if readings.truth is None:
-        held = contradicted_parameters(
+        fixed = contradicted_parameters(
             measurement, readings.series, readings.y, estimate
         )
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
-    section = with_held(section, held)
+    section = with_held(section, fixed)
     if state.identifiability is not None:
         verdict = state.identifiability.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)

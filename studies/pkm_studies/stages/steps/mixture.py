@@ -32,12 +32,12 @@ def mix_answers(state: Fitted) -> Fitted:
         return state
     state.progress.stage("parameters over all answers")
     request = state.resolved.diagnosed
-    given = readings_with_covariates(state, request)
-    problem = given.problem(state.estimate.theta)
+    effect_readings = readings_with_covariates(state, request)
+    problem = effect_readings.problem(state.estimate.theta)
     testable = [e for e in request.effects if untestable(e, problem.states) is None]
     rng = state.rng(Stream.MIXTURE)
     fits = AnswerFits(
-        readings=given,
+        readings=effect_readings,
         effects=request.effects,
         allowed=expected_columns(problem, testable),
         estimate_noise=state.estimates_noise,
@@ -62,7 +62,7 @@ def mix_answers(state: Fitted) -> Fitted:
     )
     section = sections.mixture_section(
         state.measurement,
-        given.series,
+        effect_readings.series,
         mixture,
         sections.BestAnswer(theta, corrected, state.estimate.theta),
         use,

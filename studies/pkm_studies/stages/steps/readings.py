@@ -81,8 +81,8 @@ def _stretch_warnings(machine: Machine, data: Dataset) -> list[str]:
     """Cables of known stiffness whose stretch no recorded tension corrects."""
     stiffness = machine.cable_stiffness or ()
     columns = tension_columns(machine)
-    known = [c for c, s in zip(columns, stiffness, strict=True) if np.isfinite(s)]
-    absent = [c for c in known if c not in data.columns]
+    finite = [c for c, s in zip(columns, stiffness, strict=True) if np.isfinite(s)]
+    absent = [c for c in finite if c not in data.columns]
     if not absent:
         return []
     names = ", ".join(f"{stem}_N" for stem in absent)

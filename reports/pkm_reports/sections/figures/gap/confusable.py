@@ -45,8 +45,8 @@ def draw(table: DetectabilityTable) -> Figure:
     axes = figure.subplots()
     shade: Any = {"cmap": ListedColormap(COLOURS)}
     shade["norm"] = BoundaryNorm([0.0, LIMIT, CLEAR, np.inf], len(COLOURS))
-    known = np.where(np.isfinite(values), values, 0.0)
-    axes.imshow(known, aspect="equal", **shade)
+    finite = np.where(np.isfinite(values), values, 0.0)
+    axes.imshow(finite, aspect="equal", **shade)
     _write_numbers(axes, values, 7.0 if cell > SMALL_CELL else 6.0)
     _set_labels(axes, [spoken(name) for name in names])
     patches = [
@@ -69,11 +69,11 @@ def _write_numbers(axes: Axes, values: Array, size: float) -> None:
     letters: Any = {"ha": "center", "va": "center", "fontsize": size}
     for (row, column), value in np.ndenumerate(values):
         weight = "bold" if row == column else "normal"
-        words = short(value)
+        number = short(value)
         axes.text(
             column,
             row,
-            words,
+            number,
             color=style.INK,
             fontweight=weight,
             **letters,

@@ -70,10 +70,10 @@ def _draw_probabilities(
 ) -> None:
     rivals = _indistinguishable(gap)
     percent = np.array([100.0 * gap.marginal[name] for name in names])
-    at = np.arange(float(len(names)))
+    rows = np.arange(float(len(names)))
     colours = [_colour(name, gap.selected, rivals) for name in names]
-    axes.barh(at, percent, color=colours, height=0.7)
-    for y, name in zip(at, names, strict=True):
+    axes.barh(rows, percent, color=colours, height=0.7)
+    for y, name in zip(rows, names, strict=True):
         share = gap.marginal[name]
         axes.text(
             100.0 * share + 1.5,
@@ -82,7 +82,7 @@ def _draw_probabilities(
             va="center",
             fontsize=7,
         )
-    style.fixed_ticks(axes, "y", at.tolist(), [spoken(name) for name in names])
+    style.fixed_ticks(axes, "y", rows.tolist(), [spoken(name) for name in names])
     axes.set_ylim(len(names) - 0.4, -0.6)
     axes.set_xlim(0.0, 115.0)
     ticks = [0.0, 25.0, 50.0, 75.0, 100.0]
@@ -111,15 +111,15 @@ def _chance(share: float) -> str:
 
 def _draw_sizes(axes: Axes, rms: Array, unit: str) -> None:
     """Rms of each effect in the readings, over its channels."""
-    at = np.arange(float(len(rms)))
+    rows = np.arange(float(len(rms)))
     axes.barh(
-        at,
+        rows,
         np.nan_to_num(rms),
         color=style.ORANGE,
         height=0.7,
     )
     largest = float(np.nanmax(rms, initial=0.0)) or 1.0
-    for y, size in zip(at, rms, strict=True):
+    for y, size in zip(rows, rms, strict=True):
         if np.isfinite(size):
             label_at = size + 0.02 * largest
             axes.text(

@@ -53,10 +53,10 @@ def draw(traces: Sequence[Trace]) -> Figure:
 
 def choose(traces: Sequence[Trace]) -> list[Trace]:
     """Up to MOST runs with the largest residuals before, in the order of the data."""
-    known = [trace for trace in traces if missing.finite(trace.before)]
-    sizes = [rms(missing.array(trace.before)) for trace in known]
-    ranked = sorted(range(len(known)), key=lambda k: -sizes[k])
-    return [known[k] for k in sorted(ranked[:MOST])]
+    measured = [trace for trace in traces if missing.finite(trace.before)]
+    sizes = [rms(missing.array(trace.before)) for trace in measured]
+    ranked = sorted(range(len(measured)), key=lambda k: -sizes[k])
+    return [measured[k] for k in sorted(ranked[:MOST])]
 
 
 def rms(values: Array) -> float:
@@ -101,13 +101,13 @@ def _all_values(trace: Trace) -> Array:
 
 
 def _panel(axes: Axes, trace: Trace, limit: float) -> None:
-    at = missing.array(trace.at)
+    along = missing.array(trace.at)
     explained = missing.array(trace.explained)
     unexplained = missing.array(trace.unexplained)
     marks: Any = {
         "ls": "",
         "marker": "o",
-        "ms": 2.6 if len(at) <= FEW else 1.5,
+        "ms": 2.6 if len(along) <= FEW else 1.5,
     }
     joined = trace.kind != "points"
     lines: Any = {
@@ -118,7 +118,7 @@ def _panel(axes: Axes, trace: Trace, limit: float) -> None:
 
     def plot(values: Array, label: str, **look: Any) -> None:
         axes.plot(
-            at,
+            along,
             np.clip(values, -limit, limit),
             label=label,
             **look,
