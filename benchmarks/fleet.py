@@ -38,7 +38,7 @@ from oed.measurement.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from pkm_studies import commands
 from pkm_studies.importers import import_files
-from pkm_studies.resolve import resolve, with_mean_and_covariance
+from pkm_studies.resolve import replace_mean_and_covariance, resolve
 
 #: readings of the members of the fleet, and of the machine that is left out
 FULL, FIRST = 60, (3, 6, 9, 12, 18, 24, 36, 60)
@@ -130,7 +130,7 @@ class Bench:
         if prior is None:
             return self.measurement
         tolerance = self.measurement.tolerance[self.free]
-        machine = with_mean_and_covariance(
+        machine = replace_mean_and_covariance(
             self.machine,
             [self.names[k] for k in self.free],
             self.measurement.nominal[self.free] + tolerance * prior.mean,

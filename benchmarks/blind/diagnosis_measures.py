@@ -13,7 +13,7 @@ from benchmarks.blind import checks, judge
 from benchmarks.blind.checks import check_all, is_right
 from benchmarks.blind.entries import DIAGNOSIS, Entry
 from benchmarks.blind.places import leg_rows, place_rows
-from benchmarks.blind.row import Row, at_least, at_most, average, middle, share
+from benchmarks.blind.row import Row, at_least, average, loss_bound, middle, share
 from benchmarks.blind.selection import (
     clear,
     separated,
@@ -83,7 +83,7 @@ def _set_rows(entries: Sequence[Entry]) -> list[Row]:
             "set95 size",
             "95 % answer set: mean size",
             [float(len(e.set95)) for e in visible_truth],
-            **at_most(2.0, 1.5),
+            **loss_bound(2.0, 1.5),
         ),
         share(
             "set95 all",

@@ -44,8 +44,8 @@ from benchmarks.blind.entries import DIAGNOSIS, UNSEEN, Entry
 from benchmarks.blind.row import (
     Row,
     at_least,
-    at_most,
     average,
+    loss_bound,
     share,
 )
 from benchmarks.blind.selection import (
@@ -108,7 +108,7 @@ def _alarm_rows(entries: Sequence[Entry], method: str) -> list[Row]:
     for law in LAWS:
         null = [e for e in entries if e.kind == "null" and e.law == law]
         key, measure = f"alarm {law}", f"false alarm, {law} noise"
-        target = at_most(0.05, 0.02)
+        target = loss_bound(0.05, 0.02)
         rows.append(_checked(key, measure, null, checks.alarm, method, **target))
     return rows
 
@@ -183,7 +183,7 @@ def _class_rows(
             method,
             "false effects pairs",
             "false effects a case of two",
-            **at_most(0.15, 0.05),
+            **loss_bound(0.15, 0.05),
         ),
     ]
 
@@ -206,7 +206,7 @@ def _unknown_rows(entries: Sequence[Entry], method: str) -> list[Row]:
             visible_singles(entries),
             checks.unknown_alone,
             method,
-            **at_most(0.05, 0.02),
+            **loss_bound(0.05, 0.02),
         ),
         _checked(
             "exact class",
@@ -214,7 +214,7 @@ def _unknown_rows(entries: Sequence[Entry], method: str) -> list[Row]:
             exact,
             checks.one_member,
             method,
-            **at_most(0.02, 0.0),
+            **loss_bound(0.02, 0.0),
         ),
     ]
 

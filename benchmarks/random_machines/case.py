@@ -243,7 +243,7 @@ class _Session:
             path[:, :3] = plans.circles(count, length, cup, rng)
         else:
             self._lead(path, length, cup)
-        if not plans.within_reach(self.machine, path, self.truth.joints):
+        if not plans.keep_within_reach(self.machine, path, self.truth.joints):
             raise AssemblyError("the ball bar leads out of reach", np.array([0]))
         return path
 

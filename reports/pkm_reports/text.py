@@ -55,7 +55,7 @@ def number(value: Number, digits: int = 3) -> str:
     if x == 0.0:
         return "0"
     if not SMALLEST <= abs(x) < LARGEST:
-        return _with_power_of_ten(x, digits)
+        return _power_of_ten(x, digits)
     if x == round(x):
         return _minus_sign(f"{x:.0f}")
     # 9.996 rounds to 10.0: the decimals follow the rounded number.
@@ -126,7 +126,7 @@ def decimals_for(sd: Number) -> int:
     return min(MOST_DECIMALS, max(0, 1 - math.floor(math.log10(x))))
 
 
-def _with_power_of_ten(x: float, digits: int) -> str:
+def _power_of_ten(x: float, digits: int) -> str:
     mantissa, _, exponent = f"{x:.{digits - 1}e}".partition("e")
     if "." in mantissa:
         mantissa = mantissa.rstrip("0").rstrip(".")
@@ -188,10 +188,10 @@ def unit_symbol(unit: str) -> str:
 
 def quantity(value: Number, unit: str, digits: int = 3) -> str:
     """A number with its unit, without a line break between them."""
-    return with_unit(number(value, digits), unit)
+    return append_unit(number(value, digits), unit)
 
 
-def with_unit(digits: str, unit: str) -> str:
+def append_unit(digits: str, unit: str) -> str:
     """Digits with their unit; a degree sign follows without a space."""
     symbol = unit_symbol(unit)
     if not symbol or symbol == "°":
@@ -218,7 +218,7 @@ def heading(name: str) -> str:
 def named_quantity(name: str, value: Number, digits: int = 5) -> str:
     """A named number from a field: length_mm, 300 -> length 300 mm."""
     stem, unit = split_unit(name)
-    return f"{stem}{NO_BREAK}{with_unit(trimmed(value, digits), unit)}"
+    return f"{stem}{NO_BREAK}{append_unit(trimmed(value, digits), unit)}"
 
 
 def named_quantities(fields: Mapping[str, Number], digits: int = 5) -> str:
@@ -227,12 +227,12 @@ def named_quantities(fields: Mapping[str, Number], digits: int = 5) -> str:
     return ", ".join(parts) or MISSING
 
 
-def in_unit_of(channel: str, value: Number, channel_units: Mapping[str, str]) -> str:
+def channel_value(channel: str, value: Number, channel_units: Mapping[str, str]) -> str:
     """A number with the unit of its channel."""
     return quantity(value, channel_units.get(channel, ""))
 
 
-def with_symbols(phrase: str) -> str:
+def replace_symbols(phrase: str) -> str:
     """Text of a study with 5 um written as 5 µm."""
     return re.sub(r"(?<=\d) um\b", f"{NO_BREAK}µm", phrase)
 
@@ -269,7 +269,7 @@ def cleaned(phrase: str) -> str:
 
 def sentence(phrase: str) -> str:
     """A sentence: a capital where it starts with a plain word, and a full stop."""
-    phrase = with_full_stop(phrase)
+    phrase = add_full_stop(phrase)
     first = phrase.partition(" ")[0]
     is_plain = len(first) > 1 or first == "a"
     if is_plain and first.isalpha() and first.islower():
@@ -277,9 +277,9 @@ def sentence(phrase: str) -> str:
     return phrase
 
 
-def with_full_stop(phrase: str) -> str:
+def add_full_stop(phrase: str) -> str:
     """Text of a study, ended by a full stop."""
-    phrase = with_symbols(phrase).strip()
+    phrase = replace_symbols(phrase).strip()
     if not phrase or phrase[-1] in ".!?:":
         return phrase
     return f"{phrase}."

@@ -63,15 +63,15 @@ def pool_results(
     """
     count = min(workers or os.cpu_count() or 1, len(items))
     if scheduler:
-        yield from _on_cluster(work, items, scheduler)
+        yield from _run_on_cluster(work, items, scheduler)
     elif count > 1:
-        yield from _on_processes(work, items, count)
+        yield from _run_on_processes(work, items, count)
     else:
         for item in items:
             yield item, work(item)
 
 
-def _on_processes(
+def _run_on_processes(
     work: Callable[[Item], Outcome], items: Sequence[Item], count: int
 ) -> Iterator[tuple[Item, Outcome]]:
     """From processes that are spawned, as on every system."""
@@ -147,13 +147,13 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def _on_worker(work: Callable[[Item], Outcome], item: Item) -> Outcome:
+def _run_on_worker(work: Callable[[Item], Outcome], item: Item) -> Outcome:
     """What `work` returns for an item, on a worker of Dask."""
     keep_freed_memory()
     return work(item)
 
 
-def _on_cluster(
+def _run_on_cluster(
     work: Callable[[Item], Outcome], items: Sequence[Item], scheduler: str
 ) -> Iterator[tuple[Item, Outcome]]:
     """From the workers of a Dask scheduler."""
@@ -175,10 +175,10 @@ def _on_cluster(
             value=scheduler,
         ) from error
     with client:
-        yield from _on_workers(work, items, client, distributed.as_completed)
+        yield from _run_on_workers(work, items, client, distributed.as_completed)
 
 
-def _on_workers(
+def _run_on_workers(
     work: Callable[[Item], Outcome],
     items: Sequence[Item],
     client: Any,
@@ -193,7 +193,7 @@ def _on_workers(
     names = [*client.scheduler_info(n_workers=-1)["workers"]]
     shares: Shares[str, Item] = Shares(items, names)
     waiting: dict[Any, tuple[str, Item]] = {}
-    task = functools.partial(_on_worker, work)
+    task = functools.partial(_run_on_worker, work)
 
     def submit(name: str) -> list[Any]:
         begun = []

@@ -21,7 +21,7 @@ from pkm_studies.study import (
     decode_table,
     load,
     tables_of,
-    with_setting,
+    vary_setting,
 )
 from pkm_studies.user_code import Consent, Origin
 
@@ -133,7 +133,7 @@ class Campaign(CampaignFile, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         """
         if self.varied is None:
             raise LookupError("a campaign of a function varies no study")
-        return with_setting(self.varied, setting, self.location.key("vary"))
+        return vary_setting(self.varied, setting, self.location.key("vary"))
 
 
 def load_campaign(path: Path, consent: Consent = Consent.RECORDED) -> Campaign:

@@ -219,17 +219,21 @@ def _conformities(
         if name in parts:
             promise, k = parts[name]
             none = np.zeros(len(promise.maps))
-            alone = functools.partial(_by_geometry, result, promise, k, none)
+            alone = functools.partial(
+                _probability_by_geometry, result, promise, k, none
+            )
             basis = "predicted from the calibration, over the workspace"
             unit = unit_of[name]
             yield _predicted_conformity(result, name, basis, largest, unit, alone)
             yield from _measured_conformity(result, name, largest, unit_of[name])
         elif name in section.parameters and _counts(name, section.parameters[name].sd):
-            yield _of_parameter(section, name, largest, unit_of[name])
+            yield _parameter_conformity(section, name, largest, unit_of[name])
         elif further is not None and name in undriven:
             k = undriven.index(name)
             error = further.known[:, k]
-            alone = functools.partial(_by_geometry, result, further.promise, k, error)
+            alone = functools.partial(
+                _probability_by_geometry, result, further.promise, k, error
+            )
             basis = "predicted, no drive corrects it, over the workspace"
             unit = unit_of[name]
             yield _predicted_conformity(result, name, basis, largest, unit, alone)
@@ -271,7 +275,7 @@ def _predicted_conformity(
     )
 
 
-def _by_geometry(
+def _probability_by_geometry(
     result: StudyResult, promise: Promise, k: int, remaining: Array, largest: float
 ) -> float:
     """Probability of the rms error; fields have the predicted size, as for acceptance."""
@@ -300,7 +304,7 @@ def _measured_conformity(
     yield Conformity(f"rms error of {name}", basis, largest, unit, p)
 
 
-def _of_parameter(
+def _parameter_conformity(
     section: EstimateSection | CorrectedSection, name: str, largest: float, unit: str
 ) -> Conformity:
     p = section.parameters[name]

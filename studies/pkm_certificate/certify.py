@@ -39,7 +39,7 @@ def certify_folder(
     study = result_study(result, folder, study_file, consent)
     file, place = str(folder / "result.json"), build.tolerance_place(path)
     certificate = build.certificate(result, study, stated, tolerance, file, place)
-    written = own_files.write_own(folder / XML, dcc.to_xml(certificate))
+    written = own_files.write_own(folder / XML, dcc.write_xml(certificate))
     return certificate, (written, write_certificate_page(certificate, folder))
 
 

@@ -53,7 +53,7 @@ METHOD = (
 )
 
 
-def to_xml(certificate: Certificate) -> bytes:
+def write_xml(certificate: Certificate) -> bytes:
     """The certificate as XML in UTF-8; the same certificate gives the same bytes."""
     for prefix, name in (("dcc", DCC), ("si", SI), ("xsi", XSI)):
         ElementTree.register_namespace(prefix, name)
@@ -167,7 +167,7 @@ def _results(parent: Element, c: Certificate) -> None:
     _conditions(calibration, c)
     results = _add(calibration, "results")
     _parameters(results, c)
-    _accuracy(results, "Predicted accuracy", c.predicted, _about_prediction(c))
+    _accuracy(results, "Predicted accuracy", c.predicted, _prediction_text(c))
     if c.verified:
         about = f"Errors measured at {c.verified_poses} acceptance poses."
         _accuracy(results, "Verified accuracy", c.verified, about)
@@ -178,7 +178,7 @@ def _results(parent: Element, c: Certificate) -> None:
     _words(meta, "declaration", " ".join(sentences))
 
 
-def _about_prediction(c: Certificate) -> str:
+def _prediction_text(c: Certificate) -> str:
     return (
         f"Predicted errors after compensation over {c.poses} poses; reference:"
         f" {c.reference}."

@@ -67,7 +67,7 @@ def _noise_factor(fitted: FittedReadings) -> float:
     return float(np.sqrt(max(estimate.chi2 / estimate.dof, 1.0)))
 
 
-def of_values(
+def value_doubts(
     measurement: Measurement,
     setup: str,
     expected: ReadingInterval,
@@ -90,7 +90,7 @@ def of_values(
     return sentences
 
 
-def of_session(
+def session_doubts(
     before: FittedReadings | None, after: FittedReadings, row: int
 ) -> Iterator[str]:
     """What a check of all readings finds once a new one, in a row of the file, is in."""

@@ -104,7 +104,7 @@ class Feed:
 
     def _match(self, line: str) -> dict[str, float]:
         match = None if self.pattern is None else self.pattern.search(line)
-        return {} if match is None else _in_si(match.groupdict())
+        return {} if match is None else _si_values(match.groupdict())
 
 
 def _compiled(pattern: str) -> re.Pattern[str] | None:
@@ -131,7 +131,7 @@ def _compiled(pattern: str) -> re.Pattern[str] | None:
     return compiled
 
 
-def _in_si(cells: dict[str, str | None]) -> dict[str, float]:
+def _si_values(cells: dict[str, str | None]) -> dict[str, float]:
     """Numbers by stem, SI; none where a cell is no number."""
     values = {}
     for name, cell in cells.items():
@@ -150,7 +150,7 @@ def _row_values(pair: str) -> dict[str, float]:
         return {}
     values: dict[str, float] = {}
     for name, cell in zip(rows[0], rows[1], strict=True):
-        values |= _in_si({name.strip(): cell})
+        values |= _si_values({name.strip(): cell})
     return values
 
 

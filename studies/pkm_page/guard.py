@@ -63,7 +63,7 @@ class Guard:
                 refusal = _refused(413, "the request is too large")
             else:
                 receive = _replay(body, receive)
-        sent = _with_headers(send)
+        sent = _add_headers(send)
         await (refusal or self.app)(scope, receive, sent)
 
     def _refusal(self, scope: Scope, headers: dict[str, list[str]]) -> Response | None:
@@ -86,9 +86,9 @@ class Guard:
             return _refused(403, "another page asked")
         elif headers.get("content-type", [""])[0].split(";")[0] != "application/json":
             return _refused(415, "the page sends JSON")
-        return self._without_token(scope, headers)
+        return self._answer_without_token(scope, headers)
 
-    def _without_token(
+    def _answer_without_token(
         self, scope: Scope, headers: dict[str, list[str]]
     ) -> Response | None:
         """None for a request with the token; the token's link sets the cookie."""
@@ -149,7 +149,7 @@ def _replay(body: bytes, receive: Receive) -> Receive:
     return replay
 
 
-def _with_headers(send: Send) -> Send:
+def _add_headers(send: Send) -> Send:
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
             present = {name.lower() for name, _ in message["headers"]}

@@ -82,7 +82,7 @@ class BackgroundCommand:
                 self.state = dataclasses.replace(self.state, stage=lines[-1])
             listen.join()
         code = process.wait()
-        said = [*_after_stages(lines), *(errors if code else ())]
+        said = [*_lines_after_stages(lines), *(errors if code else ())]
         self.state = dataclasses.replace(
             self.state, code=code, lines=tuple(said[-MOST_LINES:])
         )
@@ -92,7 +92,7 @@ def _collect(stream: IO[str] | None, lines: list[str]) -> None:
     lines += [line.rstrip()[:LONGEST] for line in stream or () if line.strip()]
 
 
-def _after_stages(lines: list[str]) -> list[str]:
+def _lines_after_stages(lines: list[str]) -> list[str]:
     """The lines below the last stage, which is the report."""
     last = lines.index(LAST_STAGE) if LAST_STAGE in lines else -1
     return lines[last + 1 :]

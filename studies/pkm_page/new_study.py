@@ -147,9 +147,9 @@ class StudyForm:
         share: float,
     ) -> str:
         text = draft_text(name, form.machine, machine, form.instrument, tool, share)
-        text = _with_sizes(text, self._stated(form))
-        text = _with_readings(text, form.minutes, tool)
-        return _with_wanted(text, form.wanted, self.components(form.machine))
+        text = _add_sizes(text, self._stated(form))
+        text = _add_readings(text, form.minutes, tool)
+        return _add_wanted(text, form.wanted, self.components(form.machine))
 
     def _stated(self, form: NewStudy) -> dict[str, str]:
         """Sizes that differ from the family's, as TOML by key. Raises FieldError."""
@@ -232,7 +232,7 @@ def _numbers(value: Any) -> Iterator[float]:
         raise ValueError(value)
 
 
-def _with_sizes(text: str, stated: dict[str, str]) -> str:
+def _add_sizes(text: str, stated: dict[str, str]) -> str:
     """The draft with sizes in place of the comments that name them."""
     if not stated:
         return text
@@ -246,7 +246,7 @@ def _with_sizes(text: str, stated: dict[str, str]) -> str:
     return text
 
 
-def _with_readings(text: str, minutes: str, tool: Instrument) -> str:
+def _add_readings(text: str, minutes: str, tool: Instrument) -> str:
     """The draft with as many readings as a time has, mounting and reading counted."""
     if not minutes.strip():
         return text
@@ -266,7 +266,7 @@ def _with_readings(text: str, minutes: str, tool: Instrument) -> str:
     )
 
 
-def _with_wanted(text: str, wanted: dict[str, str], allowed: list[str]) -> str:
+def _add_wanted(text: str, wanted: dict[str, str], allowed: list[str]) -> str:
     """The draft with rms errors to reach."""
     stated = []
     for key, value in wanted.items():

@@ -69,11 +69,11 @@ class FileContent:
         writer.writerows(self.rows)
         return self.above + written.getvalue()
 
-    def with_rows(self, rows: Sequence[Mapping[str, str]]) -> FileContent:
+    def replace_rows(self, rows: Sequence[Mapping[str, str]]) -> FileContent:
         """With rows at the end; a column that the header lacks is added to it."""
         header = self.header
         stems = {_stem(name): name for name in header}
-        placed = [_in_columns_of(row, stems) for row in rows]
+        placed = [_cells_in_columns(row, stems) for row in rows]
         new = [
             n for n in dict.fromkeys(n for r in placed for n in r) if n not in header
         ]
@@ -84,11 +84,11 @@ class FileContent:
             body.append(tuple(map(self._number, cells)))
         return dataclasses.replace(self, rows=(tuple(columns), *body))
 
-    def with_cells(self, row: int, cells: Mapping[str, str]) -> FileContent:
+    def replace_cells(self, row: int, cells: Mapping[str, str]) -> FileContent:
         """With other cells in a row of the table."""
         extended = self
         if any(name not in self.header for name in cells):
-            extended = self.with_rows([dict.fromkeys(cells, "")])
+            extended = self.replace_rows([dict.fromkeys(cells, "")])
             extended = dataclasses.replace(extended, rows=extended.rows[:-1])
         changed = {**extended.cells(row), **cells}
         line = tuple(str(csv_text.safe(changed.get(n, ""))) for n in extended.header)
@@ -168,7 +168,9 @@ def _stem(name: str) -> str:
         return name
 
 
-def _in_columns_of(row: Mapping[str, str], stems: Mapping[str, str]) -> dict[str, str]:
+def _cells_in_columns(
+    row: Mapping[str, str], stems: Mapping[str, str]
+) -> dict[str, str]:
     """Cells by the names that a file has for their stems, in its units."""
     placed = {}
     for name, cell in row.items():

@@ -33,7 +33,7 @@ STARTED: Final = "time_s counts from"
 _STARTED: Final = re.compile(rf"# {STARTED} (\S+)")
 
 
-def as_sent(measurement: Measurement, series: Series, row: int) -> Series:
+def sent_cells(measurement: Measurement, series: Series, row: int) -> Series:
     """The reading of a series' row alone, at commands of `DECIMALS` decimals.
 
     What is shown, driven to and written is then one pose. Raises AssemblyError.
@@ -142,7 +142,7 @@ def reading_cells(
     return {name: cell for name, cell in filled.items() if _stem(name) in stems}
 
 
-def without_reading(
+def mark_undone(
     content: FileContent, row: int, measurement: Measurement
 ) -> FileContent:
     """The content with a row's reading moved into its remark."""
@@ -150,7 +150,7 @@ def without_reading(
     phrase = ", ".join(f"{name} = {value}" for name, value in values.items())
     before = content.cells(row).get(REMARK, "")
     remark = "; ".join(part for part in (before, f"{UNDONE}: {phrase}") if part)
-    return content.with_cells(row, {**dict.fromkeys(values, ""), REMARK: remark})
+    return content.replace_cells(row, {**dict.fromkeys(values, ""), REMARK: remark})
 
 
 def skipped_rows(
@@ -183,10 +183,10 @@ def skipped(content: FileContent, measurement: Measurement) -> list[int]:
     return [k for k in rows if is_skipped(content.cells(k), measurement)]
 
 
-def without_skip(content: FileContent, row: int) -> FileContent:
+def remove_skip(content: FileContent, row: int) -> FileContent:
     """The content with a skipped row's pose advised again."""
     before = content.cells(row)[REMARK]
-    return content.with_cells(row, {REMARK: f"advised again, was {before}"})
+    return content.replace_cells(row, {REMARK: f"advised again, was {before}"})
 
 
 def clean_remark(text: str) -> str:
@@ -199,7 +199,7 @@ def clean_remark(text: str) -> str:
     return line
 
 
-def with_clock(content: FileContent, measurement: Measurement) -> FileContent:
+def add_clock(content: FileContent, measurement: Measurement) -> FileContent:
     """With a comment that starts the session's clock, where nothing was read before."""
     fresh = last_reading(content, measurement) is None and TIME not in content.header
     if not fresh or _STARTED.search(content.above):

@@ -46,7 +46,7 @@ class FilledIn(msgspec.Struct, forbid_unknown_fields=True):
     text: str
 
 
-def to_fill_in(folder: Path) -> str:
+def acceptance_form(folder: Path) -> str:
     """The file that the plan of the test wrote. Raises InputError where none is."""
     path = folder / ACCEPTANCE_FILE
     if not path.is_file() or path.is_symlink():
@@ -277,7 +277,7 @@ class ResultAddresses:
     def acceptance(self, request: Request) -> Response:
         """The file of a planned acceptance test, to fill in."""
         try:
-            text = to_fill_in(self.shelf.folder(request.path_params["key"]))
+            text = acceptance_form(self.shelf.folder(request.path_params["key"]))
         except (InputError, OSError) as error:
             return _answer({"error": str(error)}, UNUSABLE)
         kind = {"Content-Disposition": 'attachment; filename="acceptance.csv"'}

@@ -140,14 +140,14 @@ class MachineSession:
             names = [column_name(c.name, c.unit) for c in columns]
             values = [typed.read(e, n) for e, n in zip(entries, names, strict=True)]
             sign = approach.cell(direction, self.next_approach(content, pose))
-            content = rows.with_clock(content, measurement)
+            content = rows.add_clock(content, measurement)
             new = rows.reading_rows(measurement, pose.series, pose.row, values, content)
             new[-1] |= rows.time_cell(content)
             if sign:
                 new[-1][approach.DIRECTION] = sign
             if remark:
                 new[-1][REMARK] = rows.clean_remark(remark)
-            after = content.with_rows(new)
+            after = content.replace_rows(new)
             sentences = [] if confirmed else self._doubts(after, values, entries)
             if sentences:
                 raise DoubtfulError(sentences)
@@ -162,7 +162,7 @@ class MachineSession:
         with self._lock:
             content = self._based_on(version)
             row = self._last(content)
-            self._write(version, rows.without_reading(content, row, self.measurement))
+            self._write(version, rows.mark_undone(content, row, self.measurement))
 
     def remark(self, version: str, text: str) -> None:
         """Write a remark beside the last reading. Raises as `undo`."""
@@ -170,7 +170,7 @@ class MachineSession:
             content = self._based_on(version)
             row = self._last(content)
             self._write(
-                version, content.with_cells(row, {REMARK: rows.clean_remark(text)})
+                version, content.replace_cells(row, {REMARK: rows.clean_remark(text)})
             )
 
     def repeat(self, version: str, *, again: bool) -> None:
@@ -190,7 +190,7 @@ class MachineSession:
             new = rows.skipped_rows(
                 self.measurement, pose.series, pose.row, content, reason
             )
-            self._write(version, content.with_rows(new))
+            self._write(version, content.replace_rows(new))
 
     def take_skip_back(self, version: str) -> None:
         """Advise the pose that was skipped last again. Raises InputError without one."""
@@ -199,7 +199,7 @@ class MachineSession:
             skipped = rows.skipped(content, self.measurement)
             if not skipped:
                 raise InputError("no pose is skipped", "load the page again")
-            self._write(version, rows.without_skip(content, skipped[-1]))
+            self._write(version, rows.remove_skip(content, skipped[-1]))
 
     def refresh(self) -> None:
         """Take up what others wrote into the file."""
@@ -256,7 +256,7 @@ class MachineSession:
             pose = Pose(advice.series, advice.row)
             if repeated and fitted is not None:
                 pose = self._last_pose(fitted)
-            series = rows.as_sent(self.measurement, pose.series, pose.row)
+            series = rows.sent_cells(self.measurement, pose.series, pose.row)
         except FIT_ERRORS as error:
             return SessionState(content, None, None, None, str(error))
         pose = Pose(series, 0, pose.repeated)
@@ -304,10 +304,10 @@ class MachineSession:
     ) -> list[str]:
         """What speaks against the content's last reading."""
         pose, fitted = self._pose(), self.state.fitted
-        series, row, y = self._as_read(pose, values)
+        series, row, y = self._read_values(pose, values)
         expected = doubts.interval(self.adviser, fitted, series, row)
         measurement = self.measurement
-        sentences = doubts.of_values(measurement, series.setup, expected, y, entries)
+        sentences = doubts.value_doubts(measurement, series.setup, expected, y, entries)
         if sentences:
             return sentences
         try:
@@ -316,9 +316,9 @@ class MachineSession:
             return [f"With this reading: {error}"]
         if refitted is None:
             return []
-        return list(doubts.of_session(fitted, refitted, self._row_in_file(after)))
+        return list(doubts.session_doubts(fitted, refitted, self._row_in_file(after)))
 
-    def _as_read(
+    def _read_values(
         self, pose: Pose, values: Sequence[float]
     ) -> tuple[Series, int, Array]:
         """The pose and the channels' values (k,), SI; joints where these are recorded."""

@@ -105,10 +105,10 @@ class Shelf:
                 result = load_result(folder)
             except InputError:
                 return None
-            self._cards[key, stamp] = self._of_result(key, folder, result)
+            self._cards[key, stamp] = self._result_card(key, folder, result)
         return self._cards[key, stamp]
 
-    def _of_result(self, key: str, folder: Path, result: StudyResult) -> Card:
+    def _result_card(self, key: str, folder: Path, result: StudyResult) -> Card:
         written = (folder / RESULT).stat().st_mtime
         day = datetime.datetime.fromtimestamp(written).isoformat(" ", "minutes")
         test = result.verification

@@ -243,10 +243,10 @@ def view(session: MachineSession, state: SessionState) -> PageView | None:
     shown = build_view(result)
     if shown is None or state.fitted is None or state.pose is None:
         return shown
-    return dataclasses.replace(shown, readings=_with_residuals(result, sections, shown))
+    return dataclasses.replace(shown, readings=_add_residuals(result, sections, shown))
 
 
-def _with_residuals(
+def _add_residuals(
     result: Any, sections: dict[str, Any], shown: PageView
 ) -> list[ViewReading]:
     """The readings with their residuals; the last one is not taken yet."""

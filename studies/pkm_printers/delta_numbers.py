@@ -134,13 +134,13 @@ def delta_joints(
 def not_a_delta(machine: Machine) -> str | None:
     """Why a machine is no linear delta with a parameter for each tower."""
     names = {p.name for p in machine.parameters}
-    one_radius = {"radius"} | _by_tower(ONE_RADIUS)
-    if names in (one_radius, _by_tower(FAMILY)):
+    one_radius = {"radius"} | _tower_values(ONE_RADIUS)
+    if names in (one_radius, _tower_values(FAMILY)):
         return None
     return "it writes linear deltas (radius, arms, tower angles, endstops)"
 
 
-def _by_tower(stems: tuple[str, ...]) -> set[str]:
+def _tower_values(stems: tuple[str, ...]) -> set[str]:
     return {f"{stem}{i}" for stem, i in itertools.product(stems, TOWERS)}
 
 

@@ -89,14 +89,14 @@ class DeltaGeometry:
         """The table [machine.nominal] of a study."""
         radii = {"radius": self.radius}
         if self.has_radii:
-            radii = _by_tower("radius", self.radii)
+            radii = _tower_values("radius", self.radii)
         lines = [f"{name}_mm = {value!r}" for name, value in radii.items()]
         for stem, values, unit in (
             ("arm", self.arms, "mm"),
             ("angle", self.angles, "deg"),
             ("endstop", self.endstops, "mm"),
         ):
-            numbers = _by_tower(stem, values)
+            numbers = _tower_values(stem, values)
             lines += [f"{name}_{unit} = {value!r}" for name, value in numbers.items()]
         return "\n".join(["[machine.nominal]", *lines, ""])
 
@@ -301,7 +301,7 @@ def noise_table(comment: str, height: float, distance: float | None = None) -> s
     return "\n".join([*lines, ""])
 
 
-def _by_tower(stem: str, values: Sequence[float]) -> dict[str, float]:
+def _tower_values(stem: str, values: Sequence[float]) -> dict[str, float]:
     return {f"{stem}{i}": value for i, value in zip(TOWERS, values, strict=True)}
 
 

@@ -96,7 +96,7 @@ def read(paths: Sequence[Path]) -> list[TextLine]:
             TextLine(line.partition(";")[0], str(path), number, line)
             for number, line in enumerate(text.splitlines(), start=1)
         ]
-        logs.append(_in_time(lines))
+        logs.append(_is_in_time(lines))
     dated = [k for k, log in enumerate(logs) if log.start and log.start.is_dated]
     by_date = sorted((logs[k] for k in dated), key=lambda log: log.start or NO_TIME)
     for k, log in zip(dated, by_date, strict=True):
@@ -111,7 +111,7 @@ class _Log(NamedTuple):
     start: Stamp | None
 
 
-def _in_time(lines: list[TextLine]) -> _Log:
+def _is_in_time(lines: list[TextLine]) -> _Log:
     """The lines of a file, turned round where the newest stands first.
 
     A line without a time goes with the last one above it. Raises InputError.
@@ -133,7 +133,7 @@ def _in_time(lines: list[TextLine]) -> _Log:
     return _Log([*lines[: starts[0]], *turned], times[-1])
 
 
-def about_order(lines: Sequence[TextLine]) -> list[str]:
+def order_text(lines: Sequence[TextLine]) -> list[str]:
     """A sentence on each log that was turned round."""
     turned = [
         b.file

@@ -95,7 +95,7 @@ class HangprinterImporter:
         spools = gcode.merged(lines, "M666", "give config.g with M669 and M666")
         accounts = [
             *order.notes,
-            *gcode.about_order(texts),
+            *gcode.order_text(texts),
             *gcode.account_of(lines, WORDS).sentences(),
         ]
         _check_built_in(spools)

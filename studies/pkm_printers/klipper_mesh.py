@@ -40,7 +40,7 @@ def _mesh(config: KlipperConfig, section: str) -> BedMesh:
     z = _heights(config, section)
     x = _places(config, section, "x", z.shape[1])
     y = _places(config, section, "y", z.shape[0])
-    unread = copied_margin(x, y, z) | _in_faulty_region(config, x, y)
+    unread = copied_margin(x, y, z) | _is_in_faulty_region(config, x, y)
     offset = np.array([_probe_offset(config, axis) for axis in "xy"])
     rows, columns = np.nonzero(~unread)
     points = [
@@ -88,7 +88,7 @@ def _probe_offset(config: KlipperConfig, axis: str) -> float:
     return 0.0
 
 
-def _in_faulty_region(config: KlipperConfig, x: Array, y: Array) -> Mask:
+def _is_in_faulty_region(config: KlipperConfig, x: Array, y: Array) -> Mask:
     """Which nodes (ny, nx) lie in a faulty region of [bed_mesh]."""
     inside = np.zeros((len(y), len(x)), dtype=bool)
     for low, high in _faulty_regions(config):

@@ -148,15 +148,15 @@ class MarlinImporter:
             ),
             files=", ".join(path.name for path in request.files),
             geometry=geometry,
-            points=_over_bed(points, settings, rules),
+            points=_points_over_bed(points, settings, rules),
             accounts=account.sentences(),
             notes=[
-                *_about_b(b, delta),
+                *_text_about_b(b, delta),
                 *probed.notes,
                 *about_means,
                 *about_grid,
                 *home.notes,
-                *gcode.about_order(lines),
+                *gcode.order_text(lines),
             ],
             meshes=meshes,
             mesh=request.mesh,
@@ -188,10 +188,10 @@ def _rules(
                 # a build between two releases
                 stated = possible_rules(None).where(b=meaning, **has_height)
             return version, stated
-    return version, _by_letters(rules, delta)
+    return version, _rules_by_letters(rules, delta)
 
 
-def _by_letters(rules: PossibleRules, delta: Command) -> PossibleRules:
+def _rules_by_letters(rules: PossibleRules, delta: Command) -> PossibleRules:
     """The rules that go with the letters of M665. Raises InputError for B of any."""
     if rules.agreed("b") is not None:
         return rules
@@ -209,7 +209,7 @@ def _by_letters(rules: PossibleRules, delta: Command) -> PossibleRules:
     )
 
 
-def _about_b(b: MeaningOfB | None, delta: Command) -> list[str]:
+def _text_about_b(b: MeaningOfB | None, delta: Command) -> list[str]:
     if "B" not in delta.words or b is None:
         return []
     return [ABOUT_B[b].format(value=delta.words["B"], versions=VERSIONS[b])]
@@ -232,7 +232,7 @@ def _geometry(
     )
 
 
-def _over_bed(
+def _points_over_bed(
     points: Sequence[ProbedPoint], settings: Settings, rules: PossibleRules
 ) -> list[ProbedPoint]:
     """Heights over the bed: versions that print those of the nozzle lack M851 Z."""

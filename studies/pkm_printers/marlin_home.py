@@ -64,7 +64,7 @@ def home(
             " firmware set the height anew."
         )
     moves = [_move(settings.command("M666"), k, steps_per_mm, rules) for k in TOWERS]
-    notes += _about_band(settings.command("M666"), moves)
+    notes += _band_text(settings.command("M666"), moves)
     endstops = tuple(height + move for move in moves)
     stated = NOT_KNOWN if offset is None else offset
     return Home(endstops, stated, probe_z, steps_per_mm, notes)
@@ -130,7 +130,7 @@ def _move(
     return 0.0
 
 
-def _about_band(stops: Command, moves: list[float]) -> list[str]:
+def _band_text(stops: Command, moves: list[float]) -> list[str]:
     """A sentence on values of M666 for which the firmware made no move."""
     values = [stops.number(tower, 0.0) for tower in TOWERS]
     idle = [

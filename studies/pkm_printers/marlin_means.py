@@ -104,7 +104,7 @@ def mean_contact(
         height = height / MISCOUNT if points == MISCOUNTED else height
         return Contact(0.0, 0.0, height, places, weights, is_probe)
     direction = DIRECTIONS[name]
-    x, y = _on_ring(direction, radius)
+    x, y = _ring_points(direction, radius)
     if points not in FINENESS or points == min(FINENESS):
         return Contact.at(x, y, height, is_probe=is_probe)
     places, weights = _ring(direction, radius, points, circles)
@@ -118,7 +118,7 @@ def _middle(points: int, radius: float) -> Array:
         return np.array(middle)
     count = 3 if points < 5 else 6 if points < CIRCLES_FROM else 9
     angles = [DIRECTIONS["x"] + 360.0 * k / count for k in range(count)]
-    ring = [_on_ring(angle, INNER_RING * radius) for angle in angles]
+    ring = [_ring_points(angle, INNER_RING * radius) for angle in angles]
     return np.array(middle + ring)
 
 
@@ -131,13 +131,14 @@ def _ring(
     shares = np.arange(1 - fineness, fineness) / fineness
     pairs = list(itertools.product(shares, factors))
     places = [
-        _on_ring(direction + 60.0 * share, factor * radius) for share, factor in pairs
+        _ring_points(direction + 60.0 * share, factor * radius)
+        for share, factor in pairs
     ]
     weights = np.array([np.cos(0.5 * np.pi * share) ** 2 for share, _ in pairs])
     return np.array(places), weights / weights.sum()
 
 
-def _on_ring(direction: float, radius: float) -> tuple[float, float]:
+def _ring_points(direction: float, radius: float) -> tuple[float, float]:
     angle = np.radians(direction)
     return float(radius * np.cos(angle)), float(radius * np.sin(angle))
 

@@ -159,12 +159,14 @@ def possible_rules(version: str | None) -> PossibleRules:
         return EVERY
     is_release = 0 if "RC" in version.upper() else 1
     if len(parts) == 2:
-        return PossibleRules(tuple(_between((*parts, 0), (*parts, 99))))
+        return PossibleRules(tuple(_versions_between((*parts, 0), (*parts, 99))))
     first = (*parts, *[0] * (4 - len(parts)), is_release)
-    return PossibleRules(tuple(_between(first, first)))
+    return PossibleRules(tuple(_versions_between(first, first)))
 
 
-def _between(first: tuple[int, ...], last: tuple[int, ...]) -> Iterator[MarlinRules]:
+def _versions_between(
+    first: tuple[int, ...], last: tuple[int, ...]
+) -> Iterator[MarlinRules]:
     """The rules of the versions from `first` to `last`."""
     ends = [rule.since for rule in ALL_RULES[1:]]
     for rule, end in zip(ALL_RULES, [*ends, (99,)], strict=True):

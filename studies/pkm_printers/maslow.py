@@ -118,7 +118,7 @@ class MaslowImporter:
         accounts = account(written, _other_keys(lines), WORDS).sentences()
         anchors = _anchors(written, lines)
         belts, notes = _belts(lines)
-        notes += gcode.about_order(lines)
+        notes += gcode.order_text(lines)
         _check_closing(belts, anchors, lines)
         table = MachineTable(
             model=MODEL,
@@ -167,7 +167,7 @@ def _written(lines: Sequence[TextLine]) -> list[WrittenWord]:
 
     Old keys of anchors are a group of their own where newer ones stand beside them.
     """
-    inside = _of_section(lines)
+    inside = _section_words(lines)
     phrases: list[WrittenWord] = []
     for line, is_new in zip(lines, inside, strict=True):
         text = line.text.split("#")[0]
@@ -180,7 +180,7 @@ def _written(lines: Sequence[TextLine]) -> list[WrittenWord]:
     return phrases
 
 
-def _of_section(lines: Sequence[TextLine]) -> list[bool]:
+def _section_words(lines: Sequence[TextLine]) -> list[bool]:
     """Whether each line is of newer firmware: in its section, or a log's path of it."""
     inside, depth, file = list[bool](), -1, ""
     for line in lines:

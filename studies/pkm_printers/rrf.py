@@ -88,7 +88,7 @@ class RrfImporter:
         maps = [path for path in request.files if is_height_map(path)]
         others = [path for path in request.files if path not in maps]
         texts = gcode.read(others)
-        order = execution_order([_as_command(line) for line in texts])
+        order = execution_order([_command_text(line) for line in texts])
         lines = order.lines
         _check_kinematics(lines)
         given = facts.numbers(lines)
@@ -116,7 +116,7 @@ class RrfImporter:
             geometry=_geometry(delta, stops, given),
             points=points,
             accounts=account.sentences(),
-            notes=[*notes, *order.notes, *gcode.about_order(texts)],
+            notes=[*notes, *order.notes, *gcode.order_text(texts)],
             bed_slope_ppm=slope,
             meshes=[height_map(path, mesh_offset(order, given)) for path in maps],
             mesh=request.mesh,
@@ -194,7 +194,7 @@ def _written(words: dict[str, str]) -> str:
 # -- replies as commands ---------------------------------------------------------------
 
 
-def _as_command(line: TextLine) -> TextLine:
+def _command_text(line: TextLine) -> TextLine:
     for name, pattern in REPLIES.items():
         match = pattern.search(line.text)
         if match is not None:

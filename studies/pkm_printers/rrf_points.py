@@ -77,7 +77,7 @@ def probed_points(
         problem = f"{len(cells)} heights for {len(points)} probe points"
         raise line.error(problem, "give the bed.g that was probed")
     _check_not_calibrated(lines, line)
-    notes = [*reset, _about_places(points, "probe_offset_mm" in given)]
+    notes = [*reset, _places_text(points, "probe_offset_mm" in given)]
     if len(reports) > 1:
         notes.append(f"Not read: {len(reports) - 1} earlier lines of heights.")
     heights = [gcode.finite(cell, line) for cell in cells]
@@ -170,7 +170,7 @@ class _Probes:
         return offsets.pop() if offsets else None
 
 
-def _about_places(points: Mapping[int, ProbePoint], is_given: bool) -> str:
+def _places_text(points: Mapping[int, ProbePoint], is_given: bool) -> str:
     """A sentence on the places of the nozzle."""
     source = "probe_offset_mm" if is_given else "G31"
     probed = [point.offset for point in points.values() if not point.is_typed]
@@ -184,7 +184,7 @@ def _about_places(points: Mapping[int, ProbePoint], is_given: bool) -> str:
     elif alike in (set(), {None}):
         sentence = "Places: those of the nozzle; there is no G31 with X and Y"
     else:
-        sentence = _about_offset(alike.pop() or (0.0, 0.0), source)
+        sentence = _offset_text(alike.pop() or (0.0, 0.0), source)
     if typed:
         sentence += (
             f"; the height of point {', '.join(typed)} was typed (Z of G30), and is that of"
@@ -193,7 +193,7 @@ def _about_places(points: Mapping[int, ProbePoint], is_given: bool) -> str:
     return sentence + "."
 
 
-def _about_offset(offset: tuple[float, float], source: str) -> str:
+def _offset_text(offset: tuple[float, float], source: str) -> str:
     x, y = offset
     if not (x or y):
         return f"Places: those of the nozzle, where the probe is ({source})"

@@ -92,7 +92,7 @@ def execution_order(
         if name not in code and name not in probing
         for line in content
     ]
-    settings = _with_stored(configuration, stored, logs)
+    settings = _add_stored(configuration, stored, logs)
     if not stored:
         notes.append(_unread(configuration))
     return ExecutionOrder(
@@ -122,7 +122,7 @@ def _has_points(lines: Sequence[TextLine]) -> bool:
     return any("P" in command.words for command in gcode.commands(lines, "G30"))
 
 
-def _with_stored(
+def _add_stored(
     configuration: Sequence[TextLine],
     stored: Mapping[str, Sequence[TextLine]],
     logs: Sequence[TextLine],

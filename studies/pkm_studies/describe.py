@@ -55,7 +55,7 @@ def parameter_labels(kinematics: Kinematics, x: Array, q: Array) -> list[Drawing
     """
     names = [p.name for p in kinematics.machine.parameters]
     moved = [_moved_point(kinematics, x, q, k) for k in range(len(names))]
-    places = _with_joined_points(kinematics, x, q, moved)
+    places = _join_points(kinematics, x, q, moved)
     members: dict[tuple[float, ...], list[str]] = {}
     for name, location in zip(names, places, strict=True):
         if location is not None and name not in kinematics.machine.frame:
@@ -114,7 +114,7 @@ def _label_points(
         yield from line
 
 
-def _with_joined_points(
+def _join_points(
     kinematics: Kinematics, x: Array, q: Array, moved: Sequence[Array | None]
 ) -> list[Array | None]:
     """The moved points, and for other parameters the middle of the points they join."""
@@ -160,8 +160,8 @@ def machine_info(machine: Machine) -> MachineInfo:
                 "name": p.name,
                 "about": p.about,
                 "unit": unit,
-                "nominal": _in_unit(p.nominal, unit),
-                "tolerance": _in_unit(p.tolerance, unit),
+                "nominal": _displayed_value(p.nominal, unit),
+                "tolerance": _displayed_value(p.tolerance, unit),
             }
         )
     return MachineInfo(
@@ -169,7 +169,7 @@ def machine_info(machine: Machine) -> MachineInfo:
     )
 
 
-def with_earlier_sessions(
+def add_earlier_sessions(
     info: MachineInfo, study: Study, measurement: Measurement
 ) -> MachineInfo:
     """The table with what controller and prior have from earlier sessions."""
@@ -181,9 +181,9 @@ def with_earlier_sessions(
         unit = units.display(p.unit)
         changed = dict(row)
         if study.machine.controller is not None:
-            changed["held"] = _in_unit(float(fixed[k]), unit)
+            changed["held"] = _displayed_value(float(fixed[k]), unit)
         if p.expected is not None:
-            changed["expected"] = _in_unit(p.expected, unit)
+            changed["expected"] = _displayed_value(p.expected, unit)
         rows.append(changed)
     return msgspec.structs.replace(
         info,
@@ -225,7 +225,7 @@ def setup_info(
     sigma = {}
     for channel, value in channel_noise:
         unit = units.FINE[channel.unit]
-        sigma[f"{channel.name}_{unit}"] = _in_unit(value, unit)
+        sigma[f"{channel.name}_{unit}"] = _displayed_value(value, unit)
     unknowns = dict(field(n.name, n.tolerance, n.unit) for n in setup.nuisances)
     return SetupInfo(
         name=setup.name,
@@ -242,7 +242,7 @@ def _numbers(machine: Machine, setup: Setup) -> dict[str, float]:
     unit = {s.name: s.unit for s in setup.instrument.settings}
     numbers = dict(field(k, value, unit[k]) for k, value in setup.settings.items())
     for axis, value in zip("xyz", setup.tool, strict=True):
-        numbers[f"tool_{axis}_mm"] = _in_unit(value, "mm")
+        numbers[f"tool_{axis}_mm"] = _displayed_value(value, "mm")
     if setup.teach is not None:
         taught = displayed_command(machine, np.array(setup.teach))
         numbers |= {f"teach_{key}": value for key, value in taught.items()}
@@ -266,7 +266,7 @@ def package_versions() -> dict[str, str]:
 def field(name: str, value: float, si: str) -> tuple[str, float]:
     """The key of an SI value, and the value in the unit of that key: `theta_deg`, 30."""
     unit = quantities.display_unit(si)
-    return f"{name}_{unit}", _in_unit(value, unit)
+    return f"{name}_{unit}", _displayed_value(value, unit)
 
 
 def displayed_values(
@@ -329,5 +329,5 @@ def _points(line: Array) -> list[list[float]]:
     return [[float(v) for v in row] for row in line]
 
 
-def _in_unit(value: float, unit: str) -> float:
+def _displayed_value(value: float, unit: str) -> float:
     return float(f"{float(units.from_si(value, unit)):.{DIGITS}g}")

@@ -140,7 +140,7 @@ def known_parameters(
     section = _section(stored, machine, free, folder)
     mixture = mixture_of(stored)
     if mixture is not None and set(free) <= set(mixture.parameters):
-        return _over_answers(mixture, free)
+        return _mixture_knowledge(mixture, free)
     draws = folder / FILE
     if stored.corrected is None and draws.is_file():
         sample = read_draws(draws, free)
@@ -148,9 +148,9 @@ def known_parameters(
             covariance = np.atleast_2d(np.cov(sample.T))
             return sample.mean(axis=0), covariance, "draws of the posterior"
     rows = [section.parameters[name] for name in free]
-    value = _in_si([row.value for row in rows], rows)
+    value = _si_numbers([row.value for row in rows], rows)
     if not section.covariance:
-        sd = _in_si([row.sd for row in rows], rows)
+        sd = _si_numbers([row.sd for row in rows], rows)
         source = "standard deviations of the estimate, taken as independent"
         return value, np.diag(sd**2), source
     names = list(section.parameters)
@@ -163,7 +163,7 @@ def known_parameters(
     return value, covariance * np.outer(factors, factors), source
 
 
-def _over_answers(
+def _mixture_knowledge(
     mixture: MixtureSection, free: Sequence[str]
 ) -> tuple[Array, Array, str]:
     """The same over all answers of a diagnosis."""
@@ -196,7 +196,7 @@ def _section(
     return section
 
 
-def _in_si(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> Array:
+def _si_numbers(numbers: Sequence[float], rows: Sequence[ParameterEstimate]) -> Array:
     """One number (n,) of each estimate, given in the estimate's unit."""
     pairs = zip(numbers, rows, strict=True)
     return np.array([float(units.to_si(number, row.unit)) for number, row in pairs])

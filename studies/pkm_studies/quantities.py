@@ -132,7 +132,7 @@ def component_values(text: str, option: str, machine: Machine) -> dict[str, floa
     return values
 
 
-def with_fine_units(values: Mapping[str, float], machine: Machine) -> dict[str, float]:
+def fine_units(values: Mapping[str, float], machine: Machine) -> dict[str, float]:
     """SI values by component as values by component and fine unit (`z_um`)."""
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
     return {f"{n}_{fine[n]}": units.number(v, fine[n]) for n, v in values.items()}

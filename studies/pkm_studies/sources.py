@@ -21,9 +21,9 @@ def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Da
     Raises InputError, and SourceAbsentError where a collection is not there.
     """
     if table.source is None:
-        data = from_files([study.folder / name for name in table.files], measurement)
+        data = read_files([study.folder / name for name in table.files], measurement)
     else:
-        data = _from_source(table.source, table, study, measurement)
+        data = _source_rows(table.source, table, study, measurement)
     for field, names in (("fit", table.fit or []), ("predict", table.predict)):
         location = study.location.key("readings").key(field)
         for i, name in enumerate(names):
@@ -34,12 +34,12 @@ def readings(table: ReadingsTable, study: Study, measurement: Measurement) -> Da
     return data
 
 
-def from_files(paths: Sequence[Path], measurement: Measurement) -> Dataset:
+def read_files(paths: Sequence[Path], measurement: Measurement) -> Dataset:
     """Readings files taken together. Raises InputError."""
-    return from_sessions([paths], measurement)[0]
+    return read_sessions([paths], measurement)[0]
 
 
-def from_sessions(
+def read_sessions(
     sessions: Sequence[Sequence[Path]], measurement: Measurement
 ) -> tuple[Dataset, tuple[int, ...]]:
     """Readings files of several sessions, and whose clocks start again: their numbers.
@@ -91,7 +91,7 @@ def _input_error(error: ReadingsError) -> InputError:
     )
 
 
-def _from_source(
+def _source_rows(
     source: str, table: ReadingsTable, study: Study, measurement: Measurement
 ) -> Dataset:
     """Readings of a collection in the set-ups that the study knows."""

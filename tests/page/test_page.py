@@ -194,10 +194,10 @@ def test_an_entry_that_is_sent_again_is_taken_once(machine: Any) -> None:
 
 def test_a_change_by_an_editor_is_not_overwritten(tmp_path: Path) -> None:
     log = ReadingsLog(tmp_path / "poses.csv")
-    first = log.write(readings_log.ABSENT, log.read().with_rows([{"setup": "a"}]))
+    first = log.write(readings_log.ABSENT, log.read().replace_rows([{"setup": "a"}]))
     log.path.write_text("setup\nof the user\n", encoding="utf-8")
     with pytest.raises(StaleError):
-        log.write(first.version, first.with_rows([{"setup": "b"}]))
+        log.write(first.version, first.replace_rows([{"setup": "b"}]))
     assert log.path.read_text("utf-8") == "setup\nof the user\n"
 
 

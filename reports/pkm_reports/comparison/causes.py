@@ -40,5 +40,5 @@ def _row(name: str, gap: GapSection) -> list[str]:
 
 
 def _rms(gap: GapSection, rms: Mapping[str, float]) -> str:
-    sizes = [f"{n} {text.in_unit_of(n, v, gap.units)}" for n, v in rms.items()]
+    sizes = [f"{n} {text.channel_value(n, v, gap.units)}" for n, v in rms.items()]
     return text.listing(sizes) or text.MISSING

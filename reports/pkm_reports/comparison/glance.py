@@ -154,7 +154,7 @@ def _residual(result: StudyResult) -> str:
         return text.MISSING
     rms = estimate.rms_after
     return text.listing(
-        f"{name} {text.in_unit_of(name, value, estimate.units)}"
+        f"{name} {text.channel_value(name, value, estimate.units)}"
         for name, value in rms.items()
     )
 

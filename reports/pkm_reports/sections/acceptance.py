@@ -34,7 +34,7 @@ def blocks(result: StudyResult) -> list[Block]:
         return chapter
     if verification is not None:
         chapter += _verdict(verification)
-    chapter.append(Paragraph(_about(acceptance)))
+    chapter.append(Paragraph(_introduction(acceptance)))
     chapter += headed_list("The promise rests on:", acceptance.conditions)
     chapter.append(_demands(acceptance))
     if acceptance.further:
@@ -70,7 +70,7 @@ def verdict(verification: VerificationSection) -> str:
     )
 
 
-def _about(acceptance: AcceptanceSection) -> str:
+def _introduction(acceptance: AcceptanceSection) -> str:
     miss = text.percent(acceptance.miss - 1.0)
     return (
         f"{text.count(len(acceptance.poses), 'pose')} that the calibration did not read"

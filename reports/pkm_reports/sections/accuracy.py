@@ -48,7 +48,7 @@ def blocks(result: StudyResult) -> list[Block]:
         return []
     components = prediction.components
     chapter: list[Block] = [
-        Paragraph(_about(prediction)),
+        Paragraph(_introduction(prediction)),
         Paragraph(_verdict(components)),
         Picture(
             "accuracy", lambda: accuracy.draw(prediction), _bars_caption(components)
@@ -74,7 +74,7 @@ def blocks(result: StudyResult) -> list[Block]:
 # -- what the controller can correct ---------------------------------------------------
 
 
-def _about(prediction: PredictionSection) -> str:
+def _introduction(prediction: PredictionSection) -> str:
     reference = text.meaning(prediction.reference, REFERENCES)
     mode = text.meaning(prediction.mode, MODES)
     poses = text.count(prediction.poses, "workspace pose")

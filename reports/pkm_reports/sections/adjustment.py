@@ -32,7 +32,7 @@ def blocks(result: StudyResult) -> list[Block]:
     if not section.lines:
         return [Paragraph(f"{NOTHING} Total: {section.about}."), _accuracy(section)]
     return [
-        Paragraph(_about(section)),
+        Paragraph(_introduction(section)),
         _lines(section),
         _accuracy(section),
         *headed_list("The figures rest on:", section.conditions),
@@ -42,13 +42,13 @@ def blocks(result: StudyResult) -> list[Block]:
 def adjustment_blocks(section: AdjustmentSection) -> list[Block]:
     """What the fitter's page has, with room to write."""
     return [
-        Paragraph(_about(section)),
+        Paragraph(_introduction(section)),
         _lines(section, TO_FILL_IN),
         _accuracy(section),
     ]
 
 
-def _about(section: AdjustmentSection) -> str:
+def _introduction(section: AdjustmentSection) -> str:
     ends = [section.accuracy[k].total for k in (0, -1)]
     first, last = (text.quantity(total, section.total_unit) for total in ends)
     return (
@@ -93,7 +93,7 @@ def _line(line: AdjustmentLine, total_unit: str) -> list[str]:
 def signed(line: AdjustmentLine) -> str:
     """The amount with its sign and unit: `+0.34 mm`."""
     sign = "+" if line.amount > 0.0 else ""
-    return sign + text.with_unit(text.trimmed(line.amount, 6), line.unit)
+    return sign + text.append_unit(text.trimmed(line.amount, 6), line.unit)
 
 
 def _accuracy(section: AdjustmentSection) -> Table:

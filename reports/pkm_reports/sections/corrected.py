@@ -30,7 +30,7 @@ def blocks(result: StudyResult) -> list[Block]:
     if corrected is None:
         return []
     chapter: list[Block] = [Notice(text.sentence(w)) for w in corrected.warnings]
-    chapter.append(Paragraph(_about(corrected)))
+    chapter.append(Paragraph(_introduction(corrected)))
     chapter += headed_list("The corrected accuracy rests on:", corrected.conditions)
     chapter.append(_parameters(result, corrected))
     chapter.append(_effects(corrected.effects))
@@ -42,7 +42,7 @@ def blocks(result: StudyResult) -> list[Block]:
     return chapter
 
 
-def _about(corrected: CorrectedSection) -> str:
+def _introduction(corrected: CorrectedSection) -> str:
     source = (
         "that the diagnosis selected"
         if corrected.origin == "diagnosis"

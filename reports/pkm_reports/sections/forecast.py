@@ -22,7 +22,7 @@ def blocks(result: StudyResult) -> list[Block]:
     forecast = result.forecast
     if forecast is None:
         return []
-    chapter: list[Block] = [Paragraph(_about(forecast)), _planned(forecast)]
+    chapter: list[Block] = [Paragraph(_introduction(forecast)), _planned(forecast)]
     if forecast.readings:
         chapter.append(_residual(forecast))
     if any(c.checked is not None for c in forecast.components.values()):
@@ -37,7 +37,7 @@ def answer(forecast: ForecastSection) -> Table:
     return _residual(forecast) if forecast.readings else _planned(forecast)
 
 
-def _about(forecast: ForecastSection) -> str:
+def _introduction(forecast: ForecastSection) -> str:
     phrase = (
         f"Errors that come back at the same command are measured at nodes and subtracted in"
         f" advance, relative to {forecast.reference}. The plan has"

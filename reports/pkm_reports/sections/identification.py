@@ -89,7 +89,7 @@ def _fit(estimate: EstimateSection, checked: GoodnessSection | None) -> str:
 
 
 def _rms_of(estimate: EstimateSection, channel: str, rms: Mapping[str, float]) -> str:
-    return text.in_unit_of(channel, missing.entry(rms, channel), estimate.units)
+    return text.channel_value(channel, missing.entry(rms, channel), estimate.units)
 
 
 def _residuals_caption(estimate: EstimateSection) -> str:

@@ -37,11 +37,11 @@ def goodness(checked: GoodnessSection) -> str:
     )
     return (
         f"χ² is {chi2} for {dof} degrees of freedom{checked.chi2_words} by the stated"
-        f" noise ({chance}): {verdict}.{_under_law(checked)}"
+        f" noise ({chance}): {verdict}.{_law_judgement(checked)}"
     )
 
 
-def _under_law(checked: GoodnessSection) -> str:
+def _law_judgement(checked: GoodnessSection) -> str:
     """How the same readings agree with the estimated law; empty without one."""
     if checked.law_p_high is None:
         return ""

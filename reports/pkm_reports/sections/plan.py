@@ -124,7 +124,7 @@ def _cell(key: str, value: str | float | None) -> str:
 def blocks(result: StudyResult) -> list[Block]:
     """Drawing, stages, working order, readings."""
     design, drawing, plan = result.design, result.drawing, result.plan
-    chapter: list[Block] = [Paragraph(_about(result.machine))]
+    chapter: list[Block] = [Paragraph(_introduction(result.machine))]
     if drawing is not None:
         caption = _drawing_caption(drawing)
         chapter.append(Picture("machine", lambda: machine.draw(drawing), caption))
@@ -139,7 +139,7 @@ def blocks(result: StudyResult) -> list[Block]:
     return chapter
 
 
-def _about(info: MachineInfo) -> str:
+def _introduction(info: MachineInfo) -> str:
     about = f"{info.name}: {text.sentence(info.about)}"
     if not info.source:
         return about

@@ -49,11 +49,11 @@ class Circle:
 def circles(gap: GapSection | None, readings: Sequence[ViewReading]) -> list[Circle]:
     """Circles of a diagnosis, or of the fitted readings where there is none."""
     if gap is not None and any(trace.kind == "circle" for trace in gap.traces):
-        return _of_traces(gap.traces)
-    return _of_readings(readings)
+        return _trace_circles(gap.traces)
+    return _reading_circles(readings)
 
 
-def _of_traces(traces: Sequence[Trace]) -> list[Circle]:
+def _trace_circles(traces: Sequence[Trace]) -> list[Circle]:
     passes: dict[tuple[str, str, str, str], list[Trace]] = {}
     for trace in traces:
         if trace.kind == "circle":
@@ -76,7 +76,7 @@ def _load(trace: Trace) -> str:
     return "" if trace.payload is None else f", {text.trimmed(trace.payload, 3)} N"
 
 
-def _of_readings(readings: Sequence[ViewReading]) -> list[Circle]:
+def _reading_circles(readings: Sequence[ViewReading]) -> list[Circle]:
     runs: dict[tuple[str, str], list[int]] = {}
     for k, reading in enumerate(readings):
         if len(reading.residuals) == 1:

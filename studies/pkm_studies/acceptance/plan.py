@@ -152,7 +152,7 @@ def _comments(section: AcceptanceSection, machine: Machine) -> Iterator[str]:
         yield f"{AXES}: 1 where further axes took the known errors back, else 0 or empty"
 
 
-def to_fill_in(section: AcceptanceSection, machine: Machine) -> str:
+def acceptance_form(section: AcceptanceSection, machine: Machine) -> str:
     """CSV of the poses, with empty columns for the measured errors."""
     columns = list(error_columns(section.components).values())
     if section.further:

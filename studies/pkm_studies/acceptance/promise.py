@@ -85,19 +85,13 @@ def promised_accuracy(
 
     Raises InputError where the result has no estimate with its covariance.
     """
-    section = result.final_estimate
-    if section is None or not section.covariance:
-        raise InputError(
-            "this result has no estimate with its covariance",
-            "make it with `oed identify STUDY --readings CSV --out DIR`",
-            file=file,
-        )
+    section = _estimate(result, file)
     kinematics = study_kinematics(study)
     machine = kinematics.machine
     workspace = regular_commands(study, kinematics)
     table = study.prediction
     reference: Reference = "home" if table is None else table.reference
-    command = _with_poses_between(kinematics, workspace, reference)
+    command = _add_poses_between(kinematics, workspace, reference)
     maps = error_maps(kinematics, command, reference)
     covariance, tolerance = covariances(machine, section)
     varying = _varying(maps, covariance)
@@ -145,7 +139,19 @@ def promised_accuracy(
     )
 
 
-def _with_poses_between(
+def _estimate(result: StudyResult, file: str) -> EstimateSection | CorrectedSection:
+    """The estimate of a result. Raises InputError where it has no covariance."""
+    section = result.final_estimate
+    if section is None or not section.covariance:
+        raise InputError(
+            "this result has no estimate with its covariance",
+            "make it with `oed identify STUDY --readings CSV --out DIR`",
+            file=file,
+        )
+    return section
+
+
+def _add_poses_between(
     kinematics: Kinematics, workspace: Array, reference: Reference
 ) -> Array:
     """The workspace's commands (n, n_dof), and some between them, which no readings took.

@@ -57,11 +57,11 @@ def judge_file(section: AcceptanceSection, path: Path) -> VerificationSection:
     errors, figures = {}, {}
     for name, column in error_columns(section.components).items():
         values = table.numbers(column)
-        errors[name] = _by_pose(values, target, len(section.poses))
+        errors[name] = _values_by_pose(values, target, len(section.poses))
         unit = section.components[name].unit
-        of_component = positioning(values, target, direction, unit)
-        if of_component is not None:
-            figures[name] = of_component
+        component_label = positioning(values, target, direction, unit)
+        if component_label is not None:
+            figures[name] = component_label
     components = judge(errors, section.components)
     further = _further(section, table, target)
     every = (*components.values(), *further.values())
@@ -96,14 +96,14 @@ def _further(
         measured = table.numbers(column)
         known_of_rows = expected[target]
         with_axes = np.where(taken_back, measured, measured - known_of_rows)
-        remaining = _by_pose(with_axes, target, len(expected))
+        remaining = _values_by_pose(with_axes, target, len(expected))
         judged = judge({name: remaining}, {name: demand})[name]
         without = float(np.sqrt(np.mean((remaining + expected) ** 2)))
         verdicts[name] = replace(judged, without=without)
     return verdicts
 
 
-def _by_pose(values: Array, target: Index, poses: int) -> Array:
+def _values_by_pose(values: Array, target: Index, poses: int) -> Array:
     """Means (poses,) of values (n,) by planned pose."""
     return np.array([values[target == k].mean() for k in range(poses)])
 
@@ -239,7 +239,7 @@ def plan_folder(
     section = plan.plan_section(result, accuracy, rng, power=power, most=most)
     healthy = healthy_accuracy(result, planned, section.components)
     section = msgspec.structs.replace(section, healthy=healthy)
-    text = plan.to_fill_in(section, machine)
+    text = plan.acceptance_form(section, machine)
     earlier_files = list(result.written.values())
     path = own_files.write_own(folder / ACCEPTANCE_FILE, text.encode(), earlier_files)
     written = {**result.written, path.name: files.digest(text.encode())}

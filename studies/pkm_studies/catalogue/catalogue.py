@@ -192,7 +192,7 @@ def lookup(
     """
     module_name = user_code.file_name(reference)
     if not module_name:
-        return _by_short_name(reference, kind, location)
+        return _named_shortly(reference, kind, location)
     module = _module(module_name, origin, location)
     usual = ATTRIBUTES.get(kind, kind.removesuffix("s"))
     attribute = reference[len(module_name) + 1 :] or usual
@@ -208,7 +208,7 @@ def lookup(
     raise location.error(problem, suggest(attribute, there, "there is"), reference)
 
 
-def _by_short_name(name: str, kind: str, location: Location) -> Any:
+def _named_shortly(name: str, kind: str, location: Location) -> Any:
     item = _shipped_item(name, kind)
     if item is not None:
         return item

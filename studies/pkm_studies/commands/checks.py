@@ -111,7 +111,7 @@ def _check_study(
         remarks = check_inputs(complete)
         content = _content(study, complete)
         if complete.dataset is not None:
-            return _with_findings(content, complete, complete.dataset)
+            return _add_findings(content, complete, complete.dataset)
         if alone:
             remarks += _unseen(complete)
         return Verdict(content, remarks=remarks)
@@ -123,7 +123,7 @@ def _check_study(
         raise InputError(str(error), remedy, file=str(path)) from error
 
 
-def _with_findings(content: str, study: ResolvedStudy, data: Dataset) -> Verdict:
+def _add_findings(content: str, study: ResolvedStudy, data: Dataset) -> Verdict:
     """What a check of readings says."""
     checked = check_dataset(study, data, _rng(study))
     findings = [f.sentence for f in checked.findings if f.severity < Severity.REMARK]
@@ -188,9 +188,9 @@ def _check_readings(
     remarks: list[str] = []
     for study in naming or resolved:
         measurement = study.measurement_with(study.setups)
-        data = sources.from_files([path], measurement)
+        data = sources.read_files([path], measurement)
         content = f"{len(data)} readings fit the columns of {study.study.name}"
-        verdict = _with_findings(content, study, data)
+        verdict = _add_findings(content, study, data)
         contents.append(verdict.content)
         findings += verdict.findings
         remarks += verdict.remarks

@@ -169,7 +169,7 @@ def _guarded(arguments: Sequence[str] | None) -> int:
         console.set_up()
         return _call(arguments)
     except InputError as error:
-        return _bad_input(_with_notes(str(error), error))
+        return _bad_input(_add_notes(str(error), error))
     except KeyboardInterrupt:  # outside typer's care, as during an import
         return _interrupted()
     except SystemExit:  # typer's way to say that nobody reads the output any more
@@ -179,12 +179,12 @@ def _guarded(arguments: Sequence[str] | None) -> int:
         if console.reader_has_gone(error):
             console.discard_output()
             return DONE
-        return _bad_input(_about_file(error))
+        return _bad_input(_file_text(error))
     except _loaded_errors(BAD_FIT) as error:
         console.print_error(str(error))
         return FAILED
     except _loaded_errors(KERNEL_ERRORS) as error:
-        return _bad_input(_with_notes(shorten(str(error), 500), error))
+        return _bad_input(_add_notes(shorten(str(error), 500), error))
     except Exception as error:
         if not hasattr(error, "format_message"):
             raise
@@ -205,12 +205,12 @@ def _interrupted() -> int:
     return INTERRUPTED
 
 
-def _with_notes(paragraph: str, error: BaseException) -> str:
+def _add_notes(paragraph: str, error: BaseException) -> str:
     """The paragraph, then what was noted while the error passed."""
     return " ".join([paragraph, *getattr(error, "__notes__", ())])
 
 
-def _about_file(error: OSError) -> str:
+def _file_text(error: OSError) -> str:
     """What a file refuses; an error without a name may be the output's own."""
     about_output = console.is_about_output(error)
     if about_output:

@@ -80,15 +80,15 @@ def complete_budget(
     lines = [_rounding(controller, joints, content, prediction, shown)]
     if controller.interpolated:
         lines += _interpolation(content, prediction, shown)
-    lines += _of_effects(content, shown)
+    lines += _effect_lines(content, shown)
     if corrected is not None and not controller.tables:
         lines.append(_left_out(prediction, _geometry_alone(result, corrected), shown))
-    section = with_lines(budget, lines)
+    section = add_lines(budget, lines)
     driven = driven_units(content)
     section = msgspec.structs.replace(
         section,
         advice=advice_on(section.lines, section.predicted, driven),
-        no_axes=_without_axes(content, prediction, budget, section),
+        no_axes=_rms_without_axes(content, prediction, budget, section),
     )
     exact = error_quantities(budget.predicted, driven)
     alone = corrected is None and mixture_of(result) is not None
@@ -118,7 +118,7 @@ def _shown(
     return {name: unit for name, unit in shown.items() if name in budget.predicted}
 
 
-def _without_axes(
+def _rms_without_axes(
     content: Compensation,
     prediction: PredictionSection,
     budget: BudgetSection,
@@ -162,7 +162,7 @@ def _axes_sentence(
     return f"{sentence}, and {remaining} with further axes that take back {columns}"
 
 
-def with_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSection:
+def add_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSection:
     """A budget with further lines, of the components that these have."""
     names = list(added[0].rms)
     extra = {n: sum(line.rms[n] ** 2 for line in added) for n in names}
@@ -197,7 +197,7 @@ def with_lines(budget: BudgetSection, added: Sequence[FileLine]) -> BudgetSectio
 def _added(line: FileLine, total: Values) -> BudgetLine:
     """A line of the file among all errors."""
 
-    def with_share(share: float) -> dict[str, float]:
+    def share_text(share: float) -> dict[str, float]:
         """The rms errors with a share of the line's mean square."""
         gone = {n: (1.0 - share) * line.rms[n] ** 2 for n in total}
         return {n: max(total[n] ** 2 - gone[n], 0.0) ** 0.5 for n in total}
@@ -207,8 +207,8 @@ def _added(line: FileLine, total: Values) -> BudgetLine:
         kind=line.kind,
         share={n: line.rms[n] ** 2 / total[n] ** 2 for n in total},
         size=dict(line.rms),
-        without=with_share(0.0),
-        halved=with_share(0.25) if line.kind == "rounding" else None,
+        without=share_text(0.0),
+        halved=share_text(0.25) if line.kind == "rounding" else None,
     )
 
 
@@ -273,7 +273,7 @@ def _interpolation(
     return [FileLine(INTERPOLATION, "interpolation", _rms(content, errors, shown))]
 
 
-def _of_effects(content: Compensation, shown: Mapping[str, str]) -> list[FileLine]:
+def _effect_lines(content: Compensation, shown: Mapping[str, str]) -> list[FileLine]:
     """What the effects' corrections lose between their commands, in their worst states.
 
     Their errors may go the same way: they add up in size.

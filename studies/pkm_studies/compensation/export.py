@@ -91,7 +91,7 @@ def build_compensation(
         content = dataclasses.replace(content, draws=draws)
     if not controller.table:
         return content
-    return _with_grid(content, result, workspace_axes(study, machine), largest)
+    return _add_grid(content, result, workspace_axes(study, machine), largest)
 
 
 def replaces_values(controller: str) -> str:
@@ -102,7 +102,7 @@ def replaces_values(controller: str) -> str:
     )
 
 
-def _with_grid(
+def _add_grid(
     content: Compensation,
     result: StudyResult,
     axes: tuple[GridAxis, ...],
@@ -111,7 +111,7 @@ def _with_grid(
     """The content with the grid of its table, where its workspace is in reach."""
     kinematics = content.kinematics
     correction = table_grid.table_correction(content.further, content.identified.values)
-    want = table_grid.with_offsets(
+    want = table_grid.add_offsets(
         table_grid.table_accuracy(kinematics, result.final_prediction),
         content.further,
         result.final_prediction,
@@ -192,7 +192,7 @@ def export_folder(
     result = load_result(folder)
     study = result_study(result, folder, study_file, consent)
     if firmware is not None:
-        study = _with_version(study, controller, firmware)
+        study = _add_version(study, controller, firmware)
     notes = _held_notes(result)
     if adjusted:
         result = adjusted_result(result)
@@ -229,7 +229,7 @@ def _held_notes(result: StudyResult) -> tuple[str, ...]:
     return (*sentences, beyond)
 
 
-def _with_version(study: Study, controller: ControllerFormat, version: str) -> Study:
+def _add_version(study: Study, controller: ControllerFormat, version: str) -> Study:
     """The study with the version of the firmware that is written for."""
     if not controller.versions:
         raise InputError(

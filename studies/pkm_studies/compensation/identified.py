@@ -58,9 +58,12 @@ def identified_parameters(
     conditions: tuple[str, ...] = ()
     mixture = mixture_of(result)
     if mixture is not None and not with_effects:
-        origin, conditions = "gap.mixture", _over_answers(mixture, corrected, tables)
+        origin, conditions = (
+            "gap.mixture",
+            _mixture_parameters(mixture, corrected, tables),
+        )
     elif corrected is not None:
-        conditions = (*_of_effects(corrected, tables), *_if_not_best(mixture))
+        conditions = (*_effect_parameters(corrected, tables), *_if_not_best(mixture))
         if corrected.controller and not with_effects:
             conditions = (SENT[PLAIN], *conditions)
     elif result.estimate is not None and result.estimate.controller:
@@ -106,28 +109,26 @@ def adjusted_result(result: StudyResult) -> StudyResult:
         p = parameters[line.parameter]
         value, sd = p.value + line.amount, float(np.hypot(p.sd, line.sd))
         parameters[line.parameter] = msgspec.structs.replace(p, value=value, sd=sd)
-    result = _with_adjusted_mixture(result, adjustment)
+    result = _adjusted_mixture(result, adjustment)
     part = "estimate" if result.corrected is None else "corrected"
     section = msgspec.structs.replace(section, parameters=parameters)
-    changed = _with_adjusted_controller(section, adjustment)
+    changed = _adjusted_controller(section, adjustment)
     return msgspec.structs.replace(result, **{part: changed})
 
 
-def _with_adjusted_mixture(
+def _adjusted_mixture(
     result: StudyResult, adjustment: AdjustmentSection
 ) -> StudyResult:
     """The result whose controller parameters over all answers have the adjustments."""
     mixture = mixture_of(result)
     if mixture is None or result.gap is None:
         return result
-    changed = _with_adjusted_controller(mixture, adjustment)
+    changed = _adjusted_controller(mixture, adjustment)
     gap = msgspec.structs.replace(result.gap, mixture=changed)
     return msgspec.structs.replace(result, gap=gap)
 
 
-def _with_adjusted_controller(
-    section: Section, adjustment: AdjustmentSection
-) -> Section:
+def _adjusted_controller(section: Section, adjustment: AdjustmentSection) -> Section:
     """The section whose parameters for the controller, if any, have the adjustments."""
     controller = dict(section.controller)
     for line in adjustment.lines:
@@ -136,7 +137,7 @@ def _with_adjusted_controller(
     return msgspec.structs.replace(section, controller=controller)
 
 
-def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:
+def _effect_parameters(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:
     """Sentences on the effects: which the file holds, and what the others cost."""
     tabled = dict.fromkeys(t.effect for t in corrected.tables) if tables else {}
     sentences = []
@@ -159,7 +160,7 @@ def _of_effects(corrected: CorrectedSection, tables: bool) -> tuple[str, ...]:
     return (*sentences, f"predicted rms without the effects: {', '.join(parts)}")
 
 
-def _over_answers(
+def _mixture_parameters(
     mixture: MixtureSection, corrected: CorrectedSection | None, tables: bool
 ) -> tuple[str, ...]:
     """What the parameters over all answers are, what stays, and what is reached."""

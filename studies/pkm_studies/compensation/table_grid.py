@@ -58,14 +58,14 @@ def table_accuracy(
 ) -> TableAccuracy:
     """A share of the predicted accuracy; without one, a joint error of 1 um."""
     if prediction is None:
-        return _of_joints(kinematics)
+        return _joint_offsets(kinematics)
     after = {name: c.after.rms for name, c in prediction.components.items()}
     if prediction.budget is not None:
         after = prediction.budget.predicted
     driven = [c for c in kinematics.machine.components if c.compensatable]
     remaining = rms_of(after, kinematics)
     if not (remaining > 0.0).all():
-        return _of_joints(kinematics)
+        return _joint_offsets(kinematics)
     return TableAccuracy(
         tuple(c.name for c in driven),
         tuple(c.unit for c in driven),
@@ -74,7 +74,7 @@ def table_accuracy(
     )
 
 
-def with_offsets(
+def add_offsets(
     want: TableAccuracy, further: FurtherAxes, prediction: PredictionSection | None
 ) -> TableAccuracy:
     """As `want`, and the offsets for further axes to a share of what stays unknown.
@@ -115,7 +115,7 @@ def rms_of(values: Mapping[str, float], kinematics: Kinematics) -> Array:
     return np.array(sizes, dtype=float)
 
 
-def _of_joints(kinematics: Kinematics) -> TableAccuracy:
+def _joint_offsets(kinematics: Kinematics) -> TableAccuracy:
     joints = kinematics.machine.joints
     return TableAccuracy(
         tuple(j.name for j in joints),

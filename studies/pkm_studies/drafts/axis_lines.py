@@ -113,7 +113,7 @@ def format_pose(coordinates: tuple[Coordinate, ...], values: Array) -> str:
 
 def format_number(value: float, si: str) -> str:
     """An SI value as TOML, in the unit of its column."""
-    return in_unit(value, display_unit(si))
+    return number_text(value, display_unit(si))
 
 
 def format_numbers(value: object, si: str) -> str:
@@ -124,6 +124,6 @@ def format_numbers(value: object, si: str) -> str:
     return format_number(number if abs(number) > ROUNDING else 0.0, si)
 
 
-def in_unit(value: float, unit: str) -> str:
+def number_text(value: float, unit: str) -> str:
     number = f"{float(units.from_si(value, unit)):.9g}"
     return number if re.search(r"[.e]", number) else f"{number}.0"

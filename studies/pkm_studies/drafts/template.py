@@ -21,7 +21,7 @@ from pkm_studies.drafts.axis_lines import (
     format_number,
     format_numbers,
     format_pose,
-    in_unit,
+    number_text,
     prediction_table,
     span_of_values,
     turns_round,
@@ -172,7 +172,9 @@ def _noise(instrument: Instrument) -> str:
         sign = "# "
     for channel in instrument.channels:
         unit = units.FINE[channel.unit]
-        lines.append(f"{sign}{channel.name}_{unit} = {in_unit(channel.sigma, unit)}")
+        lines.append(
+            f"{sign}{channel.name}_{unit} = {number_text(channel.sigma, unit)}"
+        )
     if instrument.renewed:
         lines.append(
             "# seating_um = 0.3  # of a cup that each run seats anew, if known"

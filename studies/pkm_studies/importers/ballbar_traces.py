@@ -103,10 +103,10 @@ def _unit_in(header: str, quantity: str) -> str | None:
     text = header.replace("\u00b5", "u").replace("\u03bc", "u").replace("\u00b0", "deg")
     phrase = "".join(c if c.isalnum() else " " for c in text).split()[1:]
     wanted = QUANTITIES[quantity]
-    in_unit = [w for w in phrase if units.UNITS.get(w, ("", 0.0))[0] == wanted]
+    number_text = [w for w in phrase if units.UNITS.get(w, ("", 0.0))[0] == wanted]
     # "in" is a word as well: another unit goes before it
-    in_unit.sort(key=lambda word: word == "in")
-    return in_unit[0] if in_unit else None
+    number_text.sort(key=lambda word: word == "in")
+    return number_text[0] if number_text else None
 
 
 def traces(
@@ -129,7 +129,7 @@ def traces(
         if numbers is not None and number not in numbers:
             continue
         part = BarTrace(*(values[start:end] for values in whole))
-        trace = _without_feeds(part, circle)
+        trace = _drop_feeds(part, circle)
         if len(trace.angle) < FEWEST:
             name = next(iter(columns.values()))
             raise table.error(
@@ -209,7 +209,7 @@ def _runs(angle: Array) -> list[tuple[int, int]]:
     return [*bounds, (start, len(angle))]
 
 
-def _without_feeds(trace: BarTrace, circle: CircleFacts) -> BarTrace:
+def _drop_feeds(trace: BarTrace, circle: CircleFacts) -> BarTrace:
     """The run without the arcs at its ends that are no readings."""
     travelled = np.abs(trace.angle - trace.angle[0])
     first = float(units.to_si(circle.feed_in_deg, "deg"))

@@ -106,7 +106,9 @@ def instrument(
     if reason is not None:
         problem = f"it cannot read {machine.name}: {reason}"
         raise field.error(problem, "take another of `oed list instruments`", reference)
-    return loaded.for_machine(machine), _from_folder(reference, origin.folder, request)
+    return loaded.for_machine(machine), _relative_reference(
+        reference, origin.folder, request
+    )
 
 
 def text(column_map: ColumnMap) -> str:
@@ -173,7 +175,7 @@ def _model(
     machine: Machine, table: MachineTable, folder: Path, request: ImportRequest
 ) -> Model:
     """The model whose table names its file as the out folder sees it."""
-    reference = _from_folder(table.model, folder, request)
+    reference = _relative_reference(table.model, folder, request)
     return Model(machine, msgspec.structs.replace(table, model=reference))
 
 
@@ -184,7 +186,7 @@ def _stated(table: MachineTable) -> dict[str, Any]:
     return {key: value for key, value in plain.items() if value != defaults[key]}
 
 
-def _from_folder(reference: str, folder: Path, request: ImportRequest) -> str:
+def _relative_reference(reference: str, folder: Path, request: ImportRequest) -> str:
     """A reference as the out folder sees it.
 
     A file from outside is to be copied: a study names files of its own folder alone.

@@ -67,7 +67,7 @@ class ColumnsImporter:
             mapping, machine=model.described, instrument=reference, columns=columns
         )
         read = rows(table, columns, mapping, tool, location)
-        placed, left_out = without_partial_joints(read, model.machine)
+        placed, left_out = drop_partial_joints(read, model.machine)
         if mapping.orientation is not None:
             nominal_poses.check_orientations(
                 placed, mapping, Kinematics(model.machine), tool, table
@@ -261,7 +261,7 @@ def _check_sizes(values: Array, name: str, column: str, table: CsvTable) -> None
         raise table.error(int(np.argmax(bad)), column, problem, remedy)
 
 
-def without_partial_joints(
+def drop_partial_joints(
     rows: Sequence[Row], machine: Machine
 ) -> tuple[list[Row], list[str]]:
     """Rows but those in which some joints are empty; a sentence on these.

@@ -92,7 +92,7 @@ def check_orientations(
     if not set(stated.axis_names) <= set(names):
         return
     wanted, _ = nominal_frames(rows, kinematics, mapping)
-    read = orientations.of_rows(rows, names, stated)
+    read = orientations.row_orientations(rows, names, stated)
     is_whole = len(names) == len(stated.names) and not stated.axis_only
     orientations.check_sense(
         turn, read, wanted, mapping.orientation, table.file, is_whole=is_whole

@@ -94,7 +94,7 @@ def rotate_rows(
 
     An orientation with an empty cell is left out.
     """
-    read = of_rows(rows, names, stated)
+    read = row_orientations(rows, names, stated)
     complete: Mask = np.isfinite(read[:, 0, 0])
     moved = stated.angles((by * Rotation.from_matrix(read[complete])).as_matrix())
     cells = {}
@@ -108,7 +108,7 @@ def rotate_rows(
     ]
 
 
-def of_rows(
+def row_orientations(
     rows: Sequence[Row], names: Mapping[str, str], stated: Orientation
 ) -> Array:
     """Rotations (n, 3, 3) of rows; NaN where a cell is empty. `names` as above."""
@@ -148,11 +148,11 @@ def check_sense(
     if used.sum() < FEWEST:
         return
     commanded, stated = Rotation.from_matrix(wanted[used]), read[used]
-    spread, _ = _about_mean(commanded, is_whole=is_whole)
+    spread, _ = _turns_about_mean(commanded, is_whole=is_whole)
 
     def misfit(candidate: Rotation) -> tuple[float, float]:
         inner = candidate if turn is None else turn * candidate
-        return _about_mean(commanded.inv() * inner, is_whole=is_whole)
+        return _turns_about_mean(commanded.inv() * inner, is_whole=is_whole)
 
     rotation_read = Rotation.from_matrix(stated)
     rms, constant = misfit(rotation_read)
@@ -169,7 +169,7 @@ def check_sense(
         )
 
 
-def _about_mean(turns: Rotation, *, is_whole: bool) -> tuple[float, float]:
+def _turns_about_mean(turns: Rotation, *, is_whole: bool) -> tuple[float, float]:
     """Rms angle, rad, of rotations about their mean, and that of the mean.
 
     Without the turn about z, of their third axes.

@@ -93,15 +93,13 @@ class TrackerImporter:
             request, mapping, location, model.machine, INSTRUMENT
         )
         table = columns.joined(read_tables(request.files))
-        mapping = msgspec.structs.replace(
-            mapping, columns=with_measured(mapping, table)
-        )
+        mapping = msgspec.structs.replace(mapping, columns=add_measured(mapping, table))
         mapped = columns.mapped_columns(mapping, table, model.machine, tool, location)
         complete = msgspec.structs.replace(
             mapping, machine=model.described, instrument=reference, columns=mapped
         )
         rows = columns.rows(table, mapped, mapping, tool, location)
-        rows, left_out = columns.without_partial_joints(rows, model.machine)
+        rows, left_out = columns.drop_partial_joints(rows, model.machine)
         kinematics = Kinematics(model.machine)
         rows, sentence = _registered(rows, mapping, kinematics, tool, table, location)
         return columns.session(
@@ -262,7 +260,7 @@ def _setup(mapping: ColumnMap, reference: str, tool: Instrument) -> dict[str, ob
 # -- columns that a header explains ----------------------------------------------------
 
 
-def with_measured(mapping: ColumnMap, table: CsvTable) -> dict[str, str | ColumnSource]:
+def add_measured(mapping: ColumnMap, table: CsvTable) -> dict[str, str | ColumnSource]:
     """The map's columns, with the points of the file where it names none.
 
     Raises InputError where two columns may be a coordinate, and for points that the

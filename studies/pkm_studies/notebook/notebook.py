@@ -31,6 +31,7 @@ from pkm_studies.notebook.views import (
 from pkm_studies.stages import (
     Fitted,
     designed,
+    diagnosed,
     fit_checked,
     planned,
     predict_accuracy,
@@ -39,7 +40,6 @@ from pkm_studies.stages import (
     run_study,
     sample_posterior,
     simulated,
-    with_diagnosis,
 )
 from pkm_studies.study import Study, from_tables, load
 from pkm_studies.user_code import Origin, consent
@@ -188,7 +188,7 @@ def identify(
     fitted = fit_checked(state, theta)
     if effects is None or effects == "none":
         return EstimateView(fitted)
-    return EstimateView(with_diagnosis(fitted))
+    return EstimateView(diagnosed(fitted))
 
 
 def _effects_value(
@@ -274,7 +274,7 @@ def diagnose(source: ReadingsView | EstimateView) -> DiagnosisView:
     state = source.state
     if not isinstance(state, Fitted):
         state = fit_checked(state)
-    return DiagnosisView(with_diagnosis(state))
+    return DiagnosisView(diagnosed(state))
 
 
 def run(

@@ -1,64 +1,64 @@
 """Turns a study's tables into the kernel's objects, in SI units.
 
-resolve                   the objects of a study
-ResolvedStudy             a study as the kernel's objects
-with_readings             a study that was resolved without readings, with those of its files
-measurement_factory       makes the machine with some of the study's set-ups
-described_machine         the machine of a table [machine]
-study_machine             the model with the study's numbers
-study_kinematics          its kinematics
-has_own_numbers           whether the study states another machine than the catalogue's
-check_home                an error where a machine does not close at home
-doubtful_lengths          a sentence on a parameter that is very long beside the machine
-unreachable               a sentence on poses of the workspace that joints do not reach
-with_nominal              a machine with other nominal numbers
-with_mean_and_covariance  a machine with other nominal numbers and their covariance
-DesignRequest             what [design] means to the kernel
-CommandRanges             lower and upper ends of each command, by set-up
-PlanRequest               what [plan] means to the kernel
-request_of_table          what the table [plan] of a study means
-PredictionRequest         what [prediction] means to the kernel
-check_states              an error for a state in use that no reading was recorded at
-GapRequest                what [gap] means to the kernel
-gap_request               what [gap] means, or its defaults
-ActingEffect              an effect of the virtual machine
-unknown_coefficient       the error for a coefficient that an effect does not have
-effect_with_sizes         an effect with the sizes that a study expects of it
-GapDesignRequest          what [gap.design] means to the kernel
-with_planned_readings     that request with the readings of a plan retained
-NO_EFFECTS                the value of `effects` that allows none
-ALL_EFFECTS               the value of `effects` that allows the whole catalogue
-named_effects             the effects of a table's `effects`
-check_effect_names        an error for a name there that is no effect
-effects_of_planned        what effects do to planned readings and the workspace
-pose_error_slopes         pose errors per unit of each column of candidates with effects
-planned_courses           planned readings in courses that a session may take
-MAX_EFFECT_UNKNOWNS       combinations of effects that are unknowns of candidates, at most
-DRAWN_COURSES             courses of a session that are drawn
-SESSION_SECONDS           how long a session lasts where nothing says it
-planned_covariates        conditions of planned readings
-FEED_MM_PER_MIN           one mm/min, in m/s
-PASS_SUFFIX               how a run's name ends in that of its pass
-Circles                   circles of readings, for a map of the condition number
-grid_commands             commands of a grid
-mid_range                 commands with the held coordinate in the middle of its range
-solve_held                commands whose held coordinate gives a wanted reading
-check_tool_workspace      an error for commands of a tool beyond the workspace
-ToolPoints                tool points of commands, and commands of tool points
-CIRCLE_PLANES             columns of the axes of a circle's plane
-workspace_commands        commands over the workspace
-regular_commands          those at which every pose component has an error
-regular_at                of some commands, those at which every component has one
-commands_between          further commands between some
-workspace_axes            axes of the box that holds the workspace
-noise_is_a_guess          whether readings correct the stated noise
-MIN_FREEDOM_OF_SCALE      degrees of freedom from which on they do
-readings_dataset          the readings of a study's files, or of others
-counted_digests           digests of readings, and of those behind the prior
-conventions_listing       the catalogue of a kind, with frames and columns
-readings_comments         lines that open a file of readings: frames and columns
-comments_of               such lines of a machine with its set-ups
-comments_of_study         such lines of a study
+resolve                      the objects of a study
+ResolvedStudy                a study as the kernel's objects
+with_readings                a resolved study with the readings of its files
+measurement_factory          makes the machine with some of the study's set-ups
+described_machine            the machine of a table [machine]
+study_machine                the model with the study's numbers
+study_kinematics             its kinematics
+has_own_numbers              whether a study states its own machine
+check_home                   an error where a machine does not close at home
+doubtful_lengths             a sentence on a parameter that is very long
+unreachable                  a sentence on poses that joints do not reach
+replace_nominal              a machine with other nominal numbers
+replace_mean_and_covariance  a machine with other nominal numbers and their covariance
+DesignRequest                what [design] means to the kernel
+CommandRanges                lower and upper ends of each command, by set-up
+PlanRequest                  what [plan] means to the kernel
+request_of_table             what the table [plan] of a study means
+PredictionRequest            what [prediction] means to the kernel
+check_states                 an error for a state in use that no reading was recorded at
+GapRequest                   what [gap] means to the kernel
+gap_request                  what [gap] means, or its defaults
+ActingEffect                 an effect of the virtual machine
+unknown_coefficient          the error for a coefficient that an effect does not have
+effect_with_sizes            an effect with the sizes that a study expects of it
+GapDesignRequest             what [gap.design] means to the kernel
+add_planned_readings         that request with the readings of a plan retained
+NO_EFFECTS                   the value of `effects` that allows none
+ALL_EFFECTS                  the value of `effects` that allows the whole catalogue
+named_effects                the effects of a table's `effects`
+check_effect_names           an error for a name there that is no effect
+effects_of_planned           what effects do to planned readings and the workspace
+pose_error_slopes            pose errors per unit of each column of candidates
+planned_courses              planned readings in courses that a session may take
+MAX_EFFECT_UNKNOWNS          most combinations of effects that are unknowns
+DRAWN_COURSES                courses of a session that are drawn
+SESSION_SECONDS              how long a session lasts where nothing says it
+planned_covariates           conditions of planned readings
+FEED_MM_PER_MIN              one mm/min, in m/s
+PASS_SUFFIX                  how a run's name ends in that of its pass
+Circles                      circles of readings, for a map of the condition number
+grid_commands                commands of a grid
+mid_range                    commands with one coordinate in mid-range
+solve_held                   commands whose held coordinate gives a wanted reading
+check_tool_workspace         an error for commands of a tool beyond the workspace
+ToolPoints                   tool points of commands, and commands of tool points
+CIRCLE_PLANES                columns of the axes of a circle's plane
+workspace_commands           commands over the workspace
+regular_commands             those at which every pose component has an error
+regular_at                   of some commands, those at which every component has one
+commands_between             further commands between some
+workspace_axes               axes of the box that holds the workspace
+noise_is_a_guess             whether readings correct the stated noise
+MIN_FREEDOM_OF_SCALE         degrees of freedom from which on they do
+readings_dataset             the readings of a study's files, or of others
+counted_digests              digests of readings, and of those behind the prior
+conventions_listing          the catalogue of a kind, with frames and columns
+readings_comments            lines that open a file of readings: frames and columns
+comments_of                  such lines of a machine with its set-ups
+comments_of_study            such lines of a study
 """
 
 from typing import TYPE_CHECKING
@@ -87,17 +87,17 @@ if TYPE_CHECKING:
         gap_request,
         unknown_coefficient,
     )
-    from pkm_studies.resolve.gap_design import GapDesignRequest, with_planned_readings
+    from pkm_studies.resolve.gap_design import GapDesignRequest, add_planned_readings
     from pkm_studies.resolve.grids import Circles, grid_commands, mid_range, solve_held
     from pkm_studies.resolve.machine import (
         check_home,
         described_machine,
         doubtful_lengths,
         has_own_numbers,
+        replace_nominal,
         study_kinematics,
         study_machine,
         unreachable,
-        with_nominal,
     )
     from pkm_studies.resolve.noise import MIN_FREEDOM_OF_SCALE, noise_is_a_guess
     from pkm_studies.resolve.plan import PlanRequest, request_of_table
@@ -122,7 +122,7 @@ if TYPE_CHECKING:
         with_readings,
     )
     from pkm_studies.resolve.roles import readings_dataset
-    from pkm_studies.resolve.tolerances import with_mean_and_covariance
+    from pkm_studies.resolve.tolerances import replace_mean_and_covariance
     from pkm_studies.resolve.tool_points import ToolPoints
     from pkm_studies.resolve.workspace import (
         commands_between,

@@ -30,7 +30,7 @@ UNLIKELY = "leave the travel of the instrument on too many machines within toler
 Point = tuple[float, float, float]
 
 
-def within_limits(
+def keep_within_limits(
     table: LimitsTable,
     measurement: Measurement,
     series: Series,
@@ -204,7 +204,7 @@ def candidates(
                 f" because {table.setup} cannot hold its reading there"
             )
         count = len(series)
-        series, reasons = _within_limits(study.design, measurement, series, location)
+        series, reasons = _is_within_limits(study.design, measurement, series, location)
         for reason, number in reasons.items():
             refusals[reason] += number
             warnings.append(
@@ -217,13 +217,13 @@ def candidates(
     return tuple(every), dict(refusals), tuple(warnings)
 
 
-def _within_limits(
+def _is_within_limits(
     table: DesignTable, measurement: Measurement, series: Series, location: Location
 ) -> tuple[Series, dict[str, int]]:
     """The series within [design.limits], and its refusals by reason."""
     if table.limits is None:
         return series, {}
-    return within_limits(
+    return keep_within_limits(
         table.limits,
         measurement,
         series,

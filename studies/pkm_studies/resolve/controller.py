@@ -35,7 +35,7 @@ REMEDY = (
 )
 
 
-def with_held(study: Study, kinematics: Kinematics) -> Kinematics:
+def hold_parameters(study: Study, kinematics: Kinematics) -> Kinematics:
     """The kinematics under the controller that [machine] controller states.
 
     Raises InputError where there is no such file or folder, or it is of another machine.

@@ -38,12 +38,12 @@ class ColumnStatement:
 def machine_columns(machine: Machine) -> list[ColumnStatement]:
     """Commands, joints, pose errors and passive joints of a machine."""
     errors = [
-        ColumnStatement(f"{c.name}_{units.FINE[c.unit]}", ERROR, _with_drive(c))
+        ColumnStatement(f"{c.name}_{units.FINE[c.unit]}", ERROR, _add_drive(c))
         for c in machine.components
     ]
     return [
         *(
-            ColumnStatement(column(c.name, c.unit), COMMAND, _of_command(c))
+            ColumnStatement(column(c.name, c.unit), COMMAND, _command_convention(c))
             for c in machine.command
         ),
         *(_statement(c, JOINT) for c in machine.joints),
@@ -73,10 +73,10 @@ def conventions_listing(kind: str) -> list[CatalogueEntry]:
     if kind not in ("machines", "instruments"):
         return entries
     items = catalogue.named_items(kind)
-    return [_with_conventions(kind, entry, items[entry.name][1]) for entry in entries]
+    return [_add_conventions(kind, entry, items[entry.name][1]) for entry in entries]
 
 
-def _with_conventions(kind: str, entry: CatalogueEntry, item: Any) -> CatalogueEntry:
+def _add_conventions(kind: str, entry: CatalogueEntry, item: Any) -> CatalogueEntry:
     is_machine = kind == "machines"
     columns = (
         [*machine_columns(item), *(_statement(p, PARAMETER) for p in item.parameters)]
@@ -132,14 +132,14 @@ def _statement(
     return ColumnStatement(column(item.name, item.unit), role, item.about)
 
 
-def _of_command(coordinate: Coordinate) -> str:
+def _command_convention(coordinate: Coordinate) -> str:
     """The meaning of a command: places are those of the set-up's tool."""
     if coordinate.name in "xyz" and coordinate.about:
         return f"{coordinate.about}, with the tool of the set-up"
     return coordinate.about
 
 
-def _with_drive(component: Component) -> str:
+def _add_drive(component: Component) -> str:
     if component.compensatable:
         return component.about
     return f"{component.about}; no drive corrects it"
@@ -160,7 +160,7 @@ def _meaning(name: str, machine: Machine, setups: Mapping[str, Instrument]) -> s
         return ""
     for c in machine.command:
         if c.name == stem:
-            return _of_command(c)
+            return _command_convention(c)
     for c in machine.joints:
         if c.name == stem:
             return c.about

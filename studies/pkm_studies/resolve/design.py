@@ -293,7 +293,7 @@ def _retained(
     from pkm_studies import sources
 
     path = study.folder / table.keep_readings
-    return tuple(sources.from_files([path], measurement).series)
+    return tuple(sources.read_files([path], measurement).series)
 
 
 def _free_ranges(

@@ -218,7 +218,7 @@ def gap_design_request(
     )
 
 
-def with_planned_readings(
+def add_planned_readings(
     request: GapDesignRequest,
     series: Sequence[Series],
     remaining: float,

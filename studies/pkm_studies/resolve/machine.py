@@ -27,7 +27,7 @@ from pkm_studies.user_code import Origin
 AMOUNTS = ("step", "sd", "most")
 
 
-def with_adjustments(
+def add_adjustments(
     table: MachineTable, machine: Machine, location: Location
 ) -> Machine:
     """The machine with the study's adjustments in place of the model's, if it has any.
@@ -40,7 +40,7 @@ def with_adjustments(
     adjustments: dict[str, Adjustment] = {}
     for i, entry in enumerate(table.adjust):
         field = location.key("adjust").item(i)
-        adjustments |= _of_table(entry, machine, fixed, field)
+        adjustments |= _adjustment(entry, machine, fixed, field)
     parameters = tuple(
         dataclasses.replace(p, adjust=adjustments.get(p.name))
         for p in machine.parameters
@@ -48,7 +48,7 @@ def with_adjustments(
     return dataclasses.replace(machine, parameters=parameters)
 
 
-def _of_table(
+def _adjustment(
     table: AdjustTable, machine: Machine, fixed: Collection[str], location: Location
 ) -> dict[str, Adjustment]:
     """The adjustments of one table by parameter.
@@ -134,13 +134,13 @@ def _described(
     """The machine of a table, and whether it is another than one of the catalogue."""
     field = location.key("model")
     model: Machine = catalogue.machine(table.model, origin, field, assembled=assembled)
-    machine = _of_family(table, model, location)
-    machine = _with_nominal(table, machine, location)
-    machine = _with_ranges(table, machine, location)
+    machine = _family_machine(table, model, location)
+    machine = _replace_nominal(table, machine, location)
+    machine = _replace_ranges(table, machine, location)
     changed = machine is not model or user_code.is_file(table.model)
     if table.drive is not None:
         machine = dataclasses.replace(machine, drive=table.drive)
-    return with_adjustments(table, machine, location), changed
+    return add_adjustments(table, machine, location), changed
 
 
 def has_own_numbers(table: MachineTable) -> bool:
@@ -195,7 +195,7 @@ def unreachable(kinematics: Kinematics) -> str | None:
     )
 
 
-def _of_family(table: MachineTable, model: Machine, location: Location) -> Machine:
+def _family_machine(table: MachineTable, model: Machine, location: Location) -> Machine:
     """The machine that [machine.geometry] describes."""
     location = location.key("geometry")
     if not table.geometry:
@@ -245,16 +245,18 @@ def _check_shape(array: Array, dimension: Dimension, location: Location) -> None
         raise location.error(problem, f"give {dimension.about}")
 
 
-def _with_nominal(table: MachineTable, model: Machine, location: Location) -> Machine:
+def _replace_nominal(
+    table: MachineTable, model: Machine, location: Location
+) -> Machine:
     if not table.nominal:
         return model
     unit_of = {p.name: p.unit for p in model.parameters}
-    return with_nominal(
+    return replace_nominal(
         model, quantities.read_values(table.nominal, unit_of, location.key("nominal"))
     )
 
 
-def with_nominal(model: Machine, nominal: Mapping[str, float]) -> Machine:
+def replace_nominal(model: Machine, nominal: Mapping[str, float]) -> Machine:
     """A machine with some nominal numbers, SI, by name.
 
     The range of joint `q1` goes with the "zero of leg 1", of a carriage or a cable: where
@@ -277,7 +279,7 @@ def with_nominal(model: Machine, nominal: Mapping[str, float]) -> Machine:
     return dataclasses.replace(model.with_parameters(parameters), joints=tuple(joints))
 
 
-def _with_ranges(table: MachineTable, model: Machine, location: Location) -> Machine:
+def _replace_ranges(table: MachineTable, model: Machine, location: Location) -> Machine:
     """The machine with the study's workspace, joint ranges and home."""
     if not (table.workspace or table.travel or table.home):
         return model

@@ -51,7 +51,7 @@ def with_noise(study: Study, setups: Mapping[str, Setup]) -> dict[str, Setup]:
     noisy = {}
     for name, setup in setups.items():
         stated = _amounts(special.get(name, {}), [setup], location.key(name))
-        noisy[name] = _with_amounts(setup, general | stated, law)
+        noisy[name] = _add_amounts(setup, general | stated, law)
     return noisy
 
 
@@ -82,7 +82,7 @@ def _law(study: Study, location: Location) -> NoiseStatement:
     )
 
 
-def _with_amounts(
+def _add_amounts(
     setup: Setup, stated: Mapping[str, float], law: NoiseStatement
 ) -> Setup:
     """A set-up with stated amounts of noise, SI, by name.

@@ -74,7 +74,7 @@ def given_poses(
         key = next(iter(table.coordinates))
         raise location.key(key).error(f"{kind} says all about the poses", "remove it")
     if table.file is not None:
-        return _from_file(Path(location.file).parent / table.file, machine, field)
+        return _listed_poses(Path(location.file).parent / table.file, machine, field)
     return _listed(table.poses or {}, machine, field)
 
 
@@ -92,7 +92,7 @@ def _listed(
     return Poses(command, ["1"] * len(command))
 
 
-def _from_file(path: Path, machine: Machine, location: Location) -> Poses:
+def _listed_poses(path: Path, machine: Machine, location: Location) -> Poses:
     table = csv_table.read(path)
     in_file = Location(str(path))
     values: dict[str, Array] = {}
@@ -208,7 +208,7 @@ def _sampled(
 
     shares = qmc.Halton(len(names), scramble=False).random(count + 1)[1:]
     command = lower + shares * (upper - lower)
-    command = command[within_reach(command, kinematics, tool)]
+    command = command[keep_within_reach(command, kinematics, tool)]
     if not len(command):
         raise location.key("sample").error(
             f"none of {count} sampled poses can be reached", "narrow the ranges", count
@@ -216,7 +216,7 @@ def _sampled(
     return Poses(command, ["sample"] * len(command))
 
 
-def within_reach(
+def keep_within_reach(
     command: Array, kinematics: Kinematics, tool: tuple[float, float, float]
 ) -> Index:
     """Indices of the commands that assemble with all joints in their ranges."""

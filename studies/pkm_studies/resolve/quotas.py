@@ -159,7 +159,7 @@ def _members(
     for i, name in enumerate(quota.setups):
         lookup.known_name(name, setups, location.key("setups").item(i))
     _check_runs(quota, groups, location.key("runs"))
-    inside = _within_ranges(quota, measurement.machine, candidates, location)
+    inside = _is_within_ranges(quota, measurement.machine, candidates, location)
     members = np.zeros(len(groups), dtype=bool)
     for k, group in enumerate(groups):
         by_setup = not quota.setups or group.setup in quota.setups
@@ -184,7 +184,7 @@ def _check_runs(
             raise location.item(i).error("no run has this name", remedy, pattern)
 
 
-def _within_ranges(
+def _is_within_ranges(
     quota: QuotaTable,
     machine: Machine,
     candidates: Sequence[Series],

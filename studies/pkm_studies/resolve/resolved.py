@@ -17,7 +17,7 @@ from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
 from pkm_studies.resolve import candidates, roles, setups, tolerances
-from pkm_studies.resolve.controller import with_held
+from pkm_studies.resolve.controller import hold_parameters
 from pkm_studies.resolve.counted import doubtful_sessions
 from pkm_studies.resolve.design import DesignRequest, design_request
 from pkm_studies.resolve.gap import GapRequest, gap_request, stated_request
@@ -125,9 +125,9 @@ def resolve(study: Study, *, readings: Sequence[Path] | None = None) -> Resolved
 
     `readings` replaces the files of [readings]; with an empty list, none are read.
     """
-    nominal = with_held(study, study_kinematics(study))
+    nominal = hold_parameters(study, study_kinematics(study))
     mounted = setups.mounted_setups(study, nominal)
-    machine, mounted = tolerances.with_tolerances(study, nominal.machine, mounted)
+    machine, mounted = tolerances.replace_tolerances(study, nominal.machine, mounted)
     kinematics = nominal.with_priors_of(machine)
     measurement_with = measurement_factory(kinematics, mounted)
     everything = measurement_with(mounted)

@@ -106,5 +106,5 @@ def readings_dataset(
     if readings:
         from pkm_studies import sources
 
-        return sources.from_files(readings, measurement)
+        return sources.read_files(readings, measurement)
     return None

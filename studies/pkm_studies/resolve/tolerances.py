@@ -151,7 +151,7 @@ LEAST = 1e-6
 LEAST_SHARE = 0.02
 
 
-def with_tolerances(
+def replace_tolerances(
     study: Study, machine: Machine, setups: dict[str, Setup]
 ) -> tuple[Machine, dict[str, Setup]]:
     """Machine and set-ups with the study's tolerances, fixed parameters and noise.
@@ -171,8 +171,8 @@ def with_tolerances(
         machine = dataclasses.replace(machine, frame=frame)
         prior |= {name: 0.0 for name in fixed}
     machine = with_bounds(study, machine)
-    machine = with_correlation(study, machine)
-    machine = with_earlier(study, machine)
+    machine = add_correlation(study, machine)
+    machine = add_earlier(study, machine)
     setups = with_noise(study, setups)
     stated = {
         s.name: {key.rpartition("_")[0] for key in s.tolerance} for s in study.setup
@@ -180,14 +180,14 @@ def with_tolerances(
     changed = {}
     for name, setup in setups.items():
         nuisances = [
-            _with_tolerance(n, setup.owner, stated[name], prior)
+            _replace_tolerance(n, setup.owner, stated[name], prior)
             for n in setup.nuisances
         ]
         changed[name] = dataclasses.replace(setup, nuisances=tuple(nuisances))
     return machine, changed
 
 
-def _with_tolerance(
+def _replace_tolerance(
     nuisance: Parameter, owner: str, stated: set[str], prior: Mapping[str, float]
 ) -> Parameter:
     """A set-up's unknown with its tolerance: [[setup]] goes before [prior]."""
@@ -308,7 +308,7 @@ def _share(machine: Machine, number: int) -> float:
 # -- errors of a common cause ----------------------------------------------------------
 
 
-def with_correlation(study: Study, machine: Machine) -> Machine:
+def add_correlation(study: Study, machine: Machine) -> Machine:
     """The machine with the correlations of [[prior.correlated]].
 
     Raises InputError for names that do not fit, and for correlations that cannot be.
@@ -355,7 +355,7 @@ def with_correlation(study: Study, machine: Machine) -> Machine:
 # -- knowledge of other sessions ---------------------------------------------------
 
 
-def with_earlier(study: Study, machine: Machine) -> Machine:
+def add_earlier(study: Study, machine: Machine) -> Machine:
     """The machine with what [prior] earlier or from knows in place of its tolerances.
 
     earlier  the posterior of a session of this machine
@@ -385,15 +385,15 @@ def with_earlier(study: Study, machine: Machine) -> Machine:
     fixed |= set(machine.frame)
     free = [p.name for p in machine.parameters if p.name not in fixed]
     if prior.earlier is None:
-        return with_mean_and_covariance(
+        return replace_mean_and_covariance(
             machine, free, *fleet_knowledge(study, machine, free, field_location)
         )
     result, folder = named_result(study, prior.earlier, field_location, machine)
     mean, covariance, _ = known_parameters(result, machine.name, free, folder)
-    return with_mean_and_covariance(machine, free, mean, covariance)
+    return replace_mean_and_covariance(machine, free, mean, covariance)
 
 
-def with_mean_and_covariance(
+def replace_mean_and_covariance(
     machine: Machine, free: list[str], mean: Array, covariance: Array
 ) -> Machine:
     """The machine with this mean (n,) and covariance (n, n) of free parameters."""

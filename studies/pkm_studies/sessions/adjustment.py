@@ -61,7 +61,7 @@ def adjust_folder(
     result = msgspec.structs.replace(result, adjustment=section)
     earlier_files = list(result.written.values())
     written, paths = dict(result.written), []
-    texts = {CSV: _to_csv(section), NOMINAL: _nominal_table(result)}
+    texts = {CSV: _csv_text(section), NOMINAL: _nominal_table(result)}
     for name, text in texts.items():
         path = own_files.write_own(folder / name, text.encode(), earlier_files)
         written[path.name] = files.digest(text.encode())
@@ -250,7 +250,7 @@ def _lines(
 # -- files and sentences ---------------------------------------------------------------
 
 
-def _to_csv(section: AdjustmentSection) -> str:
+def _csv_text(section: AdjustmentSection) -> str:
     """Lines with the accuracy after each, the state before the first line at the top."""
     columns = [f"{name}_{unit}" for name, unit in section.unit.items()]
     header: list[object] = [
@@ -305,7 +305,7 @@ def adjustment_sentences(section: AdjustmentSection) -> Iterator[str]:
             " would."
         )
     yield f"Total: {section.about}, over {section.poses} poses, after compensation."
-    total = _in_total(section, start.total)
+    total = _total_value(section, start.total)
     yield f"As it is: total {total} ({_components(section, start)})"
     for k, line in enumerate(section.lines, start=1):
         record = section.accuracy[k]
@@ -315,15 +315,15 @@ def adjustment_sentences(section: AdjustmentSection) -> Iterator[str]:
             f" ({line.parameter})"
         )
         yield (
-            f"   then total {_in_total(section, record.total)}"
+            f"   then total {_total_value(section, record.total)}"
             f" ({_components(section, record)}); the whole list without this line:"
-            f" total {_in_total(section, line.without)}"
+            f" total {_total_value(section, line.without)}"
         )
     for condition in section.conditions:
         yield f"The figures rest on: {condition}."
 
 
-def _in_total(section: AdjustmentSection, value: float) -> str:
+def _total_value(section: AdjustmentSection, value: float) -> str:
     """A total error with its unit."""
     unit = " times what is wanted" if section.total_unit == "1" else " um"
     return f"{value:.4g}{unit}"

@@ -80,7 +80,7 @@ def machine_history(
         outlook = _due(sessions, errors, drifted)
     sentences = [
         *doubts,
-        _about(sessions),
+        _sessions_text(sessions),
         *_verdict(drifted),
         *_combinations(drifted, shown, sessions.unit),
         *(outlook if drifted.dof else ()),
@@ -141,7 +141,7 @@ def _date(path: Path) -> datetime.date | None:
         return None
 
 
-def _about(sessions: Sessions) -> str:
+def _sessions_text(sessions: Sessions) -> str:
     span = float(np.ptp(sessions.times))
     count = len(sessions.folders)
     if sessions.unit == "day":

@@ -37,9 +37,9 @@ from pkm_studies.stages import (
     RunState,
     checked,
     estimate_section,
+    explain_error,
     select_design,
     start,
-    with_finding,
 )
 from pkm_studies.study import Study
 
@@ -122,7 +122,7 @@ class Adviser:
 
         Raises InputError for readings that cannot be read or fitted.
         """
-        state = self._with_readings(readings)
+        state = self._state_with_readings(readings)
         if state is None:
             return None
         taken = state.readings
@@ -132,7 +132,7 @@ class Adviser:
                 self.base, state.measurement, taken.series, taken.y, effects
             )
         except identification.IdentificationError as error:
-            raise with_finding(state, error) from error
+            raise explain_error(state, error) from error
         return FittedReadings(state, estimate, effects)
 
     def advise_fitted(
@@ -210,7 +210,7 @@ class Adviser:
         """What the tolerances alone say, before any reading."""
         return self._belief(measurement, pool, None)
 
-    def _with_readings(self, path: Path) -> Measured | None:
+    def _state_with_readings(self, path: Path) -> Measured | None:
         """The state with the readings of a file; None where it has only poses."""
         study, resolved = self.base.study, self.base.resolved
         everything = resolved.measurement_with(resolved.setups)

@@ -73,7 +73,7 @@ def allowed(
 
     They follow the readings `taken` in the pool. Raises InputError where none is.
     """
-    rows = [~_at_any(series, skipped, measurement) for series in pool.series]
+    rows = [~_is_at_any(series, skipped, measurement) for series in pool.series]
     mask = np.concatenate(rows)[pool.members[taken:, 0]]
     if not mask.any():
         raise InputError(
@@ -83,7 +83,7 @@ def allowed(
     return np.asarray(mask)
 
 
-def _at_any(
+def _is_at_any(
     series: Series, skipped: Iterable[SkippedPose], measurement: Measurement
 ) -> Mask:
     """Mask (n,) of the readings of a series at a skipped pose."""

@@ -1,4 +1,4 @@
-"""What a study asks for, step by step: each step takes the state of a run, returns the next.
+"""What a study asks for: each step takes the state of a run and returns the next.
 
 run_study           all that a study asks for, into a folder
 diagnose_study      fit readings, and diagnose what the fit leaves, into a folder
@@ -19,7 +19,7 @@ simulated           the state with readings of a virtual machine
 fit_checked         the state with a fit of its readings, checked before
 sample_posterior    the state with draws about its estimate
 predict_accuracy    the state with the accuracy that it predicts
-with_diagnosis      the state with a diagnosis, and what follows from it
+diagnosed           the state with a diagnosis, and what follows from it
 diagnose_always     the state with a diagnosis alone
 result_so_far       the result of a state's steps
 scheduled           the state that virtual machines of a campaign are read from
@@ -28,7 +28,7 @@ check_inputs        remarks on a study that is sound; errors as its run would ra
 check_dataset       what a check finds in readings
 select_design       the chosen candidates of a study, without their section
 estimate_section    an estimate as the result holds it
-with_finding        an error of a fit, opened by what the check found
+explain_error       an error of a fit, opened by what the check found
 measured_curves     readings along circles and lines, as the result holds them
 compensated_series  readings at the joints of a controller with other parameters
 forecast_sentences  a forecast in sentences
@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from pkm_studies.stages.order import (
         checked,
         designed,
+        diagnosed,
         fit_checked,
         planned,
         recorded,
@@ -56,7 +57,6 @@ if TYPE_CHECKING:
         scheduled,
         simulated,
         virtual_fit,
-        with_diagnosis,
     )
     from pkm_studies.stages.outcome import report_outcome
     from pkm_studies.stages.pipeline import (
@@ -74,7 +74,7 @@ if TYPE_CHECKING:
         start,
         written,
     )
-    from pkm_studies.stages.steps.fit import sample_posterior, with_finding
+    from pkm_studies.stages.steps.fit import explain_error, sample_posterior
     from pkm_studies.stages.steps.gap import diagnose_always
     from pkm_studies.stages.steps.prediction import predict_accuracy
 else:

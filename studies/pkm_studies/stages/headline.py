@@ -124,7 +124,7 @@ def accuracy_sentences(result: StudyResult) -> list[str]:
 def detail_sentences(result: StudyResult) -> list[str]:
     """Sentences that change no decision: search, sampler, each held-out channel."""
     return [
-        *_beside_no_gap(result),
+        *_no_gap_sentences(result),
         *bound_sentences(result.plan),
         *_held_out([s for s in result.held_out if s.verdict in FITTING]),
         *gain_sentences(result.design),
@@ -134,7 +134,7 @@ def detail_sentences(result: StudyResult) -> list[str]:
     ]
 
 
-def _beside_no_gap(result: StudyResult) -> list[str]:
+def _no_gap_sentences(result: StudyResult) -> list[str]:
     """What a diagnosis says beside its verdict, where an identification finds no gap."""
     if result.gap is None or result.prediction is None or result.gap.verdict != "none":
         return []
@@ -170,7 +170,7 @@ def _accuracy(section: PredictionSection | None) -> list[str]:
     if section is None:
         return []
     error = f"the rms error over the workspace, {REFERENCES[section.reference]}"
-    others = without_drive(section)
+    others = undriven_sentences(section)
     return [f"Compensation is predicted to {_changes(section, error)}.{others}"]
 
 
@@ -201,7 +201,7 @@ def _changes(section: PredictionSection, error: str) -> str:
     return ", and to ".join(phrases) or f"change nothing of {error}"
 
 
-def without_drive(section: PredictionSection) -> str:
+def undriven_sentences(section: PredictionSection) -> str:
     """What no drive corrects, without and with further axes; empty where there is none."""
     parts = [
         f"{name} {format_number(c.after.rms)} {section.unit[name]}"

@@ -179,7 +179,7 @@ def fit_checked(state: Measured, theta: Array | None = None) -> Fitted:
     return fit_parameters(checked, theta)
 
 
-def with_diagnosis(state: Fitted) -> Fitted:
+def diagnosed(state: Fitted) -> Fitted:
     """The diagnosis of what a fit leaves, and what follows from it."""
     return mix_answers(correct_for_effects(diagnose_always(state)))
 
@@ -227,7 +227,7 @@ def result_so_far(state: Scheduled) -> StudyResult:
 def assemble_result(state: RunState) -> StudyResult:
     """The result of the steps so far; without claims."""
     machine, setups = state.resolved.machine, state.measurement.setups.values()
-    info = describe.with_earlier_sessions(
+    info = describe.add_earlier_sessions(
         describe.machine_info(machine), state.study, state.resolved.measurement
     )
     recorded = state.resolved.dataset is not None

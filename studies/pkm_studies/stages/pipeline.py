@@ -22,7 +22,7 @@ from pkm_studies.stages.run_state import (
     Scheduled,
     start,
 )
-from pkm_studies.stages.session_files import with_sessions
+from pkm_studies.stages.session_files import add_sessions
 from pkm_studies.stages.steps.design import (
     plan_stages,
     select_design,
@@ -93,7 +93,7 @@ def diagnose_study(
     InputError where there are no readings.
     """
     state = start(study, seed, progress or Silent(), readings)
-    state = with_sessions(state, readings, after)
+    state = add_sessions(state, readings, after)
     recorded = state.resolved.dataset is not None
     if not recorded and study.readings is None:
         raise study.location.key("readings").error(
@@ -210,7 +210,7 @@ def _write_before(error: Exception, state: RunState, out: Path) -> None:
         return
     if (out / result_folder.RESULT).is_file():
         own_files.set_aside(out / result_folder.RESULT, "earlier")
-    state = state.with_warnings(f"a later part of this run failed: {error}")
+    state = state.add_warnings(f"a later part of this run failed: {error}")
     _finish(state, out, report=False, sections=())
     error.add_note(f"What was computed before is in {out / result_folder.RESULT}.")
 

@@ -92,7 +92,7 @@ class _Case:
         groups = [name.split(": ")[0] in names for name in self._groups]
         return np.array(groups)[self.columns.discrepancy.group]
 
-    def of_bodies(self, effect: str, bodies: Sequence[str]) -> Mask:
+    def restrict_to_bodies(self, effect: str, bodies: Sequence[str]) -> Mask:
         """Columns (k,) of an effect in bodies, or in all where it has no blocks."""
         groups = []
         for name in self._groups:
@@ -266,18 +266,18 @@ def _thermometers(plan: PlanToRecord, case: _Case, effect: Effect) -> Iterator[_
         return
     warm = _measured(plan, effect, every)
     for bodies in parts:
-        hidden = case.of_bodies(effect.name, bodies)
+        hidden = case.restrict_to_bodies(effect.name, bodies)
         if warm is not None and hidden.any():
-            errors = _with_thermometers(case, hidden, warm, effect, bodies)
+            errors = _add_thermometers(case, hidden, warm, effect, bodies)
             name = ", ".join(f"{TEMPERATURE}{body}_C" for body in bodies)
-            yield _Choice(name, _on_bodies(bodies), [effect.name], errors)
+            yield _Choice(name, _bodies_text(bodies), [effect.name], errors)
 
 
-def _with_thermometers(
+def _add_thermometers(
     case: _Case, hidden: Mask, warm: _Case, effect: Effect, bodies: Sequence[str]
 ) -> list[RemainingError]:
     """Errors where `warm` has what is hidden (k,) elsewhere, as large as it is there."""
-    measured = warm.effects.take(warm.of_bodies(effect.name, bodies))
+    measured = warm.effects.take(warm.restrict_to_bodies(effect.name, bodies))
     names = [f"{TEMPERATURE}{body}" for body in bodies]
     kelvin = np.array([c.covariates[names] for c in warm.courses])
     extra = thermometer_scatter(measured, kelvin)
@@ -288,7 +288,7 @@ def _with_thermometers(
     return case.readings.predict(both, recorded, extra)
 
 
-def _on_bodies(bodies: Sequence[str]) -> str:
+def _bodies_text(bodies: Sequence[str]) -> str:
     """Thermometers in words: `a thermometer on leg 2`."""
     if len(bodies) > 1:
         return f"thermometers on all {len(bodies)} legs"

@@ -128,15 +128,15 @@ class RunState:
         """The state with other values of some fields."""
         return dataclasses.replace(self, **changes)
 
-    def with_sections(self, **sections: Any) -> Self:
+    def add_sections(self, **sections: Any) -> Self:
         """The state with further sections of the result."""
         return self.replace(result=msgspec.structs.replace(self.result, **sections))
 
-    def with_warnings(self, *warnings: str) -> Self:
+    def add_warnings(self, *warnings: str) -> Self:
         """The state with further warnings."""
         return self.replace(warnings=(*self.warnings, *warnings))
 
-    def without_section(self, name: str, reason: str) -> Self:
+    def withhold_section(self, name: str, reason: str) -> Self:
         """The state after a step that leaves out a section of the result, for a reason."""
         return self.replace(withheld={**self.withheld, name: reason})
 

@@ -20,7 +20,7 @@ NAME = "session{}_{}.readings.csv"
 PATTERN = re.compile(r"session(\d+)_\d+\.readings\.csv")
 
 
-def with_sessions(
+def add_sessions(
     state: RunState, readings: Sequence[Path] | None, after: Path | None
 ) -> RunState:
     """The state of a diagnosis with the texts of its readings files.
@@ -41,7 +41,7 @@ def with_sessions(
     resolved = state.resolved
     earlier, counted = _stored(after, resolved.machine.name)
     every = resolved.measurement_with(resolved.setups)
-    further = resolved.fitted(sources.from_files(latest, every))
+    further = resolved.fitted(sources.read_files(latest, every))
     new = digests(further.series, further.y, resolved.setups)
     if is_counted(new, counted):
         raise InputError(
@@ -52,12 +52,12 @@ def with_sessions(
             value=str(after),
         )
     sessions = [*earlier, latest]
-    data, restarted = sources.from_sessions(sessions, every)
+    data, restarted = sources.read_sessions(sessions, every)
     return state.replace(
         resolved=resolved.with_dataset(data),
         session_files=_texts(sessions),
         readings_given=True,
-    ).with_warnings(*_assumptions(restarted))
+    ).add_warnings(*_assumptions(restarted))
 
 
 def _files_of(study: Study) -> list[Path]:

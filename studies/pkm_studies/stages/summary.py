@@ -12,7 +12,7 @@ from pkm_studies import console, result_folder
 from pkm_studies.earlier_result import corrects_effects
 from pkm_studies.results import improvements
 from pkm_studies.stages import headline, outcome
-from pkm_studies.stages.headline import REFERENCES, without_drive
+from pkm_studies.stages.headline import REFERENCES, undriven_sentences
 from pkm_studies.stages.plan.phrases import plan_sentences
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _usual_rows(usual: UsualEffects) -> list[AccuracyRow]:
 
 def accuracy_remarks(result: StudyResult, prediction: PredictionSection) -> list[str]:
     """What the lines rest on, and the remedy for an effect that the model lacks."""
-    others = without_drive(prediction).strip()
+    others = undriven_sentences(prediction).strip()
     sentences = [others] if others else []
     if result.corrected is not None:
         conditions = "; ".join(result.corrected.conditions)

@@ -10,7 +10,7 @@ tables_of     the tables of a text in TOML
 TO_MEASURE    what stands in a draft where the user must measure
 SCHEMAS       descriptions of the files, for `oed schema`
 combinations  settings of a sweep, each with each
-with_setting  a study with other values
+vary_setting  a study with other values
 AS_PUBLISHED  the remedy where a published file was changed
 Row           a row of a collection, cells by column
 read_csv      rows of a collection's CSV file
@@ -31,6 +31,6 @@ if TYPE_CHECKING:
     from pkm_studies.study.decode import TO_MEASURE, decode_table, tables_of
     from pkm_studies.study.loader import SUFFIX, Study, from_tables, load, parse
     from pkm_studies.study.schemas import SCHEMAS
-    from pkm_studies.study.vary import combinations, with_setting
+    from pkm_studies.study.vary import combinations, vary_setting
 else:
     __getattr__ = door(__name__)

@@ -77,7 +77,7 @@ def convert(kind: Any, value: object, location: Location) -> Any:
     """A value of the annotated type: structs by `decode_table`, plain values by msgspec."""
     union = typing.get_origin(kind) in (typing.Union, types.UnionType)
     options = typing.get_args(kind) if union else (kind,)
-    for option in map(_without_bounds, options):
+    for option in map(_unbounded, options):
         origin, inner = typing.get_origin(option), typing.get_args(option)
         is_table = isinstance(value, Mapping)
         if _is_struct(option) and (is_table or len(options) == 1):
@@ -157,7 +157,7 @@ def _is_finite(value: float) -> bool:
         return False
 
 
-def _without_bounds(kind: Any) -> Any:
+def _unbounded(kind: Any) -> Any:
     """A type without the bounds that `_plain` checks."""
     annotated = typing.get_origin(kind) is typing.Annotated
     return typing.get_args(kind)[0] if annotated else kind
@@ -186,7 +186,7 @@ def _plain(kind: Any, value: object, location: Location) -> Any:
             "not one of the allowed values", suggest(value, choices), value
         )
     raise location.error(
-        _in_words(message), "see `oed schema study` for what is allowed", value
+        _plain_message(message), "see `oed schema study` for what is allowed", value
     )
 
 
@@ -198,7 +198,7 @@ def _choices(kind: Any) -> list[str]:
     return [choice for part in inner for choice in _choices(part)]
 
 
-def _in_words(message: str) -> str:
+def _plain_message(message: str) -> str:
     """msgspec's message in plain words.
 
     "Expected `float`, got `str`" becomes "a number is wanted, not text".

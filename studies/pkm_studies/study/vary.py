@@ -21,7 +21,7 @@ def combinations(vary: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     return [dict(zip(vary, combination, strict=True)) for combination in values]
 
 
-def with_setting(study: Study, setting: Mapping[str, Any], location: Location) -> Study:
+def vary_setting(study: Study, setting: Mapping[str, Any], location: Location) -> Study:
     """The study with other values of some fields. Raises InputError.
 
     A field is addressed by its table and name; an entry of a list by its own name, as in

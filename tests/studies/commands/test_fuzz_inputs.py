@@ -101,7 +101,7 @@ def check_readings(study: str, text: str) -> None:
         path = Path(folder) / "r.csv"
         path.write_text(text, encoding="utf-8", errors="surrogateescape", newline="")
         try:
-            sources.from_files([path], measurement(study))
+            sources.read_files([path], measurement(study))
         except InputError as error:
             assert_helpful(error, str(path))
 

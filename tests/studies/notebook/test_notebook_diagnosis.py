@@ -94,7 +94,7 @@ def test_a_refused_step_says_why() -> None:
     bad = msgspec.structs.replace(state.goodness, bad_fit=True)
     checked = SimpleNamespace(mistaken=True, bad_fit=True, findings=())
     state = state.replace(readings=recorded, checked=checked)
-    refused = EstimateView(state.with_sections(goodness=bad))
+    refused = EstimateView(state.add_sections(goodness=bad))
     with pytest.raises(WithheldError, match=r"prediction: .* rest on a bad fit"):
         oed.predict(refused)
     with pytest.raises(WithheldError, match=r"gap: .* a mistake in the readings"):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from oed.mechanism import Kinematics
 from oed.model import Machine
 from pkm_studies import catalogue, study
-from pkm_studies.resolve import study_machine, with_nominal
+from pkm_studies.resolve import replace_nominal, study_machine
 from pkm_studies.resolve.machine import ZERO
 
 Run = Callable[..., tuple[int, str, str]]
@@ -78,7 +78,7 @@ MACHINES: dict[str, Machine] = {
 def test_the_range_of_a_joint_goes_with_its_zero(name: str) -> None:
     model = MACHINES[name]
     zeros = [p.name for p in model.parameters if p.about.startswith(ZERO)]
-    strokes = with_nominal(model, dict.fromkeys(zeros, 0.3))
+    strokes = replace_nominal(model, dict.fromkeys(zeros, 0.3))
     command = model.home_command[None]
     before = Kinematics(model).inverse(command)[1][0]
     after = Kinematics(strokes).inverse(command)[1][0]

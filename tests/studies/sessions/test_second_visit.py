@@ -48,7 +48,7 @@ def test_words_say_what_the_visit_is_worth_and_what_it_cannot_decide() -> None:
 def test_the_advice_of_a_diagnosis_begins_with_the_visit() -> None:
     gap = GapSection("class", [], [], [], [], [], [], next=["Preload the nuts."])
     record = SecondVisitRecord([], [], 0.5, 0.9, [], [], ["Take the poses."])
-    steps = second_visit.with_visit(gap, record).next
+    steps = second_visit.add_visit(gap, record).next
     assert steps == ["Take the poses.", "Preload the nuts."]
 
 
@@ -57,7 +57,7 @@ def test_the_report_has_the_visit_as_a_table() -> None:
         gap = GapSection("class", [], [], [], [], [], [])
 
     assert chapter.blocks(cast("StudyResult", Result())) == []
-    Result.gap = second_visit.with_visit(Result.gap, worded(visit(0.9)))
+    Result.gap = second_visit.add_visit(Result.gap, worded(visit(0.9)))
     paragraph, table = chapter.blocks(cast("StudyResult", Result()))
     assert isinstance(paragraph, Paragraph)
     assert isinstance(table, Table)
@@ -116,7 +116,7 @@ def test_the_advised_command_can_be_typed_as_it_stands(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It names the study as it was given, and quotes paths with blanks."""
-    gap = second_visit.with_visit(
+    gap = second_visit.add_visit(
         GapSection("class", [], [], [], [], [], []), worded(visit(0.9))
     )
     result = SimpleNamespace(study="mine", gap=gap)

@@ -7,7 +7,7 @@ import report_fixture
 from result_sample import whole
 
 from oed.result import AnswerRecord, GapSection
-from pkm_studies.stages.gap.sentences import second_explanation, with_sentences
+from pkm_studies.stages.gap.sentences import add_sentences, second_explanation
 
 
 def _gap(verdict: str, answers: list[AnswerRecord]) -> GapSection:
@@ -25,7 +25,7 @@ def test_what_is_more_likely_than_noise_alone_is_not_the_next_most_likely() -> N
         AnswerRecord(("gravity",), 0.44, (("gravity",),), unseen=0.06),
         AnswerRecord(("unknown",), 0.20, unseen=0.14),
     ]
-    gap = with_sentences(_gap("none", answers))
+    gap = add_sentences(_gap("none", answers))
     assert gap.words[0] == (
         "No gap is found: noise alone may explain what calibration leaves (probability"
         " 36 %)."
@@ -50,7 +50,7 @@ def test_a_gap_that_is_less_likely_than_noise_says_so_at_once() -> None:
         AnswerRecord((), 0.45),
         AnswerRecord(("unknown",), 0.25, unseen=0.25),
     ]
-    gap = with_sentences(_gap("effect", answers))
+    gap = add_sentences(_gap("effect", answers))
     assert gap.words[0] == (
         "The gap may come from gravity (probability 30 %; noise alone 45 %)."
     )

@@ -15,7 +15,7 @@ from oed.result import (
     PlaceRecord,
     SizeRecord,
 )
-from pkm_studies.stages.gap.sentences import with_sentences
+from pkm_studies.stages.gap.sentences import add_sentences
 from pkm_studies.stages.gap.words import format_probability
 
 
@@ -62,7 +62,7 @@ def _gap(
         "words": [],
         "next": ["Look again."],
     }
-    return with_sentences(GapSection(**fields | more))
+    return add_sentences(GapSection(**fields | more))
 
 
 def test_no_gap_in_words() -> None:

@@ -17,7 +17,7 @@ from oed.compensate.effects.effect_maps import SessionStates
 from oed.result import MixtureSection, trust
 from oed.result.mixture import BEST, MIXTURE, NOTHING, PLAIN
 from pkm_studies.earlier_result import controller_values, corrects_effects
-from pkm_studies.stages.corrected.section import without_tables
+from pkm_studies.stages.corrected.section import drop_tables
 from pkm_studies.stages.gap import mixture as sections
 from pkm_studies.stages.predict import knowledge
 
@@ -100,7 +100,7 @@ def test_a_shift_that_is_worse_than_the_plain_fit_is_not_sent(
             known, sent=known.measurement.machine.nominal + SHIFT
         )
 
-    monkeypatch.setattr(knowledge, "with_absorbed_effects", far)
+    monkeypatch.setattr(knowledge, "absorb_effects", far)
     plain = case.answers[0].mean
     section = section_of(case, case.mixture.mean + SHIFT, plain)
     assert section.sent == PLAIN
@@ -151,6 +151,6 @@ def test_effects_are_corrected_only_where_that_is_better() -> None:
     gap = msgspec.structs.replace(result.gap, mixture=mixture)
     assert not corrects_effects(msgspec.structs.replace(result, gap=gap))
     assert result.corrected is not None
-    section = without_tables(result.corrected)
+    section = drop_tables(result.corrected)
     assert not section.tables
     assert set(section.not_tabled) == {"backlash"}

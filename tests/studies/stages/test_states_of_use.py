@@ -15,8 +15,8 @@ from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import resolve
 from pkm_studies.stages.fit.states import (
-    beyond_recorded,
     displayed_states,
+    extrapolated_states,
     recorded_states,
 )
 from pkm_studies.study import load
@@ -71,11 +71,11 @@ def test_states_beyond_the_readings_are_said_to_be() -> None:
         {"payload": [0.0, 100.0, np.nan], "temp_leg1": [20.0, 23.0, 22.0]}
     )
     used = {"payload": np.array([0.0, 500.0]), "temp_leg1": np.array([21.0])}
-    (sentence,) = beyond_recorded(used, rows)
+    (sentence,) = extrapolated_states(used, rows)
     assert "payload_N 0 and 500" in sentence
     assert "0 to 100" in sentence
     used = {"payload": np.array([0.0, 100.0])}
-    assert not beyond_recorded(used, rows)
+    assert not extrapolated_states(used, rows)
 
 
 def test_states_need_effects(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from pkm_studies import stages, study
 from pkm_studies.base import InputError
 from pkm_studies.commands import main
 from pkm_studies.resolve import resolve
-from pkm_studies.stages.plan.phrases import at_most_better, more_accurate
+from pkm_studies.stages.plan.phrases import loss_bound_text, more_accurate
 
 
 @pytest.fixture(scope="module")
@@ -287,8 +287,8 @@ def test_a_plan_starts_from_the_draws_of_a_posterior(tmp_path: Path) -> None:
 
 
 def test_how_much_better_is_a_share_or_a_factor() -> None:
-    assert at_most_better(0.05) == "5.0 % better"
-    assert at_most_better(10.44) == "11.4 times as accurate"
+    assert loss_bound_text(0.05) == "5.0 % better"
+    assert loss_bound_text(10.44) == "11.4 times as accurate"
     assert more_accurate(1.19, 1.0) == "19 % more accurate"
     assert more_accurate(11.44, 1.0) == "11.4 times as accurate"
 

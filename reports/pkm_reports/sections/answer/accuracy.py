@@ -265,7 +265,7 @@ def _unmodelled(prediction: PredictionSection) -> list[Block]:
         return []
     worst = budget.unmodelled[0]
     effect = worst.effect.replace("_", " ")
-    size = f"{effect} of its expected size ({text.with_symbols(worst.expected)})"
+    size = f"{effect} of its expected size ({text.replace_symbols(worst.expected)})"
     remedy = f"Sizes vary by decades. Remedy: {worst.remedy.rstrip('.')}."
     if budget.usual is None:
         return [
@@ -288,7 +288,7 @@ def _unmodelled(prediction: PredictionSection) -> list[Block]:
 def _worst_case(prediction: PredictionSection) -> list[Block]:
     """The largest error of what the controller corrects, which rms hides."""
     worst = [
-        f"{name} {text.with_unit(_largest(c.after), c.after.unit)}"
+        f"{name} {text.append_unit(_largest(c.after), c.after.unit)}"
         for name, c in prediction.components.items()
         if c.compensatable
     ]
@@ -315,6 +315,6 @@ def _planned(plan: PlanSection) -> Table:
         limits = [text.number(missing.entry(plan.goal, key))] if plan.goal else []
         before = text.number(missing.entry(plan.start_accuracy, key))
         rows.append([text.heading(key), text.number(value), *limits, before])
-    within = wording.within_budget(plan)
+    within = wording.budget_phrase(plan)
     caption = f"Predicted rms error over the workspace after the plan{within}."
     return Table(columns, rows, caption)

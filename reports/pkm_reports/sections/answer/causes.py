@@ -133,7 +133,7 @@ def own_size(effect: str, corrected: CorrectedSection | None) -> str:
 def _coefficient(name: str, estimate: EffectEstimate) -> str:
     decimals = text.decimals_for(estimate.sd)
     value, sd = text.fixed(estimate.value, decimals), text.fixed(estimate.sd, decimals)
-    return f"{name} {text.with_unit(f'{value} ± {sd}', estimate.unit)}"
+    return f"{name} {text.append_unit(f'{value} ± {sd}', estimate.unit)}"
 
 
 def _remains(gap: GapSection) -> str:
@@ -142,7 +142,7 @@ def _remains(gap: GapSection) -> str:
         return ""
     if not gap.selected:
         sizes = [
-            f"{name} {text.in_unit_of(name, rms, gap.units)}"
+            f"{name} {text.channel_value(name, rms, gap.units)}"
             for name, rms in gap.rms_before.items()
         ]
         phrase = f"What calibration leaves, rms: {'; '.join(sizes)}."
@@ -151,8 +151,8 @@ def _remains(gap: GapSection) -> str:
     for name, before in gap.rms_before.items():
         after = missing.entry(gap.rms_after, name)
         change = (
-            f"{name} {text.in_unit_of(name, before, gap.units)} before,"
-            f" {text.in_unit_of(name, after, gap.units)} after"
+            f"{name} {text.channel_value(name, before, gap.units)} before,"
+            f" {text.channel_value(name, after, gap.units)} after"
         )
         parts.append(change)
     phrase = f"What remains with these causes in the model, rms: {'; '.join(parts)}."

@@ -26,7 +26,7 @@ def blocks(result: StudyResult) -> list[Block]:
 
 
 def _scheduled(plan: PlanSection) -> str:
-    phrase = f"{wording.minutes(plan.cost)}{wording.of_budget(plan)}"
+    phrase = f"{wording.minutes(plan.cost)}{wording.budget_share(plan)}"
     phrase += f" for {text.count(len(plan.stages), 'stage')}"
     if plan.price:
         phrase += f", at a price of {text.trimmed(plan.price)}"

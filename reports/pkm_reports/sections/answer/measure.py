@@ -55,7 +55,7 @@ def blocks(result: StudyResult) -> list[Block]:
         caption = _caption(drawing)
         picture = Picture("overview", lambda: draw_overview(drawing), caption)
         content.append(picture)
-    return [*content, *_in_order(result)]
+    return [*content, *_working_order(result)]
 
 
 def used_setups(result: StudyResult) -> list[SetupInfo]:
@@ -137,7 +137,7 @@ def _list_of_readings(result: StudyResult) -> list[tuple[str, str]]:
     return [("List", f"{text.listing(files)}, with cells for the readings.")]
 
 
-def _in_order(result: StudyResult) -> list[Block]:
+def _working_order(result: StudyResult) -> list[Block]:
     """The readings to take, in their order; of many, the first."""
     poses = [] if result.design is None else result.design.poses
     shown = poses[:MOST_READINGS]

@@ -181,7 +181,7 @@ def _refusals(design: DesignSection) -> list[Block]:
     if not refused:
         return []
     reason, count = refused[0]
-    candidates, reason = text.count(count, "candidate"), text.with_symbols(reason)
+    candidates, reason = text.count(count, "candidate"), text.replace_symbols(reason)
     if len(refused) == 1:
         verb = "was" if count == 1 else "were"
         return [
@@ -190,7 +190,7 @@ def _refusals(design: DesignSection) -> list[Block]:
             )
         ]
     columns = [TableColumn("Candidates", number=True), wide_column("which …")]
-    rows = [[str(n), text.with_symbols(why)] for why, n in refused]
+    rows = [[str(n), text.replace_symbols(why)] for why, n in refused]
     caption = (
         "Candidates left out before the choice; one may have several reasons. Most,"
         f" {count}, {reason}."

@@ -31,7 +31,7 @@ def blocks(design: DesignSection) -> list[Block]:
         return []
     names = [entry.name for entry in compared]
     content: list[Block] = [
-        Paragraph(_about(names)),
+        Paragraph(_introduction(names)),
         Picture("compared", lambda: criteria.draw(design), _caption(design)),
     ]
     if len(names) <= MANY:
@@ -39,7 +39,7 @@ def blocks(design: DesignSection) -> list[Block]:
     return [*content, _certificates(compared, names), _values(compared, names)]
 
 
-def _about(names: Sequence[str]) -> str:
+def _introduction(names: Sequence[str]) -> str:
     criteria_count = "1 criterion" if len(names) == 1 else f"{len(names)} criteria"
     return (
         f"Under the same rules the study designs a plan for each of {criteria_count},"
@@ -78,7 +78,7 @@ def _one_table(compared: Sequence[CriterionComparison], names: Sequence[str]) ->
     """Certificates and the values of all plans side by side."""
     columns = [*_certificate_columns(names), *_plan_columns(names)]
     rows = [[*_certificate_row(entry), *_value_row(entry, names)] for entry in compared]
-    caption = f"{_about_certificates(names)} Then its value for each of the plans."
+    caption = f"{_certificates_text(names)} Then its value for each of the plans."
     return Table(columns, rows, caption)
 
 
@@ -86,7 +86,7 @@ def _certificates(
     compared: Sequence[CriterionComparison], names: Sequence[str]
 ) -> Table:
     rows = [_certificate_row(entry) for entry in compared]
-    return Table(_certificate_columns(names), rows, _about_certificates(names))
+    return Table(_certificate_columns(names), rows, _certificates_text(names))
 
 
 def _values(compared: Sequence[CriterionComparison], names: Sequence[str]) -> Table:
@@ -102,7 +102,7 @@ def _values(compared: Sequence[CriterionComparison], names: Sequence[str]) -> Ta
     return Table(columns, rows, caption)
 
 
-def _about_certificates(names: Sequence[str]) -> str:
+def _certificates_text(names: Sequence[str]) -> str:
     return (
         "One row a criterion: the value of the plan for it, the bound that no plan"
         " passes, the certified share of the best possible, and the gain over the plan"

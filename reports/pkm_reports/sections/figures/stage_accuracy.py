@@ -55,12 +55,12 @@ def components(plan: PlanSection) -> list[str]:
 
 def realised(stage: StageRecord) -> dict[str, float]:
     """Accuracy that virtual machines reached: the prediction times their ratio to it."""
-    ratios = {key: of_component(stage.realised, key) for key in stage.accuracy}
+    ratios = {key: component_label(stage.realised, key) for key in stage.accuracy}
     reached = {key: ratios[key] * rms for key, rms in stage.accuracy.items()}
     return {key: rms for key, rms in reached.items() if math.isfinite(rms)}
 
 
-def of_component(table: Mapping[str, float], key: str) -> float:
+def component_label(table: Mapping[str, float], key: str) -> float:
     """The number of a component, stored with its unit in the name or without."""
     return missing.entry(table, key if key in table else stem(key))
 

@@ -36,7 +36,7 @@ def draw(prediction: PredictionSection) -> Figure:
         for name in prediction.map[0].command
     }
     if len(commands) < 2:
-        return _along_one_command(prediction, commands, names)
+        return _line_over_command(prediction, commands, names)
     layout = choose_layout(commands)
     panels = len(layout.levels)
     # Single panels stand side by side; otherwise each component has a row.
@@ -190,7 +190,7 @@ def _set_cartesian_axes(axes: Axes, layout: MapLayout) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _along_one_command(
+def _line_over_command(
     prediction: PredictionSection, commands: Mapping[str, Array], names: Sequence[str]
 ) -> Figure:
     """The error of a machine with one command, along that command."""

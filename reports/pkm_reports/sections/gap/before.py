@@ -190,7 +190,8 @@ def _sizes_by_channel(
     """Rms by channel; one channel alone needs no name."""
     visible = {n: rms for n, rms in sizes.items() if rms is None or rms > VISIBLE}
     entries = {
-        name: text.in_unit_of(name, rms, channel_units) for name, rms in visible.items()
+        name: text.channel_value(name, rms, channel_units)
+        for name, rms in visible.items()
     }
     if len(entries) < 2:
         return text.listing(entries.values())

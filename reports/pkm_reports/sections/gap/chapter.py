@@ -82,7 +82,7 @@ def _rms(gap: GapSection) -> str:
 
 
 def _rms_of(gap: GapSection, channel: str, rms: Mapping[str, float]) -> str:
-    return text.in_unit_of(channel, missing.entry(rms, channel), gap.units)
+    return text.channel_value(channel, missing.entry(rms, channel), gap.units)
 
 
 CHAPTER: Final = Chapter("gap", "The gap: causes, place, remedy", blocks)
@@ -327,7 +327,9 @@ MOST_COEFFICIENTS: Final = 12
 
 def _coefficients(gap: GapSection) -> list[Block]:
     """The largest coefficients in expected sizes, first the largest."""
-    ranked = sorted(gap.coefficients, key=lambda c: -abs(in_expected_sizes(c, c.value)))
+    ranked = sorted(
+        gap.coefficients, key=lambda c: -abs(expected_sizes_text(c, c.value))
+    )
     shown = ranked[:MOST_COEFFICIENTS]
     if not shown:
         return []
@@ -346,8 +348,8 @@ def _coefficients(gap: GapSection) -> list[Block]:
 
 
 def _coefficient_row(coefficient: CoefficientRecord) -> list[str]:
-    value = in_expected_sizes(coefficient, coefficient.value)
-    sd = in_expected_sizes(coefficient, coefficient.sd)
+    value = expected_sizes_text(coefficient, coefficient.value)
+    sd = expected_sizes_text(coefficient, coefficient.sd)
     expected = f"{text.fixed(value, 2)} ± {text.fixed(sd, 2)}"
     unit, factor = units.coefficient_unit(coefficient.unit)
     return [
@@ -359,7 +361,7 @@ def _coefficient_row(coefficient: CoefficientRecord) -> list[str]:
     ]
 
 
-def in_expected_sizes(coefficient: CoefficientRecord, number: float) -> float:
+def expected_sizes_text(coefficient: CoefficientRecord, number: float) -> float:
     """A value or sd over the expected size; NaN where that is not known."""
     size = coefficient.prior_sd
     return math.nan if size is None or not size > 0.0 else number / size

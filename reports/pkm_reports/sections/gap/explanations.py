@@ -150,7 +150,7 @@ def _sizes(gap: GapSection) -> Table:
     rows = [
         [
             spoken(size.effect),
-            _about(gap, size.effect),
+            _effect_text(gap, size.effect),
             size_in_readings(gap, size.rms),
             size_in_readings(gap, size.remaining) or text.MISSING,
             text.number(size.detectability),
@@ -170,7 +170,7 @@ def _sizes(gap: GapSection) -> Table:
     return Table(columns, rows, caption)
 
 
-def _about(gap: GapSection, effect: str) -> str:
+def _effect_text(gap: GapSection, effect: str) -> str:
     """What an effect is, with the constants of its form in SI."""
     about = gap.about[effect].about if effect in gap.about else ""
     constants = _constants(gap, effect)
@@ -190,6 +190,6 @@ def size_in_readings(gap: GapSection, sizes: Mapping[str, float]) -> str:
     entries = []
     for channel, rms in sizes.items():
         if rms > VISIBLE:
-            entry = text.in_unit_of(channel, rms, gap.units)
+            entry = text.channel_value(channel, rms, gap.units)
             entries.append(f"{channel} {entry}" if named else entry)
     return text.listing(entries)

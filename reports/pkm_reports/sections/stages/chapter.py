@@ -218,7 +218,7 @@ def _improved(key: str, gains: dict[str, float]) -> str:
 
 def _schedule_caption(plan: PlanSection) -> str:
     """How long the plan takes, and how much of the budget remains."""
-    cost, budget = wording.minutes(plan.cost), wording.of_budget(plan)
+    cost, budget = wording.minutes(plan.cost), wording.budget_share(plan)
     caption = f"The stages over time: {cost}{budget}."
     if plan.budget_min is None or plan.budget_min - plan.cost <= NO_TIME:
         return caption
@@ -307,7 +307,7 @@ def _comparison(compared: Sequence[SequenceRecord]) -> Table:
         marks += ["", "chosen"]
         if record.gain:
             factors = [
-                text.times(stage_accuracy.of_component(record.gain, key))
+                text.times(stage_accuracy.component_label(record.gain, key))
                 for key in keys
             ]
             rows.append(["… times as accurate", "", "", "", *factors])

@@ -73,7 +73,7 @@ def _lost(stage: StageRecord) -> str:
 
 
 def _schedule_caption(plan: PlanSection) -> str:
-    cost, budget = wording.minutes(plan.cost), wording.of_budget(plan)
+    cost, budget = wording.minutes(plan.cost), wording.budget_share(plan)
     sentences = [
         f"The stages in order; together they take {cost}{budget}.",
         "Lost: candidates (readings or whole runs) expected outside the instrument's"

@@ -12,7 +12,7 @@ def blocks(plan: PlanSection) -> list[Block]:
     """What is known before, the verdict, what would improve it, the bound, the stop."""
     content: list[Block] = []
     if plan.after:
-        content.append(Paragraph(f"Known before: {text.with_full_stop(plan.after)}"))
+        content.append(Paragraph(f"Known before: {text.add_full_stop(plan.after)}"))
     needs = text.sentences(plan.needs)
     if is_missed(plan):
         content.append(Notice(_missed(plan)))
@@ -23,7 +23,7 @@ def blocks(plan: PlanSection) -> list[Block]:
     if plan.bound is not None:
         content.append(Paragraph(_bound(plan, plan.bound)))
     if plan.stop:
-        content.append(Paragraph(f"When to stop: {text.with_full_stop(plan.stop)}"))
+        content.append(Paragraph(f"When to stop: {text.add_full_stop(plan.stop)}"))
     return content
 
 
@@ -33,7 +33,7 @@ def is_missed(plan: PlanSection) -> bool:
 
 
 def _missed(plan: PlanSection) -> str:
-    goal, within = wording.accuracies(plan.goal), wording.within_budget(plan)
+    goal, within = wording.accuracies(plan.goal), wording.budget_phrase(plan)
     notice = f"The goal is out of reach{within}: {goal}."
     best = wording.accuracies(plan.best_reachable, plan.goal)
     if not best:
@@ -43,7 +43,7 @@ def _missed(plan: PlanSection) -> str:
 
 def _reached(plan: PlanSection) -> str:
     stages = text.count(len(plan.stages), "stage")
-    costs = f"{wording.minutes(plan.cost)}{wording.of_budget(plan)}"
+    costs = f"{wording.minutes(plan.cost)}{wording.budget_share(plan)}"
     if plan.price:
         costs += f", at a price of {text.trimmed(plan.price)}"
     content = f"has {stages} and takes {costs}."
@@ -62,17 +62,17 @@ def _bound(plan: PlanSection, bound: float) -> str:
     if plan.goal:
         value = "the worst ratio of error to wanted accuracy"
         subject = "the most accurate plan found"
-    within = wording.within_budget(plan)
+    within = wording.budget_phrase(plan)
     sentence = f"No plan{within} brings {value} below {text.number(bound)}"
     if plan.loss is not None:
-        loss = at_most(plan.loss)
+        loss = loss_bound(plan.loss)
         sentence += f": {subject} is {loss} worse than the best possible one"
     if plan.lines:
         sentence += f" (proven with {text.count(plan.lines, 'supporting line')})"
     return f"{sentence}."
 
 
-def at_most(loss: float) -> str:
+def loss_bound(loss: float) -> str:
     """A guaranteed loss, never rounded down; a large one as a factor."""
     if loss >= 1.0:
         return f"at most a factor of {text.factor_at_most(1.0 + loss)}"

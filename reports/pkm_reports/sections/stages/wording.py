@@ -15,12 +15,12 @@ def minutes(value: Number) -> str:
     return text.quantity(value, "min")
 
 
-def within_budget(plan: PlanSection) -> str:
+def budget_phrase(plan: PlanSection) -> str:
     """` within 120 min`, or nothing where there is no budget."""
     return "" if plan.budget_min is None else f" within {_budget(plan.budget_min)}"
 
 
-def of_budget(plan: PlanSection) -> str:
+def budget_share(plan: PlanSection) -> str:
     """` of a budget of 120 min`, or nothing where there is none."""
     if plan.budget_min is None:
         return ""
@@ -28,7 +28,7 @@ def of_budget(plan: PlanSection) -> str:
 
 
 def _budget(minutes: float) -> str:
-    return text.with_unit(text.trimmed(minutes), "min")
+    return text.append_unit(text.trimmed(minutes), "min")
 
 
 def accuracies(table: Mapping[str, float], only: Iterable[str] | None = None) -> str:

@@ -64,11 +64,11 @@ def table(compensation: Compensation) -> dict[str, list[float]]:
     for prefix, block in (("", command), ("corrected_", corrected)):
         for k, c in enumerate(machine.command):
             name = column(f"{prefix}{c.name}", c.unit)
-            columns[name] = _in_unit(block[:, k], c.unit)
+            columns[name] = _displayed(block[:, k], c.unit)
     for prefix, block in (("", joints), ("correction_", added)):
         for k, joint in enumerate(machine.joints):
             name = column(f"{prefix}{joint.name}", joint.unit)
-            columns[name] = _in_unit(block[:, k], joint.unit)
+            columns[name] = _displayed(block[:, k], joint.unit)
     return columns | _offset_columns(compensation, command)
 
 
@@ -97,13 +97,13 @@ def columns_about(compensation: Compensation) -> dict[str, str]:
     machine = compensation.machine
     about = {}
     for c in machine.command:
-        about[column(c.name, c.unit)] = _about("command", c.about)
+        about[column(c.name, c.unit)] = _column_text("command", c.about)
     for c in machine.command:
         about[column(f"corrected_{c.name}", c.unit)] = (
             f"{c.name} to send instead, to a controller with the nominal model"
         )
     for joint in machine.joints:
-        about[column(joint.name, joint.unit)] = _about(
+        about[column(joint.name, joint.unit)] = _column_text(
             "joint that holds the command", joint.about
         )
     whole = ""
@@ -122,7 +122,7 @@ def columns_about(compensation: Compensation) -> dict[str, str]:
     return about
 
 
-def _about(role: str, phrase: str) -> str:
+def _column_text(role: str, phrase: str) -> str:
     return f"{role}: {phrase}" if phrase else role
 
 
@@ -135,7 +135,7 @@ def grid_rows(compensation: Compensation) -> list[dict[str, Any]]:
         return []
     grid, rows = compensation.grid, []
     for axis, knots in zip(grid.axes, grid.knots, strict=True):
-        places = _in_unit(knots, axis.unit)
+        places = _displayed(knots, axis.unit)
         rows.append(
             {
                 "coordinate": column(axis.name, axis.unit),
@@ -148,7 +148,7 @@ def grid_rows(compensation: Compensation) -> list[dict[str, Any]]:
     return rows
 
 
-def _in_unit(values: Array, si: str) -> list[float]:
+def _displayed(values: Array, si: str) -> list[float]:
     return [float(v) for v in units.from_si(values, display_unit(si))]
 
 

@@ -35,7 +35,7 @@ from pkm_studies.drafts.bodies.limbs import (
 )
 from pkm_studies.drafts.bodies.tree import turn
 from pkm_studies.quantities import column, display_unit
-from pkm_studies.resolve import unreachable, with_nominal
+from pkm_studies.resolve import replace_nominal, unreachable
 
 SUFFIXES = (".xml", ".urdf")
 #: first half width of the workspace over the largest length, and largest tilt, rad
@@ -111,7 +111,7 @@ def _reachable(
         if any(d.name == "tilt" for d in family.dimensions):
             tried["tilt"] = TILT * share
         try:
-            machine = with_nominal(family.build(tried), nominal)
+            machine = replace_nominal(family.build(tried), nominal)
             problem = unreachable(Kinematics(machine))
         except ValueError as error:
             problem = str(error)

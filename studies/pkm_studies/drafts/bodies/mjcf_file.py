@@ -21,7 +21,7 @@ from pkm_studies.drafts.bodies.tree import (
     BodyJoint,
     BodyLoop,
     BodyTree,
-    of_quaternion,
+    rotation_of_quaternion,
     turn,
 )
 from pkm_studies.drafts.bodies.xml_file import (
@@ -179,7 +179,7 @@ class _Reader:
                 f"body {name} is turned by {', '.join(keys)}", REMEDY
             )
         if key == "quat":
-            return of_quaternion(self._direction(text, 4))
+            return rotation_of_quaternion(self._direction(text, 4))
         if key == "axisangle":
             numbers = self._numbers(text, 4)
             axis = self._direction(" ".join(text.split()[:3]), 3)

@@ -121,7 +121,7 @@ def turn(axis: Sequence[float] | Array, angle: float) -> Array:
     return np.asarray(np.eye(3) + turned)
 
 
-def of_quaternion(quaternion: Sequence[float] | Array) -> Array:
+def rotation_of_quaternion(quaternion: Sequence[float] | Array) -> Array:
     """Rotation (3, 3) of w, x, y, z of any length above 0."""
     w, *v = np.asarray(quaternion, dtype=float) / np.linalg.norm(quaternion)
     size = float(np.linalg.norm(v))

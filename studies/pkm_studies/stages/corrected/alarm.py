@@ -79,7 +79,7 @@ def turned_sentence(corrected: CorrectedSection, turned: TurnedRuns) -> str:
     )
 
 
-def with_turned_runs(
+def add_turned_runs(
     section: GoodnessSection, corrected: CorrectedSection, turned: TurnedRuns
 ) -> GoodnessSection:
     """The section with that mistake as its first finding."""

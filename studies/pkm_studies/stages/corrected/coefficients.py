@@ -33,9 +33,7 @@ def coefficient_records(corrected: CorrectedEstimate) -> Iterator[CoefficientRec
             k += 1
 
 
-def with_joint_coefficients(
-    gap: GapSection, corrected: CorrectedEstimate
-) -> GapSection:
+def add_joint_coefficients(gap: GapSection, corrected: CorrectedEstimate) -> GapSection:
     """The diagnosis with the coefficients that are estimated with the parameters.
 
     It names effects by linear models of single forms; what they amount to comes from the
@@ -50,7 +48,7 @@ def with_joint_coefficients(
         for form in corrected.forms
         if form.effect.name in gap.selected
     }
-    return sentences.with_sentences(
+    return sentences.add_sentences(
         msgspec.structs.replace(
             gap,
             coefficients=[*named, *others],

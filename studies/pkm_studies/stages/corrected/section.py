@@ -41,14 +41,14 @@ from pkm_studies import describe
 from pkm_studies.compensation import TableAccuracy, command_grid, table_accuracy
 from pkm_studies.quantities import column, display_unit
 from pkm_studies.stages.corrected.coefficients import coefficient_records
-from pkm_studies.stages.fit.effects import with_controller
+from pkm_studies.stages.fit.effects import add_controller
 from pkm_studies.stages.fit.estimate import estimate_section
 from pkm_studies.stages.fit.posterior import marginal
 from pkm_studies.stages.gap.words import join_words, plain_name
 from pkm_studies.stages.predict.accuracy import (
     accuracy_section,
+    add_wanted,
     spread_record,
-    with_wanted,
 )
 from pkm_studies.stages.predict.budget import budget_section
 
@@ -198,7 +198,7 @@ def corrected_section(
     size = len(parameters)
     predicted = None
     if accuracy is not None:
-        predicted = with_wanted(_predicted(measurement, accuracy), workspace.wanted)
+        predicted = add_wanted(_predicted(measurement, accuracy), workspace.wanted)
     tables, not_tabled = effect_tables(
         corrected, workspace.command, workspace.axes, predicted
     )
@@ -224,7 +224,7 @@ def corrected_section(
     )
 
 
-def with_least_error(
+def add_least_error(
     section: CorrectedSection,
     corrected: CorrectedEstimate,
     accuracy: CorrectedAccuracy,
@@ -241,13 +241,11 @@ def with_least_error(
     sent = least_error(before, every, machine.driven)
     section = msgspec.structs.replace(section, sent=sent)
     if least_error(before, geometry, machine.driven) == PLAIN:
-        section = with_controller(section, machine, plain)
-    return section if sent == BEST_WITH_EFFECTS else without_tables(section)
+        section = add_controller(section, machine, plain)
+    return section if sent == BEST_WITH_EFFECTS else drop_tables(section)
 
 
-def without_tables(
-    section: CorrectedSection, reason: str = NO_HELP
-) -> CorrectedSection:
+def drop_tables(section: CorrectedSection, reason: str = NO_HELP) -> CorrectedSection:
     """The section whose effects no controller corrects, for a reason."""
     reasons = {table.effect: reason for table in section.tables}
     return msgspec.structs.replace(
@@ -335,13 +333,13 @@ def conditions(corrected: CorrectedEstimate, gap: GapSection | None) -> list[str
         names = join_words([plain_name(name) for name in moving])
         sentences.append(f"the controller corrects {names} as well as the parameters")
     for form in corrected.forms:
-        sentences += _of_effect(corrected, form)
+        sentences += _effect_text(corrected, form)
     if gap is not None:
-        sentences += _of_diagnosis(corrected, gap)
+        sentences += _diagnosed_effects(corrected, gap)
     return list(dict.fromkeys(sentences))
 
 
-def _of_effect(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
+def _effect_text(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
     """Conditions of one effect."""
     name = plain_name(form.effect.name)
     if not _moves_machine(corrected, form):
@@ -354,13 +352,13 @@ def _of_effect(corrected: CorrectedEstimate, form: ChosenForm) -> list[str]:
         if covariate in KNOWN:
             sentences.append(f"{name}: {KNOWN[covariate]}")
         elif "time" in need or "temp" in need:
-            sentences.append(_of_warmth(name, form))
+            sentences.append(_warmth_text(name, form))
     if not sentences and form.effect.name in LOADED:
         sentences.append(f"{name}: the payload is known, or that of these readings")
     return sentences
 
 
-def _of_warmth(name: str, form: ChosenForm) -> str:
+def _warmth_text(name: str, form: ChosenForm) -> str:
     if any("per kelvin" in n for n in form.signature.names):
         return f"{name}: the temperatures are read as in these readings"
     return (
@@ -381,7 +379,7 @@ def _moves_machine(corrected: CorrectedEstimate, form: ChosenForm) -> bool:
     return joints or any(n in names_of_machine for c in columns for n in c.parameters)
 
 
-def _of_diagnosis(corrected: CorrectedEstimate, gap: GapSection) -> list[str]:
+def _diagnosed_effects(corrected: CorrectedEstimate, gap: GapSection) -> list[str]:
     """What the diagnosis could not decide."""
     sentences = []
     used = {form.effect.name for form in corrected.forms}

@@ -21,7 +21,7 @@ from oed.design.candidates import Candidates
 from oed.design.criterion import Compound, Criterion, named
 from oed.identifiability import information
 from oed.measurement.measurement import Measurement, Series
-from pkm_studies.quantities import with_fine_units
+from pkm_studies.quantities import fine_units
 from pkm_studies.resolve import DesignRequest, ResolvedStudy
 from pkm_studies.tables import DesignTable
 
@@ -74,18 +74,22 @@ class StudyCriteria:
 
     # -- criteria ----------------------------------------------------------------------
 
-    def over_candidates(self, name: str, candidates: Candidates) -> Criterion:
+    def candidates_criterion(self, name: str, candidates: Candidates) -> Criterion:
         """The criterion over the candidates' columns; "compound" is the study's own."""
         if name == "compound":
-            parts = [self.over_candidates(n, candidates) for n in self.table.compound]
+            parts = [
+                self.candidates_criterion(n, candidates) for n in self.table.compound
+            ]
             return Compound(tuple(parts), self._shares())
         ingredients = self.ingredients(name, candidates.measurement, self.effects)
         return candidates.criterion(name, **ingredients)
 
-    def over_parameters(self, name: str, measurement: Measurement) -> Criterion:
+    def parameters_criterion(self, name: str, measurement: Measurement) -> Criterion:
         """The criterion over a measurement's free parameters."""
         if name == "compound":
-            parts = [self.over_parameters(n, measurement) for n in self.table.compound]
+            parts = [
+                self.parameters_criterion(n, measurement) for n in self.table.compound
+            ]
             return Compound(tuple(parts), self._shares())
         count = int(measurement.free.sum())
         return named(name, count, **self.ingredients(name, measurement))
@@ -179,7 +183,7 @@ class StudyCriteria:
         Without tolerances, a plan is judged over the directions that it sees itself.
         """
         m = self.information(measurement, series)
-        criterion = self.over_parameters(name, measurement)
+        criterion = self.parameters_criterion(name, measurement)
         if not self.table.prior:
             rows = self._rows(measurement, series)
             _, basis = project_on_estimable(rows[:, None], None)
@@ -205,7 +209,7 @@ class StudyCriteria:
         )
         values = np.sqrt(np.maximum(total / len(maps.raw), 0.0)).tolist()
         rms = dict(zip(maps.names, values, strict=True))
-        return with_fine_units(rms, measurement.machine)
+        return fine_units(rms, measurement.machine)
 
 
 def improvement_factors(

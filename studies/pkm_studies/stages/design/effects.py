@@ -15,7 +15,7 @@ from oed.identifiability.information import prior_information
 from oed.measurement.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
 from pkm_studies.base import Stream
-from pkm_studies.quantities import with_fine_units
+from pkm_studies.quantities import fine_units
 from pkm_studies.resolve import (
     MAX_EFFECT_UNKNOWNS,
     NO_EFFECTS,
@@ -60,7 +60,7 @@ def allowed_effects(
     )
 
 
-def to_plan_for(
+def planned_names(
     expected: PlannedEffects | None, table: DesignTable
 ) -> PlannedEffects | None:
     """The effects at the sizes that a plan is chosen for; themselves at expected sizes."""
@@ -121,13 +121,13 @@ def compare_without(
         return None
     rigid_problem, rigid = without
     name = study_criteria.table.judged_by
-    criterion = study_criteria.over_candidates(name, problem.candidates)
+    criterion = study_criteria.candidates_criterion(name, problem.candidates)
     chosen_value = problem.score(criterion, choice.indices)[0]
     rigid_value = problem.score(criterion, rigid.indices)[0]
     rigid_criteria = StudyCriteria(
         study_criteria.resolved, study_criteria.table, study_criteria.request
     )
-    alone = rigid_criteria.over_candidates(name, rigid_problem.candidates)
+    alone = rigid_criteria.candidates_criterion(name, rigid_problem.candidates)
     best_alone = rigid_problem.score(alone, rigid.indices)[0]
     chosen_alone = rigid_problem.score(alone, choice.indices)[0]
     none = np.zeros(0, dtype=np.intp)
@@ -186,4 +186,4 @@ def _accuracy(
     variance = np.einsum("nkp,pq,nkq->k", slopes, covariance, slopes, optimize=True)
     mean = variance / len(slopes) + effects.others
     rms = dict(zip(maps.names, np.sqrt(mean).tolist(), strict=True))
-    return with_fine_units(rms, measurement.machine)
+    return fine_units(rms, measurement.machine)

@@ -46,7 +46,7 @@ def accuracy_by_size(
         basis.T @ c.prior_information @ basis,
         AccuracyGoal(names, factors @ basis),
         tuple(Stream.HOW_MANY.key(seed)),
-        rules=_without_costs(problem, pool),
+        rules=_free_of_cost(problem, pool),
     )
     points = size_curve.curve([n for n in table.readings if n <= len(pool)])
     fine = {n: units.FINE[components[n]] for n in names}
@@ -69,7 +69,7 @@ def accuracy_by_size(
     )
     if not wanted:
         return summary
-    return _with_fewest(summary, size_curve, min(table.most, len(pool)))
+    return _fewest_sentences(summary, size_curve, min(table.most, len(pool)))
 
 
 def chosen_pool(problem: DesignProblem, chosen: Choice) -> tuple[Index, Array]:
@@ -84,7 +84,7 @@ def chosen_pool(problem: DesignProblem, chosen: Choice) -> tuple[Index, Array]:
     return np.flatnonzero(np.isin(c.setup, used)), problem.columns(np.unique(used))
 
 
-def _without_costs(problem: DesignProblem, pool: Index) -> Rules:
+def _free_of_cost(problem: DesignProblem, pool: Index) -> Rules:
     """The rules over a pool of candidates, without time and number of set-ups."""
     rules, setups = problem.rules.subset(pool), None
     if rules.setups is not None:
@@ -92,7 +92,7 @@ def _without_costs(problem: DesignProblem, pool: Index) -> Rules:
     return dataclasses.replace(rules, time=None, setups=setups)
 
 
-def _with_fewest(
+def _fewest_sentences(
     summary: HowManySummary, size_curve: SizeCurve, most: int
 ) -> HowManySummary:
     """The summary with the fewest readings that reach the wanted accuracy."""

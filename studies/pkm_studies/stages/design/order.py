@@ -79,7 +79,7 @@ def order_plan(
     mounted = list(dict.fromkeys(s.setup for s in retained))
     names = list(dict.fromkeys(s.setup for s in series))
     names, mounting = _order_setups(measurement, names, table.order, rng)
-    labelled = [_as_added(s) if s.setup in mounted else s for s in series]
+    labelled = [_added_readings(s) if s.setup in mounted else s for s in series]
     orders = {}
     for name in names:
         parts = [s for s in labelled if s.setup == name]
@@ -125,7 +125,7 @@ def _joined_plan(
     return tuple(plan)
 
 
-def _as_added(series: Series) -> Series:
+def _added_readings(series: Series) -> Series:
     """New readings in a set-up with retained ones: the names of their runs say so."""
     labels = ["added" if run == "1" else f"added {run}" for run in series.run]
     return dataclasses.replace(series, run=np.array(labels, dtype=np.str_))
@@ -183,7 +183,7 @@ def _order_setup(
     every_min = table.order.reference_every_min
     if every_min is not None:
         timing = RouteTiming(route, speeds, reading)
-        scheduled, seconds = with_reference_readings(
+        scheduled, seconds = add_reference_readings(
             measurement, whole, timing, table.order, every_min, location
         )
     return _SetupOrder(ordered, scheduled, before, route.length, seconds, route.exact)
@@ -262,7 +262,7 @@ class RouteTiming:
     reading: float
 
 
-def with_reference_readings(
+def add_reference_readings(
     measurement: Measurement,
     series: Series,
     timing: RouteTiming,

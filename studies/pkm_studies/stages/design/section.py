@@ -105,12 +105,12 @@ def _judging(
     candidates = [*resolved.measurement.setups, *measurement.setups]
     every = [n for plan in resolved.reference_plans for n in plan.setups]
     return (
-        _with_setups(resolved, measurement, candidates),
-        _with_setups(resolved, measurement, [*candidates, *every]),
+        _add_setups(resolved, measurement, candidates),
+        _add_setups(resolved, measurement, [*candidates, *every]),
     )
 
 
-def _with_setups(
+def _add_setups(
     resolved: ResolvedStudy, measurement: Measurement, names: list[str]
 ) -> Measurement:
     """The measurement with further set-ups; its own stay as they are, polished or not."""

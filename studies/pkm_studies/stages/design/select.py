@@ -67,7 +67,7 @@ def choose_robust(
     pool, basis = chosen_pool(problem, nominal)
     blocks = _scenarios(problem, study_criteria, table.scenarios, rng, location)
     blocks = blocks[:, pool] @ basis
-    criterion = study_criteria.over_candidates(judged_by, c)
+    criterion = study_criteria.candidates_criterion(judged_by, c)
     within = criterion.restrict(basis)
     prior = basis.T @ c.prior_information @ basis
     try:
@@ -159,7 +159,7 @@ def choose_relaxed(
     Raises InputError where this plan leaves directions undetermined.
     """
     c, table = problem.candidates, study_criteria.table
-    criterion = study_criteria.over_candidates(table.judged_by, c)
+    criterion = study_criteria.candidates_criterion(table.judged_by, c)
     solver = table.solver or "built_in"
     size = problem.rules.size
     if size is None:
@@ -244,7 +244,7 @@ def select_design(
         return None
     location = resolved.study.location.key("design")
     expected = effects.allowed_effects(resolved, table, request, rng)
-    planned = effects.to_plan_for(expected, table)
+    planned = effects.planned_names(expected, table)
     study_criteria = StudyCriteria(resolved, table, request, planned)
     problem = _problem(resolved, study_criteria, location)
     field = "compound" if table.compound else "criterion"
@@ -255,7 +255,7 @@ def select_design(
     if planned is not expected:
         with_expected = StudyCriteria(resolved, table, request, expected)
         at_expected = with_expected, _problem(resolved, with_expected, location)
-    summary_of_effects = _beside_rigid(at_expected, choice, rng, location, field)
+    summary_of_effects = _compare_rigid(at_expected, choice, rng, location, field)
     compared = _compared(problem, study_criteria, choice, rng, location.key("compare"))
     robust_summary, size_summary = None, None
     if table.robust is not None:
@@ -310,7 +310,7 @@ def check_design(resolved: ResolvedStudy) -> None:
     field = "compound" if table.compound else "criterion"
     with _refused(name, location.key(field)):
         search.check_plan(
-            problem, study_criteria.over_candidates(name, problem.candidates)
+            problem, study_criteria.candidates_criterion(name, problem.candidates)
         )
 
 
@@ -333,14 +333,16 @@ def _main_choice(
             problem, study_criteria, table.judged_by, rng, location.key(field)
         )
     if table.branch_nodes:
-        criterion = study_criteria.over_candidates(table.judged_by, problem.candidates)
+        criterion = study_criteria.candidates_criterion(
+            table.judged_by, problem.candidates
+        )
         choice = search.branch_and_bound(
             problem, criterion, choice, table.branch_nodes, rng
         )
     return choice, summary
 
 
-def _beside_rigid(
+def _compare_rigid(
     at_expected: tuple[StudyCriteria, DesignProblem],
     choice: Choice,
     rng: np.random.Generator,
@@ -354,11 +356,11 @@ def _beside_rigid(
     study_criteria, problem = at_expected
     if study_criteria.effects is None:
         return None
-    without = _without_effects(study_criteria, rng, location, field)
+    without = _rigid_criteria(study_criteria, rng, location, field)
     return effects.compare_without(problem, study_criteria, choice, without)
 
 
-def _without_effects(
+def _rigid_criteria(
     study_criteria: StudyCriteria,
     rng: np.random.Generator,
     location: Location,
@@ -431,7 +433,7 @@ def _best(
     location: Location,
 ) -> Choice:
     with _refused(name, location):
-        criterion = study_criteria.over_candidates(name, problem.candidates)
+        criterion = study_criteria.candidates_criterion(name, problem.candidates)
         return search.best_plan(problem, criterion, rng)
 
 
@@ -465,7 +467,7 @@ def _compared(
             choices[name] = _best(problem, study_criteria, name, rng, location)
     comparisons = []
     for name, design in choices.items():
-        criterion = study_criteria.over_candidates(name, problem.candidates)
+        criterion = study_criteria.candidates_criterion(name, problem.candidates)
         scores = {n: problem.score(criterion, c.indices) for n, c in choices.items()}
         comparison = CriterionComparison(
             name=name,

@@ -54,7 +54,7 @@ def _problem(state: Fitted) -> GapProblem:
     return readings_with_covariates(state, request).problem(state.estimate.theta)
 
 
-def with_controller(section: Section, machine: Machine, sent: Array) -> Section:
+def add_controller(section: Section, machine: Machine, sent: Array) -> Section:
     """The section with the parameters (np,) that the controller is given, SI."""
     controller = {}
     for parameter, value in zip(machine.parameters, sent, strict=True):

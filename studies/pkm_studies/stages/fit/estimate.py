@@ -63,7 +63,7 @@ def estimate_section(
     )
 
 
-def with_held(section: EstimateSection, fixed: list[HeldParameter]) -> EstimateSection:
+def add_held(section: EstimateSection, fixed: list[HeldParameter]) -> EstimateSection:
     """The section with held parameters that the readings contradict, as warnings."""
     sentences = [_held_sentence(one) for one in fixed]
     return replace(section, held=fixed, warnings=[*sentences, *section.warnings])

@@ -47,10 +47,10 @@ def check_dataset(
         noise_is_a_guess=guess,
         noise_is_estimated=resolved.study.noise.estimate is not False,
     )
-    return _by_assumption(checked, is_assumed=resolved.study.noise.assumed)
+    return _assumption_text(checked, is_assumed=resolved.study.noise.assumed)
 
 
-def _by_assumption(checked: CheckedSession, *, is_assumed: bool) -> CheckedSession:
+def _assumption_text(checked: CheckedSession, *, is_assumed: bool) -> CheckedSession:
     """The check without what an assumed noise cannot say."""
     if not is_assumed:
         return checked
@@ -59,21 +59,21 @@ def _by_assumption(checked: CheckedSession, *, is_assumed: bool) -> CheckedSessi
     return dataclasses.replace(checked, findings=findings)
 
 
-def with_delivered(state: Measured, fitted: Goodness) -> Measured:
+def add_delivered(state: Measured, fitted: Goodness) -> Measured:
     """The state whose check has the figures of the parameters that are delivered.
 
     The check looked at a fit of its own, by the stated noise.
     """
     checked = state.checked
     if checked is None:
-        return state.with_sections(goodness=fit_figures(fitted))
+        return state.add_sections(goodness=fit_figures(fitted))
     judged = checked.with_goodness(fitted, noise_is_a_guess=state.noise_is_a_guess)
-    judged = _by_assumption(judged, is_assumed=state.study.noise.assumed)
+    judged = _assumption_text(judged, is_assumed=state.study.noise.assumed)
     before = {finding.sentence for finding in checked.findings}
     others = [warning for warning in state.warnings if warning not in before]
     sentences = [finding.sentence for finding in judged.findings]
     state = state.replace(checked=judged, warnings=(*sentences, *others))
-    return state.with_sections(goodness=goodness_section(judged))
+    return state.add_sections(goodness=goodness_section(judged))
 
 
 def goodness_section(checked: CheckedSession) -> GoodnessSection:
@@ -136,7 +136,7 @@ def _records(checked: CheckedSession, far: Sequence[FarReading]) -> list[Outlier
 # -- each run against all others -------------------------------------------------------
 
 
-def with_left_out(
+def add_left_out(
     section: GoodnessSection, prediction: RunPrediction | None
 ) -> GoodnessSection:
     """The section with the runs; as it is where there is one run alone."""

@@ -31,7 +31,7 @@ def with_noise(
     return msgspec.structs.replace(section, noise=records, noise_words=phrase)
 
 
-def with_assumption(
+def add_assumption(
     section: GoodnessSection,
     estimate: Estimate,
     setups: Mapping[str, Setup],

@@ -74,7 +74,7 @@ COMPARED = {
 }
 
 
-def with_checks(
+def add_checks(
     section: PosteriorSection, checks: Mapping[str, PredictiveCheckRecord]
 ) -> PosteriorSection:
     """The section with its posterior predictive checks."""

@@ -135,7 +135,7 @@ def run_curves(
     first = 0
     for s in series:
         channels = measurement.setups[s.setup].instrument.channels
-        tips, phase = _along(measurement, s)
+        tips, phase = _run_phase(measurement, s)
         for run in dict.fromkeys(s.run):
             members = np.flatnonzero(s.run == run)
             kind, along, _ = run_shape(tips[members], phase[members])
@@ -161,7 +161,7 @@ def run_curves(
         first += len(s) * len(channels)
 
 
-def _along(measurement: Measurement, series: Series) -> tuple[Array, Array]:
+def _run_phase(measurement: Measurement, series: Series) -> tuple[Array, Array]:
     """Nominal tool point (n, 3), m, of each reading, and its phase (n,), rad."""
     setup = measurement.setups[series.setup]
     poses = measurement.poses(series, measurement.nominal)

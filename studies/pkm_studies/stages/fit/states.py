@@ -45,7 +45,9 @@ def recorded_states(covariates: pd.DataFrame | None) -> dict[str, Array]:
     return states
 
 
-def beyond_recorded(used: Mapping[str, Array], covariates: pd.DataFrame) -> list[str]:
+def extrapolated_states(
+    used: Mapping[str, Array], covariates: pd.DataFrame
+) -> list[str]:
     """Sentences on values in use, SI, that lie outside what the readings recorded."""
     sentences = []
     for name, values in used.items():

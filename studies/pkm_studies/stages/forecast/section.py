@@ -54,7 +54,7 @@ def planned(task: ForecastTask) -> tuple[ForecastSection, Array]:
         nodes=[describe.displayed_command(machine, node) for node in nodes],
         setup=task.setup,
         minutes=(mounting + len(nodes) * reading) / 60.0,
-        sentences=[*_of_plan(task, design)],
+        sentences=[*_plan_section(task, design)],
     )
     return section, nodes
 
@@ -74,7 +74,7 @@ def _components(task: ForecastTask, design: NodeDesign) -> dict[str, ForecastCom
     return components
 
 
-def _of_plan(task: ForecastTask, design: NodeDesign) -> Iterator[str]:
+def _plan_section(task: ForecastTask, design: NodeDesign) -> Iterator[str]:
     """What the plan rests on, and what it does not reach."""
     if task.model.reference == "home":
         yield (
@@ -132,7 +132,7 @@ def measured(
             " costs more than a fifth of what is left: raise `commands`"
         )
     names = list(section.nodes[0])
-    components = _with_figures(task, section, figures)
+    components = _add_figures(task, section, figures)
     sentences += _doubtful_sizes(components)
     filled = replace(
         section,
@@ -226,7 +226,7 @@ def _checked(
     }
 
 
-def _with_figures(
+def _add_figures(
     task: ForecastTask, section: ForecastSection, figures: Mapping[str, Array]
 ) -> dict[str, ForecastComponent]:
     """The components with further figures, in their units; none of what was not read."""

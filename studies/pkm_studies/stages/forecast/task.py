@@ -131,8 +131,10 @@ def forecast_task(
         kinematics, _reachable(kinematics, _places(axes, rng)), reference, spread
     )
     setup = _setup(resolved, study.forecast, location)
-    expected = _by_component(model, study.forecast.expected, location.key("expected"))
-    wanted = _by_component(model, study.forecast.wanted, location.key("wanted"))
+    expected = _component_values(
+        model, study.forecast.expected, location.key("expected")
+    )
+    wanted = _component_values(model, study.forecast.wanted, location.key("wanted"))
     if np.isnan(expected).all():
         raise location.key("expected").error("it is empty", "name a driven component")
     measurement = resolved.measurement_with([setup.name])
@@ -164,7 +166,7 @@ def _setup(resolved: ResolvedStudy, table: ForecastTable, location: Location) ->
     return resolved.setups[table.setup]
 
 
-def _by_component(
+def _component_values(
     model: JointErrors, table: dict[str, float], location: Location
 ) -> Array:
     """Values (k,) of the driven components, SI; NaN where none is stated."""
@@ -177,7 +179,7 @@ def _sigma(
     model: JointErrors, table: ForecastTable, setup: Setup, location: Location
 ) -> Array:
     """Noise (k,) of a measured error, SI: as stated, else of the set-up's channel."""
-    sigma = _by_component(model, table.sigma, location)
+    sigma = _component_values(model, table.sigma, location)
     channels = [channel.name for channel in setup.instrument.channels]
     by_channel = dict(zip(channels, setup.sigma, strict=True))
     for k, component in enumerate(model.driven):

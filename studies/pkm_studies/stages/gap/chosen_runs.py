@@ -59,7 +59,7 @@ def choose_runs(
     if "time" not in covariates:
         timed = covariates.assign(time=_times(covariates, design, rules))
     taken = problem.assemble(measurement, series, timed, gravity=gravity)
-    separations = _with_earlier(choice.pairs, planned, design)
+    separations = _add_earlier(choice.pairs, planned, design)
     chosen = ChosenRuns(
         candidates=len(design.runs) - len(design.retained),
         retained=len(design.retained),
@@ -88,7 +88,7 @@ def _pool(
     return pool_runs(candidates, law, rows, design.wanted, design.rivals)
 
 
-def _with_earlier(
+def _add_earlier(
     pairs: Sequence[SeparationRecord], planned: GapProblem, design: GapDesignRequest
 ) -> list[SeparationRecord]:
     """Pairs with their separation in other planned readings, where these test it."""

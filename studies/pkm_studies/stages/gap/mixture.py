@@ -33,11 +33,11 @@ from oed.result import (
 )
 from oed.result.mixture import BEST, BEST_WITH_EFFECTS, MIXTURE, NOTHING, PLAIN
 from oed.result.prediction import LEVELS
-from pkm_studies.stages.fit.effects import with_controller
+from pkm_studies.stages.fit.effects import add_controller
 from pkm_studies.stages.fit.states import displayed_states
 from pkm_studies.stages.gap.words import format_probability, join_words, plain_name
 from pkm_studies.stages.predict import knowledge
-from pkm_studies.stages.predict.accuracy import accuracy_section, with_wanted
+from pkm_studies.stages.predict.accuracy import accuracy_section, add_wanted
 from pkm_studies.stages.predict.knowledge import ActingEffects, ParameterKnowledge
 
 #: ends of a 95 % interval
@@ -124,10 +124,10 @@ def mixture_section(
     if not len(use.command):
         machine = measurement.machine
         count = len(machine.parameters)
-        section = with_controller(section, machine, mixture.mean[:count])
+        section = add_controller(section, machine, mixture.mean[:count])
     else:
         known = _knowledge(measurement, series, mixture, best, seed, use.session)
-        section = _with_accuracy(section, known, best, use, seed)
+        section = _add_accuracy(section, known, best, use, seed)
     return msgspec.structs.replace(section, words=words(section))
 
 
@@ -164,7 +164,7 @@ def _knowledge(
     )
 
 
-def _with_accuracy(
+def _add_accuracy(
     section: MixtureSection,
     known: ParameterKnowledge,
     best: BestAnswer,
@@ -176,7 +176,7 @@ def _with_accuracy(
     count = len(machine.parameters)
     # states other than those that the candidates are judged in
     rng = np.random.default_rng([*seed, ABSORBING])
-    absorbed = knowledge.with_absorbed_effects(known, use.command, use.reference, rng)
+    absorbed = knowledge.absorb_effects(known, use.command, use.reference, rng)
     mean = machine.nominal + known.centre if absorbed.sent is None else absorbed.sent
     sent = {MIXTURE: mean, BEST: best.theta[:count], PLAIN: best.plain[:count]}
     if np.array_equal(best.plain, best.theta):
@@ -202,7 +202,7 @@ def _with_accuracy(
     for name, prediction in predicted.items():
         record = accuracy_section(known.measurement.kinematics, prediction, "mixture")
         record = msgspec.structs.replace(record, **use.states())
-        sections[name] = with_wanted(record, use.wanted)
+        sections[name] = add_wanted(record, use.wanted)
         rms = {n: c.after.rms for n, c in record.components.items()}
         choices.append(CompensationChoice(name, rms))
     rms = {n: c.before.rms for n, c in sections[BEST].components.items()}
@@ -212,7 +212,7 @@ def _with_accuracy(
     if least_error(before, after, machine.driven) != BEST_WITH_EFFECTS:
         with_effects = None
     return msgspec.structs.replace(
-        with_controller(section, machine, sent[shown]),
+        add_controller(section, machine, sent[shown]),
         sent=geometry,
         choices=choices,
         prediction=sections[shown],
@@ -220,7 +220,7 @@ def _with_accuracy(
     )
 
 
-def with_bound(gap: GapSection) -> GapSection:
+def add_bound(gap: GapSection) -> GapSection:
     """The section whose advice to go ahead says how much may still hide."""
     mixture = gap.mixture
     if not gap.next or gap.next[0] != GO_AHEAD or mixture is None:
@@ -280,11 +280,11 @@ def _covariance(measurement: Measurement, mixture: AnswerMixture) -> list[list[f
 
 def words(section: MixtureSection) -> list[str]:
     """What the answers are, how far they set the parameters apart, what to compensate."""
-    sentences = [_of_answers(section), *_of_parameters(section)]
-    return [*sentences, *_of_choices(section)]
+    sentences = [_answers_text(section), *_parameters_text(section)]
+    return [*sentences, *_choices_text(section)]
 
 
-def _of_answers(section: MixtureSection) -> str:
+def _answers_text(section: MixtureSection) -> str:
     named = [
         f"{_name(answer)} ({format_probability(answer.probability)})"
         for answer in section.answers
@@ -303,7 +303,7 @@ def _name(answer: MixedAnswer) -> str:
     return named or "no gap"
 
 
-def _of_parameters(section: MixtureSection) -> list[str]:
+def _parameters_text(section: MixtureSection) -> list[str]:
     """The parameter of which the answers disagree most."""
     between = {
         name: 1.0 - (p.within / p.sd) ** 2 for name, p in section.parameters.items()
@@ -319,7 +319,7 @@ def _of_parameters(section: MixtureSection) -> list[str]:
     ]
 
 
-def _of_choices(section: MixtureSection) -> list[str]:
+def _choices_text(section: MixtureSection) -> list[str]:
     """Expected errors of the compensations, in one sentence."""
     if section.prediction is None:
         return []

@@ -67,7 +67,7 @@ def _values(stated: float | Sequence[float] | None) -> list[float]:
     return list(stated) if isinstance(stated, Sequence) else [stated]
 
 
-def with_visit(gap: GapSection, visit: SecondVisitRecord) -> GapSection:
+def add_visit(gap: GapSection, visit: SecondVisitRecord) -> GapSection:
     """The diagnosis with the visit, which stands first in its advice."""
     steps = [visit.words[0], *gap.next]
     return msgspec.structs.replace(gap, second_visit=visit, next=steps)

@@ -87,7 +87,7 @@ def gap_section(diagnosis: Diagnosis, effects: Sequence[Effect]) -> GapSection:
         scatter_against="" if scatter is None else scatter.against,
         effective_laws=diagnosis.effective_laws,
     )
-    return sentences.with_sentences(section)
+    return sentences.add_sentences(section)
 
 
 def _selected(diagnosis: Diagnosis) -> list[str]:

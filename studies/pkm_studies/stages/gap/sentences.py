@@ -157,7 +157,7 @@ def second_explanation(gap: GapSection) -> list[str]:
     others = [answer for answer in rest if not has_its_causes(answer, gap)]
     if gap.verdict == UNKNOWN:
         # the first sentence counts all answers with something of unknown form
-        phrases += _beside_unknown(others)
+        phrases += _unknown_words(others)
         others = [answer for answer in others if UNKNOWN not in answer.effects]
     second = max(others, key=lambda answer: answer.visible, default=best)
     if second is best or second.visible < CONSIDERABLE:
@@ -177,7 +177,7 @@ def second_explanation(gap: GapSection) -> list[str]:
     return [*phrases, f"The next most likely explanation is {causes}{chance}."]
 
 
-def _beside_unknown(answers: Sequence[AnswerRecord]) -> list[str]:
+def _unknown_words(answers: Sequence[AnswerRecord]) -> list[str]:
     """Effects that may act beside one of unknown form."""
     phrases = []
     for answer in answers:
@@ -327,7 +327,7 @@ COLUMNS = {
 }
 
 
-def with_sentences(gap: GapSection) -> GapSection:
+def add_sentences(gap: GapSection) -> GapSection:
     """The diagnosis with its findings and next steps as sentences."""
     findings = [
         *_verdict(gap),
@@ -552,7 +552,7 @@ def _untested(gap: GapSection) -> list[str]:
 
 def _next_steps(gap: GapSection) -> list[str]:
     """The diagnosis' advice; remedies and tests of its effects that it leaves out."""
-    steps = [_with_plain_names(text, gap.about) for text in gap.next]
+    steps = [_plain_text(text, gap.about) for text in gap.next]
     if gap.selected and may_grow(gap):
         steps.insert(0, unproven_closure(gap))
     places = place_names(gap) if UNKNOWN in gap.answers[0].effects else []
@@ -602,7 +602,7 @@ def _effects_in_question(gap: GapSection) -> list[str]:
     return gap.selected
 
 
-def _with_plain_names(text: str, effects: Iterable[str]) -> str:
+def _plain_text(text: str, effects: Iterable[str]) -> str:
     """A sentence with the effects' names as a person says them."""
     for name in effects:
         text = re.sub(rf"\b{re.escape(name)}\b", plain_name(name), text)

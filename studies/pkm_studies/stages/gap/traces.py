@@ -40,8 +40,8 @@ def traces(diagnosis: Diagnosis) -> list[Trace]:
     parts = {
         "before": diagnosis.before,
         "after": diagnosis.after,
-        "explained": _after_calibration(diagnosis, diagnosis.explained),
-        "unexplained": _after_calibration(diagnosis, diagnosis.unexplained),
+        "explained": _calibrated_residuals(diagnosis, diagnosis.explained),
+        "unexplained": _calibrated_residuals(diagnosis, diagnosis.unexplained),
     }
     every_channel = diagnosis.problem.rows["channel"].to_numpy()
     listing = []
@@ -53,7 +53,7 @@ def traces(diagnosis: Diagnosis) -> list[Trace]:
     return listing
 
 
-def _after_calibration(diagnosis: Diagnosis, change: Array) -> Array:
+def _calibrated_residuals(diagnosis: Diagnosis, change: Array) -> Array:
     """What remains of a change (N,) of the readings, SI, after fitting parameters."""
     problem = diagnosis.problem
     scaled = problem.in_noise_units(change)
@@ -100,7 +100,7 @@ def _trace(
     return Trace(
         setup=setup,
         run=run,
-        base=_without_pass(run),
+        base=_run_of_pass(run),
         channel=channel,
         unit=unit,
         kind=kind,
@@ -126,7 +126,7 @@ def _mm(value: float) -> float:
     return float(units.from_si(value, "mm"))
 
 
-def _without_pass(run: str) -> str:
+def _run_of_pass(run: str) -> str:
     """A run's name without its pass; the number of its series stays."""
     number = re.search(r" \(\d+\)$", run)
     tail = number.group() if number else ""

@@ -21,7 +21,7 @@ from oed.design.stages.stage.knowledge import Prior
 from oed.design.stages.stage.prediction import PlanStage, predict_stage
 from oed.identifiability.assessment import assess
 from pkm_studies.base import InputError
-from pkm_studies.stages.plan.phrases import at_most_better, minutes, more_accurate
+from pkm_studies.stages.plan.phrases import loss_bound_text, minutes, more_accurate
 from pkm_studies.stages.plan.streams import plan_streams
 from pkm_studies.stages.plan.task import ANY_LOSS, PlanTask
 
@@ -39,7 +39,7 @@ def compare_sequence(
     sequence = predict_sequence(task, names)
     seconds = sequence.seconds
     if seconds > task.budget * (1.0 + SAME):
-        sequence, seconds = _within_budget(task, names, search), task.budget
+        sequence, seconds = _keep_within_budget(task, names, search), task.budget
     best, bound = _best_plan(task, sequence, search, seconds)
     readings = [s for stage in sequence.stages for s in stage.series]
     measurement = task.resolved.measurement_with({s.setup for s in readings})
@@ -92,7 +92,7 @@ def predict_readings(
     )
 
 
-def _within_budget(
+def _keep_within_budget(
     task: PlanTask, names: Sequence[str], search: PlanSearchResult
 ) -> StagePlan:
     """The best plan of these measurements alone within the budget."""
@@ -154,7 +154,7 @@ def _sentence(
         loss = max(sequence.value / bound - 1.0, 0.0)
         return (
             f"The search finds no better plan of {time}; none is more than"
-            f" {at_most_better(loss)}."
+            f" {loss_bound_text(loss)}."
         )
     gain = more_accurate(sequence.value, best.value)
     text = f"In {time}, {', then '.join(best.names)} is {gain}"
@@ -164,4 +164,4 @@ def _sentence(
             f" a factor of at least {bound:.3g})."
         )
     loss = max(best.value / bound - 1.0, 0.0)
-    return f"{text}; no plan of that time is more than {at_most_better(loss)}."
+    return f"{text}; no plan of that time is more than {loss_bound_text(loss)}."

@@ -69,7 +69,7 @@ def read_earlier_session(
         f" identified from them ({source})."
     )
     others = machine.with_parameters(parameters)
-    resolved, plan = _without_done(resolved, request, others, done)
+    resolved, plan = _drop_done(resolved, request, others, done)
     return EarlierSession(
         resolved=resolved,
         plan=plan,
@@ -99,7 +99,7 @@ def stored_knowledge(
     return EstimatedParameters(values, whole)
 
 
-def _without_done(
+def _drop_done(
     resolved: ResolvedStudy,
     request: PlanRequest,
     machine: Machine,

@@ -21,7 +21,7 @@ def more_accurate(value: float, better: float) -> str:
     return f"{percent(ratio - 1.0)} more accurate"
 
 
-def at_most_better(loss: float) -> str:
+def loss_bound_text(loss: float) -> str:
     """How much better than a plan the best possible one can be, given the loss."""
     if loss < 1.0:
         return f"{percent(loss)} better"
@@ -78,6 +78,6 @@ def bound_sentences(section: result.PlanSection | None) -> list[str]:
         return []
     return [
         f"No plan within {section.budget_min:.0f} min is more than"
-        f" {at_most_better(section.loss)}: a bound over all plans that take each"
+        f" {loss_bound_text(section.loss)}: a bound over all plans that take each"
         " measurement at most as often as `counts` allows."
     ]

@@ -226,7 +226,7 @@ def compute_plan(
     """
     task = build_task(resolved, request, seed, earlier)
     search = _search(task, progress)
-    best = without_small_stages(task, search)
+    best = drop_small_stages(task, search)
     outcome = build_outcome(task, search, best)
     start = None if earlier is None else earlier.covariance
     stages = add_realisations(
@@ -293,12 +293,12 @@ def add_realisations(
         progress=progress.share,
     )
     return [
-        _with_realisation(record, stage, realisation.names)
+        _add_realisation(record, stage, realisation.names)
         for record, stage in zip(records, realisation.stages, strict=True)
     ]
 
 
-def _with_realisation(
+def _add_realisation(
     record: result.StageRecord, stage: StageRealisation, names: tuple[str, ...]
 ) -> result.StageRecord:
     ratios = zip(names, stage.ratio, strict=True)
@@ -313,7 +313,7 @@ def _with_realisation(
 # -- where to stop ---------------------------------------------------------------------
 
 
-def without_small_stages(task: PlanTask, search: PlanSearchResult) -> StagePlan:
+def drop_small_stages(task: PlanTask, search: PlanSearchResult) -> StagePlan:
     """The best plan, without last stages that gain less than the study's `worth`.
 
     A plan of fewer stages that is nearly as accurate takes its place.

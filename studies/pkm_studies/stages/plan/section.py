@@ -75,7 +75,7 @@ def build_outcome(
 
 def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.OrderedPlan:
     """A stage's readings in working order."""
-    table = _with_order(task, stage.option.name)
+    table = _add_order(task, stage.option.name)
     location, rng = (
         task.resolved.study.location.key("design"),
         task.stage_generator(number),
@@ -84,7 +84,7 @@ def _arrange(task: PlanTask, stage: PlanStage, number: int) -> order.OrderedPlan
     return order.order_plan(table, location, measurement, (), stage.series, rng)
 
 
-def _with_order(task: PlanTask, name: str) -> DesignTable:
+def _add_order(task: PlanTask, name: str) -> DesignTable:
     """[design.order] and the whole runs of a measurement alone."""
     design = task.resolved.study.design
     table = next(t for t in task.table.measurement if t.name == name)

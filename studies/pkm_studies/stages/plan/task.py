@@ -18,7 +18,7 @@ from oed.design.stages.sequence.beam import BEAM
 from oed.design.stages.sequence.stage_memory import StageMemory
 from oed.design.stages.sequence.stage_plan import StagePlan
 from pkm_studies.base import Location
-from pkm_studies.quantities import with_fine_units
+from pkm_studies.quantities import fine_units
 from pkm_studies.resolve import PlanRequest, ResolvedStudy
 from pkm_studies.stages.plan.earlier import EarlierSession
 from pkm_studies.stages.plan.streams import plan_streams
@@ -100,7 +100,7 @@ class PlanTask:
         goal = self.all_components
         values = (goal.accuracy(covariance) * goal.unit).tolist()
         rms = dict(zip(goal.names, values, strict=True))
-        return with_fine_units(rms, self.resolved.machine)
+        return fine_units(rms, self.resolved.machine)
 
     def posterior_covariance(self, plan: StagePlan) -> Array:
         """Covariance (n, n) of the machine after a plan."""

@@ -24,7 +24,7 @@ from oed.result import (
 from pkm_studies import describe
 
 
-def with_realised(
+def add_realised(
     section: PredictionSection, realised: Mapping[str, Spread] | None
 ) -> PredictionSection:
     """The section with the accuracy of virtual machines, by component, if any."""
@@ -60,8 +60,8 @@ def accuracy_section(
     poses = kinematics.inverse(prediction.command)[0]
     _, tips, _ = kinematics.frames(poses, np.zeros(3))
     for i, command in enumerate(prediction.command):
-        before = _by_component(prediction, prediction.sd_before[i], fine)
-        after = _by_component(prediction, prediction.sd_after[i], fine)
+        before = _component_values(prediction, prediction.sd_before[i], fine)
+        after = _component_values(prediction, prediction.sd_after[i], fine)
         tip = [float(v) for v in tips[i]]
         points.append(
             MapPoint(describe.displayed_command(machine, command), before, after, tip)
@@ -80,7 +80,7 @@ def accuracy_section(
     )
 
 
-def with_wanted(
+def add_wanted(
     section: PredictionSection, wanted: Mapping[str, float]
 ) -> PredictionSection:
     """The section with the rms errors to reach, given in SI by component."""
@@ -88,7 +88,9 @@ def with_wanted(
     return msgspec.structs.replace(section, wanted=fine)
 
 
-def after_records(machine: Machine, prediction: Prediction) -> dict[str, SpreadRecord]:
+def component_records(
+    machine: Machine, prediction: Prediction
+) -> dict[str, SpreadRecord]:
     """Spread after compensation by component, in its fine unit."""
     return {
         c.name: spread_record(prediction.after[c.name], units.FINE[c.unit])
@@ -101,11 +103,11 @@ def tool_accuracy(
 ) -> ToolAccuracy:
     """Accuracy after compensation at a tool of a length, m."""
     unit = units.display("m")
-    records = after_records(machine, prediction)
+    records = component_records(machine, prediction)
     return ToolAccuracy(units.number(length, unit), unit, records)
 
 
-def _by_component(
+def _component_values(
     prediction: Prediction, values: Array, fine: Mapping[str, str]
 ) -> dict[str, float]:
     """Values (k,), SI, by component, in its fine unit."""

@@ -30,11 +30,11 @@ def budget_section(
     fine = {c.name: units.FINE[c.unit] for c in machine.components}
     driven = {c.name: fine[c.name] for c in machine.components if c.compensatable}
     lines = [_line(budget, line, fine) for line in budget.lines]
-    predicted = _in_units(budget.names, np.sqrt(budget.variance), fine)
+    predicted = _displayed_shares(budget.names, np.sqrt(budget.variance), fine)
     after = np.array([prediction.after[name].rms for name in budget.names])
     effects = [] if expected is None else expected.effects
     unmodelled = [_unmodelled(effect, budget.names, after, fine) for effect in effects]
-    geometry = _in_units(budget.names, after, fine)
+    geometry = _displayed_shares(budget.names, after, fine)
     unmodelled.sort(key=lambda line: -error_ratio(line.with_it, geometry, driven))
     return BudgetSection(
         predicted=dict(predicted),
@@ -46,7 +46,9 @@ def budget_section(
     )
 
 
-def _in_units(names: Sequence[str], values: Array, fine: Mapping[str, str]) -> Values:
+def _displayed_shares(
+    names: Sequence[str], values: Array, fine: Mapping[str, str]
+) -> Values:
     pairs = zip(names, values, strict=True)
     return {name: units.number(value, fine[name]) for name, value in pairs}
 
@@ -57,14 +59,14 @@ def _line(budget: Budget, line: Line, fine: Mapping[str, str]) -> BudgetLine:
     np.divide(line.variance, budget.variance, out=share, where=budget.variance > 0.0)
     size = np.sign(line.variance) * np.sqrt(np.abs(line.variance))
     without, halved = (
-        None if values is None else dict(_in_units(names, values, fine))
+        None if values is None else dict(_displayed_shares(names, values, fine))
         for values in (line.without, line.halved)
     )
     return BudgetLine(
         source=line.source,
         kind=line.kind,
         share=dict(zip(names, share.tolist(), strict=True)),
-        size=dict(_in_units(names, size, fine)),
+        size=dict(_displayed_shares(names, size, fine)),
         without=without,
         halved=halved,
     )
@@ -82,11 +84,11 @@ def _unmodelled(
         effect=effect.name,
         about=effect.about,
         expected=_expected_size(expected),
-        size=dict(_in_units(names, np.sqrt(variance), fine)),
-        with_it=dict(_in_units(names, np.sqrt(after**2 + variance), fine)),
+        size=dict(_displayed_shares(names, np.sqrt(variance), fine)),
+        with_it=dict(_displayed_shares(names, np.sqrt(after**2 + variance), fine)),
         remedy=effect.remedy,
         not_testable=expected.not_testable,
-        far=dict(_in_units(names, np.sqrt(after**2 + FAR**2 * variance), fine)),
+        far=dict(_displayed_shares(names, np.sqrt(after**2 + FAR**2 * variance), fine)),
     )
 
 
@@ -106,12 +108,12 @@ def _usual(
     fitted = expected.fitted.mean(axis=0)
     return UsualEffects(
         effects=[effect.effect.name for effect in expected.effects],
-        unmodelled=_of_shown(names, np.sqrt(after**2 + added), shown),
-        fitted=_of_shown(names, np.sqrt(fitted), shown),
+        unmodelled=_shown_shares(names, np.sqrt(after**2 + added), shown),
+        fitted=_shown_shares(names, np.sqrt(fitted), shown),
     )
 
 
-def _of_shown(
+def _shown_shares(
     names: Sequence[str], values: Array, shown: Mapping[str, str]
 ) -> dict[str, float]:
     pairs = dict(zip(names, values, strict=True))

@@ -195,7 +195,7 @@ def accuracy(
                 variance=variances.get(reference),
             )
         else:
-            predicted = _with_effects(
+            predicted = _add_effects(
                 knowledge,
                 knowledge.effects,
                 knowledge.draws,
@@ -213,7 +213,7 @@ def accuracy(
     return result
 
 
-def _with_effects(
+def _add_effects(
     knowledge: ParameterKnowledge,
     effects: ActingEffects,
     parameters: Array,
@@ -274,7 +274,7 @@ def compared(
     }
 
 
-def with_absorbed_effects(
+def absorb_effects(
     knowledge: ParameterKnowledge,
     command: Array,
     reference: Reference,

@@ -9,7 +9,7 @@ import numpy as np
 from oed import checks
 from pkm_studies.base import Stream
 from pkm_studies.stages.fit.goodness import check_dataset, goodness_section
-from pkm_studies.stages.fit.states import beyond_recorded
+from pkm_studies.stages.fit.states import extrapolated_states
 from pkm_studies.stages.run_state import Measured, MeasuredReadings
 
 
@@ -22,17 +22,17 @@ def check_readings(state: Measured) -> Measured:
     fitted = data.take(dict.fromkeys(s.setup for s in readings.series))
     checked = check_dataset(state.resolved, fitted, state.rng(Stream.CHECKS))
     state = state.replace(checked=checked)
-    state = state.with_sections(goodness=goodness_section(checked))
-    state = state.with_warnings(*[f.sentence for f in checked.findings])
+    state = state.add_sections(goodness=goodness_section(checked))
+    state = state.add_warnings(*[f.sentence for f in checked.findings])
     used, covariates = state.resolved.prediction, readings.covariates
     if used is not None and covariates is not None:
-        state = state.with_warnings(*beyond_recorded(used.states, covariates))
+        state = state.add_warnings(*extrapolated_states(used.states, covariates))
     if not checked.set_aside:
         return state
-    return state.replace(readings=_without(readings, checked))
+    return state.replace(readings=_drop_readings(readings, checked))
 
 
-def _without(
+def _drop_readings(
     readings: MeasuredReadings, checked: checks.CheckedSession
 ) -> MeasuredReadings:
     """The readings that are not set aside, with their covariates."""

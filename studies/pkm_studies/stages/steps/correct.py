@@ -65,17 +65,17 @@ def correct_for_effects(state: Fitted) -> Fitted:
         if state.with_effects:
             raise
         names = ", ".join(effect.name for effect in effects)
-        return state.with_warnings(
+        return state.add_warnings(
             f"nothing is corrected for {names}, because with them in the model {error}"
         )
     if corrected is None:
-        return state.with_warnings("no effect that was named changes these readings")
+        return state.add_warnings("no effect that was named changes these readings")
     state = state.replace(corrected=corrected)
     # the noise without what the effects explain
     setups = state.measurement.setups
     noisy = with_noise(state.goodness, corrected.estimate, setups)
-    state = state.with_sections(goodness=noisy)
-    return _with_section(state, corrected, gap)
+    state = state.add_sections(goodness=noisy)
+    return _add_section(state, corrected, gap)
 
 
 def _effects(
@@ -116,7 +116,7 @@ def _refuse_untestable(
             )
 
 
-def _with_section(
+def _add_section(
     state: Fitted, corrected: CorrectedEstimate, gap: GapSection | None
 ) -> Fitted:
     """The state with the section `corrected`: estimates, conditions, prediction."""
@@ -124,7 +124,7 @@ def _with_section(
     draws = None
     if study.posterior.enabled and (state.posterior or state.with_effects):
         draws = _sample(state, corrected, rng)
-        state = state.with_warnings(*sampling_warnings(draws, study.posterior.ess))
+        state = state.add_warnings(*sampling_warnings(draws, study.posterior.ess))
     table = study.prediction
     kinematics = state.measurement.kinematics
     command = regular_commands(study, kinematics)
@@ -166,31 +166,31 @@ def _with_section(
         ),
     )
     if accuracy is not None:
-        section = sections.with_least_error(section, corrected, accuracy, plain)
+        section = sections.add_least_error(section, corrected, accuracy, plain)
     turned = find_turned_runs(corrected)
     if turned is not None:
-        return _with_turned_runs(state, section, turned)
-    state = state.with_sections(corrected=section)
+        return _mark_turned_runs(state, section, turned)
+    state = state.add_sections(corrected=section)
     if gap is not None and not state.with_effects:
-        joint = coefficients.with_joint_coefficients(gap, corrected)
-        return _with_true_alarms(state.with_sections(gap=joint), section)
-    state = state.with_warnings(*coefficients.implausible_sizes(corrected))
-    return _with_true_alarms(state, section)
+        joint = coefficients.add_joint_coefficients(gap, corrected)
+        return _add_true_alarms(state.add_sections(gap=joint), section)
+    state = state.add_warnings(*coefficients.implausible_sizes(corrected))
+    return _add_true_alarms(state, section)
 
 
-def _with_turned_runs(
+def _mark_turned_runs(
     state: Fitted, section: CorrectedSection, turned: TurnedRuns
 ) -> Fitted:
     """The state that names runs which were driven the other way than written."""
     sentence = alarm.turned_sentence(section, turned)
-    goodness = alarm.with_turned_runs(state.goodness, section, turned)
+    goodness = alarm.add_turned_runs(state.goodness, section, turned)
     warnings = [*section.warnings, sentence]
     section = msgspec.structs.replace(section, warnings=warnings)
-    state = state.with_sections(corrected=section, goodness=goodness)
+    state = state.add_sections(corrected=section, goodness=goodness)
     return state.replace(warnings=(sentence, *state.warnings))
 
 
-def _with_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
+def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
     """The state whose alarms hold for the corrected values, where these fit."""
     checked = state.checked
     if checked is None or not checked.bad_fit:
@@ -201,7 +201,7 @@ def _with_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
     true = alarm.resolved_sentences(section, checked.findings)
     for warning in state.estimate_section.warnings:
         true[warning] = f"without effects in the model, {warning}"
-    state = state.with_sections(goodness=goodness)
+    state = state.add_sections(goodness=goodness)
     return state.replace(warnings=tuple(true.get(w, w) for w in state.warnings))
 
 

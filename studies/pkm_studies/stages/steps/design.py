@@ -32,7 +32,7 @@ def select_design(state: RunState) -> RunState:
         return state
     return state.replace(
         design=design, planned=design.scheduled, measurement=design.measurement
-    ).with_warnings(*_moved_setups(design.polish))
+    ).add_warnings(*_moved_setups(design.polish))
 
 
 def _moved_setups(polish: PolishSummary | None) -> list[str]:
@@ -70,11 +70,11 @@ def plan_measurements(
         state.progress,
         earlier,
     )
-    state = state.replace(plan=outcome).with_sections(plan=outcome.section)
+    state = state.replace(plan=outcome).add_sections(plan=outcome.section)
     planned = tuple(series for stage in outcome.scheduled for series in stage)
     state = state.replace(planned=planned)
     if state.design is not None:
-        return state.with_warnings(PLAN_AND_DESIGN), outcome
+        return state.add_warnings(PLAN_AND_DESIGN), outcome
     if state.resolved.dataset is not None:
         return state, outcome
     return state.replace(measurement=outcome.measurement), outcome
@@ -97,7 +97,7 @@ def analyse_identifiability(state: ScheduledT) -> ScheduledT:
         if not set(plan.setups) <= used
     }
     verdict = assess(state.measurement, series, scaling)
-    return state.replace(identifiability=verdict).with_sections(
+    return state.replace(identifiability=verdict).add_sections(
         identifiability=identifiability.identifiability_section(
             verdict, scaling, others, indices
         ),
@@ -114,7 +114,7 @@ def report_design(state: ScheduledT) -> ScheduledT:
     if state.design is None or verdict is None:
         return state
     scored = section.design_section(state.resolved, state.design, verdict)
-    return state.with_sections(design=scored)
+    return state.add_sections(design=scored)
 
 
 def report_single_stage(state: ScheduledT) -> ScheduledT:
@@ -124,10 +124,10 @@ def report_single_stage(state: ScheduledT) -> ScheduledT:
         return state
     predicted = headline.predicted_accuracy(state.result.prediction)
     stage = cost.single_stage_plan(state.resolved, verdict, predicted)
-    return state.with_sections(plan=stage)
+    return state.add_sections(plan=stage)
 
 
 def draw_machine(state: ScheduledT) -> ScheduledT:
     """Lay out the machine at home and the tool points of the readings."""
     drawing = describe.drawing(state.measurement, state.readings.series)
-    return state.with_sections(drawing=drawing)
+    return state.add_sections(drawing=drawing)

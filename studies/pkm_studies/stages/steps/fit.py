@@ -18,25 +18,25 @@ from oed.result.verdict import percent
 from pkm_studies.base import Stream
 from pkm_studies.stages.fit import run_curves
 from pkm_studies.stages.fit.estimate import (
+    add_held,
     combination_estimates,
     estimate_section,
-    with_held,
 )
 from pkm_studies.stages.fit.goodness import (
+    add_delivered,
+    add_left_out,
     surprises,
-    with_delivered,
-    with_left_out,
 )
 from pkm_studies.stages.fit.noise import (
-    with_assumption,
+    add_assumption,
     with_noise,
 )
 from pkm_studies.stages.fit.posterior import (
+    add_checks,
     contradictions,
     posterior_section,
     sampler_options,
     sampling_warnings,
-    with_checks,
 )
 from pkm_studies.stages.run_state import Fitted, Measured, promote
 
@@ -49,7 +49,7 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     readings, measurement = state.readings, state.measurement
     state.progress.stage("identification")
     estimate = _identify(state, start)
-    larger = _with_larger_tolerances(state, estimate)
+    larger = _enlarge_tolerances(state, estimate)
     if larger is not state:
         state = larger
         measurement = state.measurement
@@ -60,14 +60,14 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     )
     estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
     estimate = fit_warnings.with_warnings(measurement, estimate)
-    state = with_delivered(state, fitted_as)
+    state = add_delivered(state, fitted_as)
     fixed = []
     if readings.truth is None:
         fixed = contradicted_parameters(
             measurement, readings.series, readings.y, estimate
         )
     section = estimate_section(measurement, readings.series, estimate, readings.truth)
-    section = with_held(section, fixed)
+    section = add_held(section, fixed)
     if state.identifiability is not None:
         verdict = state.identifiability.identifiability
         combinations = combination_estimates(measurement, estimate, verdict)
@@ -75,10 +75,10 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
     curves = run_curves.fitted_curves(measurement, readings.series, estimate)
     section = msgspec.structs.replace(section, runs=curves)
     runs = run_prediction.predict_runs(measurement, readings.series, estimate)
-    goodness = with_left_out(_goodness(state, estimate), runs)
+    goodness = add_left_out(_goodness(state, estimate), runs)
     fitted = promote(Fitted, state, estimate=estimate)
-    fitted = fitted.with_sections(estimate=section, goodness=goodness)
-    return fitted.with_warnings(*section.warnings, *surprises(runs))
+    fitted = fitted.add_sections(estimate=section, goodness=goodness)
+    return fitted.add_warnings(*section.warnings, *surprises(runs))
 
 
 def _identify(state: Measured, start: Array | None) -> identification.Estimate:
@@ -94,12 +94,10 @@ def _identify(state: Measured, start: Array | None) -> identification.Estimate:
             max_iterations=state.study.identify.max_iterations,
         )
     except identification.IdentificationError as error:
-        raise with_finding(state, error) from error
+        raise explain_error(state, error) from error
 
 
-def _with_larger_tolerances(
-    state: Measured, estimate: identification.Estimate
-) -> Measured:
+def _enlarge_tolerances(state: Measured, estimate: identification.Estimate) -> Measured:
     """The state with tolerances that the readings ask for, where stated ones are too small.
 
     What an earlier session knows is no tolerance of a drawing, and stays; so do the
@@ -120,10 +118,10 @@ def _with_larger_tolerances(
         " as large; correct [prior] or the nominal numbers"
     )
     larger = with_tolerances(measurement, factor)
-    return state.replace(measurement=larger).with_warnings(warning)
+    return state.replace(measurement=larger).add_warnings(warning)
 
 
-def with_finding(
+def explain_error(
     state: Measured, error: identification.IdentificationError
 ) -> identification.IdentificationError:
     """The error, opened by what the check of the readings found."""
@@ -141,7 +139,7 @@ def _goodness(state: Measured, estimate: identification.Estimate) -> GoodnessSec
     used = {s.setup for s in state.readings.series}
     setups = {name: state.measurement.setups[name] for name in sorted(used)}
     count = sum(len(s) for s in state.readings.series)
-    return with_assumption(section, estimate, setups, count)
+    return add_assumption(section, estimate, setups, count)
 
 
 def _refuse_mode_jump(state: Measured, theta: Array) -> None:
@@ -159,7 +157,7 @@ def sample_posterior(state: Fitted) -> Fitted:
     """Sample the posterior about the estimate."""
     table = state.study.posterior
     if not table.enabled:
-        return state.without_section("posterior", "[posterior] enabled is false")
+        return state.withhold_section("posterior", "[posterior] enabled is false")
     posterior.import_samplers(table.sampler)
     state.progress.stage("posterior")
     draws = posterior.sample(
@@ -185,7 +183,7 @@ def sample_posterior(state: Fitted) -> Fitted:
         draws,
         state.rng(Stream.PREDICTIVE),
     )
-    section = with_checks(section, checks)
-    state = state.replace(posterior=draws).with_sections(posterior=section)
-    state = state.with_warnings(*contradictions(checks))
-    return state.with_warnings(*sampling_warnings(draws, table.ess))
+    section = add_checks(section, checks)
+    state = state.replace(posterior=draws).add_sections(posterior=section)
+    state = state.add_warnings(*contradictions(checks))
+    return state.add_warnings(*sampling_warnings(draws, table.ess))

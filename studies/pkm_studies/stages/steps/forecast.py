@@ -41,4 +41,4 @@ def forecast_errors(
         check = study.folder / table.check if table.check else None
         forecast, text = section.measured(task, forecast, readings, check, rng)
         written = {files.TABLE: text}
-    return state.with_sections(forecast=forecast).replace(forecast_files=written)
+    return state.add_sections(forecast=forecast).replace(forecast_files=written)

@@ -13,7 +13,7 @@ from pkm_studies.resolve import (
     NO_EFFECTS,
     GapDesignRequest,
     GapRequest,
-    with_planned_readings,
+    add_planned_readings,
 )
 from pkm_studies.stages.gap import detectability, second_visit, section
 from pkm_studies.stages.gap.virtual_readings import covariates_of, empty_readings
@@ -45,7 +45,7 @@ def preview_gap(state: ScheduledT) -> ScheduledT:
         _gap_design(state),
     )
     state = state.replace(gap_poses=preview.poses_csv)
-    return state.with_sections(gap_before=preview.section)
+    return state.add_sections(gap_before=preview.section)
 
 
 def _gap_design(
@@ -57,14 +57,14 @@ def _gap_design(
     """
     request = state.resolved.gap_design
     if request is not None and request.follows_plan:
-        request = _with_plan(state, request)
+        request = _add_plan(state, request)
     if request is None or request.rules is None:
         return None
     setups = {run.setup for run in request.runs}
     return state.resolved.measurement_with(setups), request, request.rules
 
 
-def _with_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest | None:
+def _add_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest | None:
     """The request with the plan's readings retained; None where there is no plan."""
     plan, plan_request = state.plan, state.resolved.plan
     if plan is None or plan_request is None:
@@ -72,7 +72,7 @@ def _with_plan(state: RunState, request: GapDesignRequest) -> GapDesignRequest |
     remaining = plan_request.budget - units.factor("min") * plan.section.cost
     used = {s.setup for s in plan.series} | {run.setup for run in request.runs}
     measurement = state.resolved.measurement_with(used)
-    return with_planned_readings(request, plan.series, remaining, measurement)
+    return add_planned_readings(request, plan.series, remaining, measurement)
 
 
 def diagnose_gap(state: Fitted) -> Fitted:
@@ -102,7 +102,7 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
         reason = (
             "There is no diagnosis: a mistake in the readings explains their misfit"
         )
-        return state.with_warnings(reason).without_section("gap", reason)
+        return state.add_warnings(reason).withhold_section("gap", reason)
     state.progress.stage("diagnosis")
     covariates = covariates_of(
         state.measurement, readings.series, readings.covariates, request
@@ -125,6 +125,6 @@ def _diagnose(state: Fitted, request: GapRequest) -> Fitted:
     rng = state.rng(Stream.VISIT)
     visit = second_visit.advise(diagnosis, request, further, rng)
     if visit is None:
-        return state.with_sections(gap=gap)
-    gap = second_visit.with_visit(gap, visit.record)
-    return state.replace(visit_poses=visit.csv).with_sections(gap=gap)
+        return state.add_sections(gap=gap)
+    gap = second_visit.add_visit(gap, visit.record)
+    return state.replace(visit_poses=visit.csv).add_sections(gap=gap)

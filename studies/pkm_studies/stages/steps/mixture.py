@@ -11,7 +11,7 @@ from oed.gap.data.signature import untestable
 from oed.result import CorrectedSection, PredictionSection
 from pkm_studies.base import Stream
 from pkm_studies.resolve import regular_commands
-from pkm_studies.stages.corrected.section import NO_HELP, without_tables
+from pkm_studies.stages.corrected.section import NO_HELP, drop_tables
 from pkm_studies.stages.fit.effects import readings_with_covariates, states_in_use
 from pkm_studies.stages.gap import mixture as sections
 from pkm_studies.stages.run_state import Fitted
@@ -72,10 +72,10 @@ def mix_answers(state: Fitted) -> Fitted:
     if tabled is not None and _is_too_coarse(tabled, section.with_effects):
         section, reason = msgspec.structs.replace(section, with_effects=None), COARSE
     gap = msgspec.structs.replace(gap, mixture=section)
-    state = state.with_sections(gap=sections.with_bound(gap))
+    state = state.add_sections(gap=sections.add_bound(gap))
     if tabled is None or section.with_effects is not None:
         return state
-    return state.with_sections(corrected=without_tables(tabled, reason))
+    return state.add_sections(corrected=drop_tables(tabled, reason))
 
 
 def _is_too_coarse(

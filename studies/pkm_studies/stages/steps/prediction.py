@@ -57,7 +57,7 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
     table, command = request.table, request.command
     if _is_untrusted(state):
         reason = _withheld(state)
-        return state.with_warnings(reason).without_section("prediction", reason)
+        return state.add_warnings(reason).withhold_section("prediction", reason)
     state.progress.stage("prediction")
     realised = _realised(state, table, command)
     rng = state.rng(Stream.PREDICT)
@@ -69,8 +69,8 @@ def predict_accuracy(state: ScheduledT) -> ScheduledT:
         references=_references(state, known, main),
         tools=_tools(state, table, known, command),
     )
-    section = accuracy.with_wanted(section, state.resolved.wanted_accuracy)
-    return state.with_sections(prediction=accuracy.with_realised(section, realised))
+    section = accuracy.add_wanted(section, state.resolved.wanted_accuracy)
+    return state.add_sections(prediction=accuracy.add_realised(section, realised))
 
 
 def _realised(
@@ -158,9 +158,9 @@ def _references(
     rng = state.rng(Stream.REFERENCES)
     further = knowledge.accuracy(known, predicted.command, others, rng)
     records: dict[str, dict[str, SpreadRecord]] = {}
-    records[predicted.reference] = accuracy.after_records(machine, predicted)
+    records[predicted.reference] = accuracy.component_records(machine, predicted)
     for reference, result in further.items():
-        records[reference] = accuracy.after_records(machine, result.prediction)
+        records[reference] = accuracy.component_records(machine, result.prediction)
     return records
 
 
@@ -213,7 +213,7 @@ def predict_held_out(state: Fitted) -> Fitted:
     sections = held_out_sections(
         state.measurement, held_out.series, held_out.y, drawn, rng
     )
-    return state.with_sections(held_out=sections)
+    return state.add_sections(held_out=sections)
 
 
 def _hypothesis_draws(

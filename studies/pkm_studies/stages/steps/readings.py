@@ -53,15 +53,15 @@ def take_simulated(state: RunState) -> Measured:
 
 def take_recorded(state: RunState, data: Dataset) -> Measured:
     """Take recorded readings, with warnings about them."""
-    state = _with_setups_of(state, data)
+    state = _add_setups(state, data)
     measured = promote(Measured, state, readings=_recorded(state, data))
     warnings = _stretch_warnings(state.measurement.machine, data)
     if data.dropped:
         warnings.append(f"{data.dropped} rows without a reading were left out")
-    return measured.with_warnings(*warnings)
+    return measured.add_warnings(*warnings)
 
 
-def _with_setups_of(state: RunState, data: Dataset) -> RunState:
+def _add_setups(state: RunState, data: Dataset) -> RunState:
     """The state with the set-ups of the readings, if its design lacks some.
 
     A design of other set-ups says nothing about the readings and is left out.
@@ -71,7 +71,7 @@ def _with_setups_of(state: RunState, data: Dataset) -> RunState:
         return state
     measurement = state.resolved.measurement_with(set(data.setups))
     state = state.replace(measurement=measurement, design=None, planned=())
-    return state.with_warnings(
+    return state.add_warnings(
         f"the design has no readings of {', '.join(absent)}: it is not reported with"
         " these readings"
     )
