@@ -30,8 +30,8 @@ import numpy as np
 
 from numpy_poses import a3_poses, a3_readings, hexapod_poses
 from oed.measurement.measurement import Measurement, Series
+from oed.mechanism.batch import AT_ONCE, NEVER, VARIABLE
 from oed.mechanism.compiled import lanes
-from oed.mechanism.compiled.switch import AT_ONCE, NEVER, VARIABLE
 from oed.mechanism.kinematics import Kinematics
 from pkm_models.machines.hexapod import machine
 from readings import plan

@@ -1,6 +1,6 @@
 """One CasADi function over many points at once, without copies or a Python loop.
 
-Batches of hundreds of points run as array operations (`oed.mechanism.array_code.tape`), smaller ones
+Batches of hundreds of points run as array operations (`oed.mechanism.tape`), smaller ones
 in CasADi's interpreter. A function that has much to do is compiled, where this computer has
 a compiler, and then runs so at all sizes (`oed.mechanism.compiled`).
 
@@ -12,6 +12,7 @@ ten times as long on conversions.
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -19,14 +20,16 @@ import casadi as ca
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.mechanism.array_code.adjoint import AdjointRows, ArrayAdjoint
-from oed.mechanism.array_code.layout import Layout
-from oed.mechanism.array_code.newton import ArrayNewton, SolvedSystems
-from oed.mechanism.array_code.operations import is_supported
-from oed.mechanism.array_code.tape import ArrayTape
 from oed.mechanism.compiled.lanes import Adjoint, Evaluation, Newton, compiled
-from oed.mechanism.compiled.switch import CompileSwitch
 from oed.mechanism.compiled.text import LaneJob
+from oed.mechanism.graph import Graph, read_graph
+from oed.mechanism.tape import (
+    AdjointRows,
+    ArrayAdjoint,
+    ArrayNewton,
+    ArrayTape,
+    SolvedSystems,
+)
 
 #: Numbers of points for which a mapped function is compiled, each on first use, in half
 #: a millisecond. Batches are cut into the largest; what remains is padded to the next
@@ -40,6 +43,14 @@ CHUNK_SIZES = (
 SPARE, ARRAY_SPARE = 4, 256
 #: number of points from which array operations are faster than CasADi's interpreter
 ARRAY_SIZE = 192
+#: environment variable that decides when functions are compiled
+VARIABLE = "OED_COMPILE"
+NEVER, AT_ONCE = "0", "1"
+#: points after which the array code has taken longer than the compilation of a long
+#: function, 0.4 ms an instruction
+ENOUGH_POINTS = 400_000
+#: points times instructions more, for the 0.1 s that the compiler takes at least
+LEAST_WORK = 100_000_000
 
 
 class BatchedFunction:
@@ -55,7 +66,6 @@ class BatchedFunction:
         self._definition = name, list(inputs), [ca.SX(output) for output in outputs]
         self._shapes = [output.shape for output in self._definition[2]]
         self._mapped: dict[int, _MappedFunction | ArrayTape] = {}
-        self._layouts: dict[str, Layout] = {}
         self._newton: dict[int, ArrayNewton] = {}
         self._adjoints: dict[int, ArrayAdjoint] = {}
         self._switch = CompileSwitch()
@@ -87,7 +97,7 @@ class BatchedFunction:
         n  number of points that it would solve now
         """
         newton: Newton | None = self._compiled_job(
-            Newton, n, lambda function: Newton.job(function, unknown, angles)
+            Newton, n, lambda graph: Newton.job(graph, unknown, angles)
         )
         return newton
 
@@ -110,12 +120,12 @@ class BatchedFunction:
         solutions = SolvedSystems(
             values, np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
         )
-        if n < ARRAY_SIZE or not self._is_supported:
+        graph = self._graph_of_many(n)
+        if graph is None:
             return solutions
-        layout = self._layout("newton", lambda f: ArrayNewton.layout(f, unknown))
         for size, chunk in _chunks(n):
             if size not in self._newton:
-                self._newton[size] = ArrayNewton(layout, size, angles)
+                self._newton[size] = ArrayNewton(graph, size, unknown, angles)
             at = [a[chunk] for a in inputs]
             part = self._newton[size].solve(at, step_tolerance, longest)
             solutions.solved[chunk], solutions.near[chunk] = part.solved, part.near
@@ -144,13 +154,12 @@ class BatchedFunction:
             condition=np.full(n, np.inf),
             accurate=np.zeros(n, dtype=bool),
         )
-        if n < ARRAY_SIZE or not self._is_supported:
+        graph = self._graph_of_many(n)
+        if graph is None:
             return rows
         for size, chunk in _chunks(n):
             if size not in self._adjoints:
-                self._adjoints[size] = ArrayAdjoint(
-                    self._layout("all", Layout), size, scale
-                )
+                self._adjoints[size] = ArrayAdjoint(graph, size, scale)
             at = [a[chunk] for a in inputs]
             self._adjoints[size].run(at, right[chunk], rows.part(chunk))
         return rows
@@ -163,20 +172,23 @@ class BatchedFunction:
         return ca.Function(name, inputs, dense, {"cse": True})
 
     @functools.cached_property
-    def _is_supported(self) -> bool:
-        return is_supported(self._function)
+    def _graph(self) -> Graph | None:
+        return read_graph(self._function)
+
+    def _graph_of_many(self, points: int) -> Graph | None:
+        """The graph where array operations are faster; None in CasADi's interpreter."""
+        return self._graph if points >= ARRAY_SIZE else None
 
     def _compiled_job(
-        self, kind: Any, points: int, job: Callable[[Any], LaneJob]
+        self, kind: Any, points: int, job: Callable[[Graph], LaneJob]
     ) -> Any | None:
         """A job on this function, compiled; None while, or where, that is not to be."""
         if not self._switch.is_on(points, self._length):
             return None
         if kind not in self._compiled:
-            possible = self._is_supported
-            function = self._function
+            graph = self._graph
             self._compiled[kind] = (
-                compiled(kind, function, job(function)) if possible else None
+                None if graph is None else compiled(kind, graph, job(graph))
             )
         return self._compiled[kind]
 
@@ -186,18 +198,13 @@ class BatchedFunction:
         length: int = self._function.n_instructions()
         return length
 
-    def _layout(self, kind: str, build: Callable[[Any], Layout]) -> Layout:
-        """A layout, which serves all sizes."""
-        if kind not in self._layouts:
-            self._layouts[kind] = build(self._function)
-        return self._layouts[kind]
-
     def _mapped_to(self, size: int) -> _MappedFunction | ArrayTape:
         if size not in self._mapped:
-            if size >= ARRAY_SIZE and self._is_supported:
-                self._mapped[size] = ArrayTape(self._layout("all", Layout), size)
-            else:
+            graph = self._graph_of_many(size)
+            if graph is None:
                 self._mapped[size] = _MappedFunction(self._function, size)
+            else:
+                self._mapped[size] = ArrayTape(graph, size, range(len(graph.inputs)))
         return self._mapped[size]
 
 
@@ -254,3 +261,57 @@ def _attach(setter: Any, arrays: Sequence[Array]) -> None:
     for i, array in enumerate(arrays):
         if array.size:
             setter(i, memoryview(array.reshape(-1).data))
+
+
+class _Jobs:
+    """The number of the job that this process does."""
+
+    number = 0
+
+
+def begin_job() -> None:
+    """Start to count anew, for results that do not depend on the jobs before."""
+    _Jobs.number += 1
+
+
+class CompileSettingError(ValueError):
+    """The environment variable has a value that says nothing."""
+
+
+class CompileSwitch:
+    """Whether a function runs compiled: at once, after enough work, or never.
+
+    The environment variable `OED_COMPILE` is 0 for never and 1 for at once. Otherwise a
+    function is compiled once its work has taken about as long as its compilation will:
+    so that a job takes twice the least time at most. What counts is the number of
+    points, not a time, nor whether a compiled file is there already. So the same run
+    computes the same numbers again, to the last digit. Raises CompileSettingError.
+    """
+
+    def __init__(self) -> None:
+        self._setting = _setting()
+        self._job, self._points = _Jobs.number, 0
+
+    def is_on(self, points: int, length: int) -> bool:
+        """Whether it does now.
+
+        points  that it is to be computed at now
+        length  number of its instructions
+        """
+        if self._setting in (NEVER, AT_ONCE):
+            return self._setting == AT_ONCE
+        if self._job != _Jobs.number:
+            self._job, self._points = _Jobs.number, 0
+        self._points += points
+        return (self._points - ENOUGH_POINTS) * length > LEAST_WORK
+
+
+def _setting() -> str:
+    """NEVER, AT_ONCE, or an empty text: after enough work. Raises CompileSettingError."""
+    setting = os.environ.get(VARIABLE, "").strip()
+    if setting not in ("", NEVER, AT_ONCE):
+        raise CompileSettingError(
+            f"the environment variable {VARIABLE} is {setting!r}: write {NEVER} for never,"
+            f" {AT_ONCE} for at once, or unset it"
+        )
+    return setting

@@ -1,6 +1,6 @@
 """Forward kinematics: poses at joints and parameters, and slopes of the equations there.
 
-Many poses are solved together, entry by entry (`oed.mechanism.array_code.newton`). Where its steps do
+Many poses are solved together, entry by entry (`oed.mechanism.tape`). Where its steps do
 not show that a pose is solved, careful steps from the start follow (`oed.mechanism.newton`).
 
 Poses of many parameter vectors often share their starts. Newton's first step is then

@@ -15,7 +15,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.estimation.coordinates import coordinates_of_readings
 from oed.identifiability.assessment import assess
-from oed.mechanism.compiled.switch import begin_job
+from oed.mechanism.batch import begin_job
 from oed.result import trust
 from pkm_campaign.interval import HALF_WIDTH
 from pkm_studies.resolve import PredictionRequest

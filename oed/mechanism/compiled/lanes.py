@@ -11,10 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from oed.base.arrays import Array, Mask
-from oed.mechanism.array_code.adjoint import AdjointRows
-from oed.mechanism.array_code.newton import REMAINING_ERROR, SHORT_STEP, SolvedSystems
 from oed.mechanism.compiled.compiler import load
 from oed.mechanism.compiled.text import LaneJob, lane_text
+from oed.mechanism.graph import Graph
+from oed.mechanism.tape import (
+    REMAINING_ERROR,
+    SHORT_STEP,
+    AdjointRows,
+    SolvedSystems,
+)
 
 #: least number of points of a core's share: two milliseconds of work
 SHARED_POINTS = 8192
@@ -73,11 +78,11 @@ class _Lanes:
     #: its function in C
     name: str
 
-    def __init__(self, library: ctypes.CDLL, function: Any, constants: Array) -> None:
+    def __init__(self, library: ctypes.CDLL, graph: Graph, constants: Array) -> None:
         self._run = getattr(library, self.name)
         self._run.restype = None
         self._constants = constants
-        self._entries = [function.numel_in(k) for k in range(function.n_in())]
+        self._entries = list(graph.inputs)
 
     def _call(self, points: _InputTable, *arguments: Any) -> None:
         """Run at all points, on all cores where they are many.
@@ -102,9 +107,9 @@ class Evaluation(_Lanes):
 
     name, job = "pkm_evaluate", LaneJob("evaluate.h", frozenset())
 
-    def __init__(self, library: ctypes.CDLL, function: Any, constants: Array) -> None:
-        super().__init__(library, function, constants)
-        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
+    def __init__(self, library: ctypes.CDLL, graph: Graph, constants: Array) -> None:
+        super().__init__(library, graph, constants)
+        self._sizes = [len(row) for row in graph.outputs]
 
     def run(self, inputs: Sequence[Array], count: int) -> list[Array]:
         """Outputs (count, entries), each column by column, at inputs (count, size)."""
@@ -119,17 +124,17 @@ class Newton(_Lanes):
 
     name = "pkm_newton"
 
-    def __init__(self, library: ctypes.CDLL, function: Any, constants: Array) -> None:
-        super().__init__(library, function, constants)
-        self._rows = function.numel_out(0)
+    def __init__(self, library: ctypes.CDLL, graph: Graph, constants: Array) -> None:
+        super().__init__(library, graph, constants)
+        self._rows = len(graph.outputs[0])
 
     @staticmethod
-    def job(function: Any, unknown: int, angles: Sequence[int]) -> LaneJob:
+    def job(graph: Graph, unknown: int, angles: Sequence[int]) -> LaneJob:
         """The job on a function of value and slope; see `ArrayNewton` for the angles.
 
         unknown  number of leading inputs to solve for
         """
-        macros = [("ROWS", function.numel_out(0))]
+        macros = [("ROWS", len(graph.outputs[0]))]
         if angles:
             macros.append(("ANGLES", angles[0]))
         return LaneJob("newton.h", frozenset(range(unknown)), tuple(macros))
@@ -168,19 +173,19 @@ class Newton(_Lanes):
 
 
 class Adjoint(_Lanes):
-    """Rows by adjoints; see `oed.mechanism.array_code.adjoint`."""
+    """Rows by adjoints; see `oed.mechanism.tape`."""
 
     name = "pkm_adjoint"
 
-    def __init__(self, library: ctypes.CDLL, function: Any, constants: Array) -> None:
-        super().__init__(library, function, constants)
-        self._columns = function.numel_out(1)
+    def __init__(self, library: ctypes.CDLL, graph: Graph, constants: Array) -> None:
+        super().__init__(library, graph, constants)
+        self._columns = len(graph.outputs[1])
 
     @staticmethod
-    def job(function: Any) -> LaneJob:
+    def job(graph: Graph) -> LaneJob:
         """The job on a function of a matrix and a row, which takes the factors last."""
-        last = function.n_in() - 1
-        macros = (("ROWS", function.numel_in(last)),)
+        last = len(graph.inputs) - 1
+        macros = (("ROWS", graph.inputs[last]),)
         return LaneJob("adjoint.h", frozenset({last}), macros)
 
     def run(self, inputs: Sequence[Array], right: Array, scale: Array) -> AdjointRows:
@@ -203,14 +208,14 @@ class Adjoint(_Lanes):
 
 
 def compiled(
-    kind: Callable[[ctypes.CDLL, Any, Array], Any], function: Any, job: LaneJob
+    kind: Callable[[ctypes.CDLL, Graph, Array], Any], graph: Graph, job: LaneJob
 ) -> Any:
     """A job on a dense SX function, compiled; None where that cannot be."""
-    if function.n_instructions() > MOST_INSTRUCTIONS:
+    if len(graph.nodes) > MOST_INSTRUCTIONS:
         return None
-    written = lane_text(function, job)
+    written = lane_text(graph, job)
     library = load(written.text)
-    return None if library is None else kind(library, function, written.constants)
+    return None if library is None else kind(library, graph, written.constants)
 
 
 def _points(inputs: Sequence[Array], shape: tuple[int, ...]) -> _InputTable:

@@ -135,7 +135,7 @@ GARBAGE_THRESHOLD = 50_000
 #: errors of the kernel about the input, by module; looked for only in loaded modules
 KERNEL_ERRORS = {
     "oed.base.units": "UnitError",
-    "oed.mechanism.compiled.switch": "CompileSettingError",
+    "oed.mechanism.batch": "CompileSettingError",
     "oed.mechanism.kinematics": "AssemblyError",
     "oed.dataset.readings_file": "ReadingsError",
     "oed.estimation.identification": "IdentificationError",

@@ -6,10 +6,10 @@ import casadi as ca
 import numpy as np
 from shipped_models import hexapod
 
-from oed.mechanism.array_code.adjoint import AdjointRows, ArrayAdjoint
-from oed.mechanism.array_code.layout import Layout
 from oed.mechanism.batch import ARRAY_SIZE
+from oed.mechanism.graph import read_graph
 from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.tape import AdjointRows, ArrayAdjoint
 
 ROWS, COLUMNS, SIZE = 4, 3, 8
 SCALE = np.array([1.0, 0.5, 2.0, 1.0])
@@ -20,7 +20,9 @@ def _adjoint() -> ArrayAdjoint:
     factors = ca.SX.sym("factors", ROWS)
     inputs = [ca.vec(a), ca.vec(b), factors]
     function = ca.Function("f", inputs, [a, (factors.T @ b)], {"cse": True})
-    return ArrayAdjoint(Layout(function), SIZE, SCALE)
+    graph = read_graph(function)
+    assert graph is not None
+    return ArrayAdjoint(graph, SIZE, SCALE)
 
 
 def _rows(a: np.ndarray, b: np.ndarray, right: np.ndarray) -> AdjointRows:

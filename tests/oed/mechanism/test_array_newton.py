@@ -8,9 +8,9 @@ import pytest
 from shipped_models import a3_head, hexapod, linear_delta
 
 from oed.mechanism import batch, newton
-from oed.mechanism.array_code.elimination import Elimination
-from oed.mechanism.array_code.newton import ArrayNewton
+from oed.mechanism.graph import read_graph
 from oed.mechanism.kinematics import Kinematics
+from oed.mechanism.tape import ArrayNewton, Elimination
 from oed.model import Machine
 
 Z, A = ca.SX.sym("z", 2), ca.SX.sym("a", 2)
@@ -20,7 +20,9 @@ TOLERANCE, LONGEST, SIZE = newton.STEP_TOLERANCE, 0.2, 8
 def newton_of(equations: ca.SX, size: int = SIZE) -> ArrayNewton:
     outputs = [ca.densify(equations), ca.densify(ca.jacobian(equations, Z))]
     function = ca.Function("f", [Z, A], outputs, {"cse": True})
-    return ArrayNewton(ArrayNewton.layout(function, 1), size)
+    graph = read_graph(function)
+    assert graph is not None
+    return ArrayNewton(graph, size, 1)
 
 
 #: z0^2 = a0 and z0 z1 = a1, which has a closed form
@@ -77,7 +79,7 @@ def test_elimination_is_that_of_lapack(rng: np.random.Generator) -> None:
     matrices = np.eye(5) + 0.3 * rng.standard_normal((SIZE, 5, 5))
     matrices = matrices[:, [3, 0, 4, 1, 2]]  # needs another order of rows
     right = rng.standard_normal((SIZE, 5))
-    entries = np.ascontiguousarray(matrices.transpose(2, 1, 0)).reshape(25, SIZE)
+    entries = np.ascontiguousarray(matrices.transpose(1, 2, 0))
     elimination = Elimination(5, SIZE)
     elimination.choose_order(entries)
     elimination.factorise(entries)

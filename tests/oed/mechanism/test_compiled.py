@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 
 from kernel.mechanism.compiling import compiled, compiled_files, needs_compiler
-from oed.mechanism import newton
-from oed.mechanism.array_code.newton import SolvedSystems
-from oed.mechanism.batch import BatchedFunction
-from oed.mechanism.compiled import lanes, switch
-from oed.mechanism.compiled.switch import CompileSettingError, CompileSwitch, begin_job
+from oed.mechanism import batch, newton
+from oed.mechanism.batch import (
+    BatchedFunction,
+    CompileSettingError,
+    CompileSwitch,
+    begin_job,
+)
+from oed.mechanism.compiled import lanes
+from oed.mechanism.tape import SolvedSystems
 
 __all__ = ["compiled_files"]
 pytestmark = [needs_compiler, pytest.mark.usefixtures("compiled_files")]
@@ -265,19 +269,19 @@ def test_a_stated_number_of_threads_holds(
 def test_a_function_is_compiled_once_it_has_done_enough(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.delenv(switch.VARIABLE)
+    monkeypatch.delenv(batch.VARIABLE)
     counter = CompileSwitch()
-    assert not counter.is_on(switch.ENOUGH_POINTS, 1000)
-    assert counter.is_on(switch.LEAST_WORK // 1000 + 1, 1000)
+    assert not counter.is_on(batch.ENOUGH_POINTS, 1000)
+    assert counter.is_on(batch.LEAST_WORK // 1000 + 1, 1000)
     begin_job()
     assert not counter.is_on(1, 1000)
 
 
 def test_the_variable_decides(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(switch.VARIABLE, switch.NEVER)
+    monkeypatch.setenv(batch.VARIABLE, batch.NEVER)
     assert not CompileSwitch().is_on(10**12, 1000)
-    monkeypatch.setenv(switch.VARIABLE, f" {switch.AT_ONCE}")
+    monkeypatch.setenv(batch.VARIABLE, f" {batch.AT_ONCE}")
     assert CompileSwitch().is_on(1, 1)
-    monkeypatch.setenv(switch.VARIABLE, "off")
+    monkeypatch.setenv(batch.VARIABLE, "off")
     with pytest.raises(CompileSettingError, match="OED_COMPILE is 'off': write 0"):
         CompileSwitch()

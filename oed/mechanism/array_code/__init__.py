@@ -1,1 +1,0 @@
-"""A CasADi function as operations on whole arrays of poses: graph, packing, tape, Newton."""
