@@ -12,9 +12,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from design_table import Row
-from oed.design import condition, conic, relaxation
+from oed.design import CRITERIA, condition, conic, relaxation
 from oed.design.condition import EigenvalueRelaxation
-from oed.design.criterion import named
 from oed.design.relaxation import Relaxation
 from peers import processor_seconds
 from study_candidates import StudyCandidates, of_studies
@@ -41,7 +40,7 @@ def _own_methods(
     blocks, size = study.blocks, study.size
     columns = blocks.shape[2]
     for name in SMOOTH:
-        criterion = named(name, columns)
+        criterion = CRITERIA.over(name, columns)
         yield name, lambda c=criterion: relaxation.relax(blocks, size, criterion=c)
     yield "E", lambda: condition.e_optimal(blocks, size)
     yield "kappa", lambda: condition.relax(blocks, size)
@@ -49,7 +48,7 @@ def _own_methods(
 
 
 def _conic(study: StudyCandidates, name: str) -> Callable[[], Answer]:
-    criterion = named(name, study.blocks.shape[2])
+    criterion = CRITERIA.over(name, study.blocks.shape[2])
     return lambda: conic.relax(study.blocks, study.size, criterion)
 
 

@@ -17,8 +17,8 @@ import argparse
 import numpy as np
 
 from oed.design import conic
-from oed.design.criterion.spectrum import ExtremeEigenvalues
 from oed.design.exchange import choose
+from oed.design.forms.eigenvalues import ExtremeEigenvalues
 
 CANDIDATES, COLUMNS, SIZE = 2000, 21, 30
 #: longest rows beside those of the plan

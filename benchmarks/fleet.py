@@ -34,7 +34,7 @@ from oed.estimation.fleet import (
     fleet_prior,
     readings_information,
 )
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from pkm_studies import commands
 from pkm_studies.importers import import_files

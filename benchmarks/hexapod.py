@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import pose_tracker
 from pkm_models.machines.hexapod import machine

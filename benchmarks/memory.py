@@ -31,7 +31,7 @@ import numpy as np
 from oed import dataset
 from oed.dataset import table
 from oed.design import choose_from_file, exchange, open_candidates, relaxation
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head

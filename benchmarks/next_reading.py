@@ -30,8 +30,7 @@ import pandas as pd
 from benchmarks.coverage import table
 from oed.base.arrays import Array
 from oed.design import candidates
-from oed.measurement import simulation
-from oed.measurement.measurement import Series
+from oed.measurement import Series, draw_readings
 from pkm_studies import shipped
 from pkm_studies.sessions import Advice, Adviser
 from pkm_studies.study import load
@@ -81,7 +80,7 @@ class Session:
         setup = advice.series.setup
         one = advice.series.take(np.array([advice.row]))
         measurement = self.adviser.base.resolved.measurement
-        reading = simulation.draw_readings(measurement, [one], self.theta, self.rng)
+        reading = draw_readings(measurement, [one], self.theta, self.rng)
         self.pools.setdefault(setup, advice.series)
         self.rows.setdefault(setup, []).append(advice.row)
         self.values.setdefault(setup, []).append(reading)

@@ -29,7 +29,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from numpy_poses import a3_poses, a3_readings, hexapod_poses
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.batch import AT_ONCE, NEVER, VARIABLE
 from oed.mechanism.compiled import lanes
 from oed.mechanism.kinematics import Kinematics

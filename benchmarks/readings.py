@@ -23,8 +23,7 @@ import casadi as ca
 import numpy as np
 from scipy import optimize
 
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series, commands_at_fixed_reading
 from oed.model.expressions import symbols
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar

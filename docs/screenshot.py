@@ -16,7 +16,7 @@ import numpy as np
 import uvicorn
 from playwright.sync_api import sync_playwright
 
-from oed.measurement import simulation
+from oed.measurement import draw_parameters
 from pkm_page import MachinePage, PageOptions, Switch, open_page
 
 PORT, READINGS = 8766, 12
@@ -27,7 +27,7 @@ def measure(page: MachinePage) -> None:
     rng = np.random.default_rng(5)
     session = page.session
     machine = session.measurement
-    truth = simulation.draw_parameters(machine, rng)
+    truth = draw_parameters(machine, rng)
     for number in range(READINGS):
         pose = session.state.pose
         if pose is None:

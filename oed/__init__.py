@@ -38,7 +38,7 @@ _KERNEL = {
     "mount": "oed.model.instrument",
     "Effect": "oed.model.effect",
     "Column": "oed.model.effect",
-    "Measurement": "oed.measurement.measurement",
+    "Measurement": "oed.measurement",
 }
 #: names that need study files: the package which has them offers each as an entry point
 _STUDIES = (

@@ -14,7 +14,7 @@ from pathlib import Path
 from oed import dataset
 from oed.gap.data import problem as problem_of
 from oed.gap.data.problem import GapProblem
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.effect import Effect
 from pkm_studies import study
 from pkm_studies.resolve import gap_request, resolve

@@ -8,8 +8,7 @@ import numpy as np
 
 from benchmarks.coverage.bench import Bench, components_from_home
 from oed.compensate import compensated_joints
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series, commands_at_fixed_reading
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines import a3_head

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.coverage.noise import Layout
 from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.noise.statement import NoiseStatement
 
 

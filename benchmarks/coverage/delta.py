@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.coverage.bench import Bench
 from oed.compensate import compensated_joints
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines import linear_delta

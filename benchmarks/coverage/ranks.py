@@ -22,7 +22,7 @@ from benchmarks.coverage import measure
 from benchmarks.coverage.bench import Bench
 from oed.estimation.estimate import Estimate
 from oed.estimation.identification import identify
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import reading_structure
 from oed.noise.prior import noise_prior
 from oed.noise.process import Whitening
 from oed.posterior import laplace, posterior

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.dataset import Dataset
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 
 #: (set-up, channel): rms in its fine unit
 Figures = dict[tuple[str, str], float]

@@ -19,7 +19,7 @@ from benchmarks.real_data.entries import STUDIES, Entry
 from oed.base.arrays import Array
 from oed.dataset import Dataset
 from oed.estimation import identify
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result import HeldOutSection, StudyResult
 from pkm_studies import stages
 from pkm_studies import study as studies

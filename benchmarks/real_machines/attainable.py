@@ -25,10 +25,10 @@ from oed.base.arrays import Array, Index
 from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design import candidates
 from oed.design.blocks import information
-from oed.design.criterion.variance import Variance
 from oed.design.exchange import choose
+from oed.design.forms.variance import Variance
 from oed.estimation.discrepancy import HEALTHY
-from oed.identifiability.information import prior_information
+from oed.identifiability import prior_information
 from pkm_studies.resolve import effects_of_planned, pose_error_slopes
 
 MACHINES = ("a3", "planar", "delta", "hexapod")

@@ -13,7 +13,7 @@ from benchmarks.second import adapter
 from benchmarks.second.cases import GENERATOR
 from oed import dataset
 from oed.base.arrays import Array
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.effect import Effect
 from pkm_studies import study as studies
 from pkm_studies.resolve import gap_request, resolve

@@ -13,9 +13,8 @@ import _draw
 import numpy as np
 
 from oed.design import exchange
-from oed.identifiability import identifiability, information
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement
+from oed.identifiability import analyse, scaled
+from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar
 from pkm_models.machines.a3_head import C, D, machine
@@ -39,7 +38,7 @@ def on_circles(strokes: np.ndarray, points: int) -> np.ndarray:
 def identification_matrix(command: np.ndarray) -> np.ndarray:
     """H (n, 21) of readings at some commands, all parameters as lengths."""
     series = [bar.series("cup", command)]
-    h = information.scaled(bar, series, bar.nominal, "length")
+    h = scaled(bar, series, bar.nominal, "length")
     return h[:, bar.free]
 
 
@@ -65,7 +64,7 @@ circles = on_circles(STROKES, 15)
 grid = on_circles(np.linspace(0.0, 0.200, 21), 72)
 candidates = identification_matrix(grid)
 names = np.array(bar.names)[bar.free]
-verdict = identifiability.analyse(candidates, names, 1.0 / bar.length_factors[bar.free])
+verdict = analyse(candidates, names, 1.0 / bar.length_factors[bar.free])
 assert (verdict.rank, len(names)) == (18, 21)  # all 1512 candidates together
 
 chosen = exchange.choose(candidates, 30, np.random.default_rng(1), "D", rounds=3)

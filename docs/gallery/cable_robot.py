@@ -14,8 +14,7 @@ import numpy as np
 
 from oed import compensate
 from oed.estimation.identification import identify
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement, draw_parameters
 from oed.model.instrument import mount
 from pkm_models.instruments import camera, redundancy
 from pkm_models.machines.cable_robot import FOLD, GEAR, LINES, SPOOL, machine
@@ -27,7 +26,7 @@ robot = Measurement(
     machine,
     [mount(camera.known_frame, "camera"), mount(redundancy.instrument, "lines")],
 )
-truth = simulation.draw_parameters(robot, rng)
+truth = draw_parameters(robot, rng)
 LOW, HIGH = (-0.35, -0.35, 0.0), (0.35, 0.35, 1.2)  # m
 places = rng.uniform(LOW, HIGH, (OBSERVED + UNOBSERVED, 3))
 motors = compensate.compensated_joints(

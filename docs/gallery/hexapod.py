@@ -14,10 +14,8 @@ import itertools
 import _draw
 import numpy as np
 
-from oed.identifiability.assessment import assess
-from oed.identifiability.explain import explain
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement
+from oed.identifiability import assess, explain
+from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_bar, pose_tracker
 from pkm_models.machines.hexapod import HEIGHT, machine

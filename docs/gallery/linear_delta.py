@@ -11,9 +11,8 @@ scale is known. A printed object shrinks, a metal plate does not.
 import _draw
 import numpy as np
 
-from oed.identifiability import explain
-from oed.identifiability.assessment import assess
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import assess, explain
+from oed.measurement import Measurement, Series
 from oed.model.instrument import mount
 from pkm_models.instruments import calliper, height_probe
 from pkm_models.machines.linear_delta import machine
@@ -58,7 +57,7 @@ def common_share(series: list[Series], kind: str) -> float:
 
 
 view = assess(printer, [heights])
-words = " ".join(finding.text for finding in explain.explain(view))
+words = " ".join(finding.text for finding in explain(view))
 assert "the common arm (arm1, arm2, arm3) keeps" in words
 shares = {
     name: [common_share(series, kind) for kind in KINDS]

@@ -12,8 +12,8 @@ with Newton's method on the closure.
 import _draw
 import numpy as np
 
-from oed.identifiability.assessment import assess
-from oed.measurement.measurement import Measurement
+from oed.identifiability import assess
+from oed.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import ball_plate, camera
 from pkm_models.machines.micro_cmm import direct, machine

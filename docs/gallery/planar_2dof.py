@@ -11,8 +11,8 @@ combinations, both of which RM 5 sees too, but makes the weakest one 19 times as
 import _draw
 import numpy as np
 
-from oed.identifiability.assessment import Assessment, assess
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import Assessment, assess
+from oed.measurement import Measurement, Series
 from oed.model.instrument import mount
 from pkm_models.instruments import relative
 from pkm_models.machines.planar_2dof import machine

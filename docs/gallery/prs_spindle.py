@@ -11,9 +11,8 @@ closure adds the planes in which the revolute joints hold the struts.
 import _draw
 import numpy as np
 
-from oed.identifiability.assessment import Assessment, assess
-from oed.identifiability.explain import explain
-from oed.measurement.measurement import Measurement
+from oed.identifiability import Assessment, assess, explain
+from oed.measurement import Measurement
 from oed.model.instrument import mount
 from pkm_models.instruments import laser_ball_bar
 from pkm_models.machines import prs_spindle, prs_spindle_struts

@@ -16,8 +16,7 @@ from oed.checks.fit import CANNOT_BE, fit
 from oed.checks.mistakes import Given, MistakeTrial, trials
 from oed.checks.screening import Screening
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Measurement
-from oed.measurement.simulation import draw_parameters
+from oed.measurement import Measurement, draw_parameters
 
 #: penalised sum of squares that noise-free readings may gain without a trace
 UNSEEN = 25.0

@@ -21,7 +21,7 @@ from oed.checks.ranges import Ranges, predict_ranges
 from oed.checks.senses import contradictions
 from oed.checks.session import SessionReadings
 from oed.checks.times import wrong_times
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.result.fit_limits import ALARM
 
 #: values from which on mistakes are tried: fewer fit too many of them

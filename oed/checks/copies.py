@@ -10,7 +10,7 @@ from scipy import special
 
 from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 
 #: probability that a correct session has as many equal readings
 FALSE_ALARM = 1e-5

@@ -18,7 +18,7 @@ from oed.base.arrays import Array, Mask
 from oed.checks.fit import Fit
 from oed.checks.screening import log_density_by_scale, scales_of_noise
 from oed.checks.session import SessionReadings
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import reading_structure
 from oed.noise.marginal import ResidualModel
 from oed.noise.prior import (
     CARRIED,

@@ -23,7 +23,7 @@ from oed.checks.outlier_odds import SHARE as SHARE_OF_OUTLIERS
 from oed.checks.outliers import MEDIAN, find_outliers
 from oed.checks.screening import LOG_SIZES, Screening, log_density_of_any
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 
 #: readings of which at most the mistakes are compared
 MOST_READINGS = 1000

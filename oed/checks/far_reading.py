@@ -21,7 +21,7 @@ from oed.base.arrays import Array, Index
 from oed.checks.fit import CANNOT_BE, Fit
 from oed.checks.session import SessionReadings
 from oed.dataset.columns import column_name, parse_column
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 from oed.noise.covariance import Noise
 
 #: neighbours of a run that are off the same way from which on they are no single errors;

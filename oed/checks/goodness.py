@@ -11,7 +11,7 @@ from scipy import special
 from oed.base.arrays import Array, Mask
 from oed.checks.fit import Fit, residual_weights
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result.fit_limits import ALARM, GUESS, noise_ratio
 
 

@@ -25,7 +25,7 @@ from oed.checks.goodness import (
 from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.session import CheckedLaw, SessionReadings
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.noise.law_noise import factor_of
 from oed.noise.marginal import ResidualModel, most_probable
 from oed.noise.outliers import robust_residuals

@@ -13,7 +13,7 @@ from scipy import special
 
 from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
-from oed.measurement import simulation
+from oed.measurement import draw_parameters
 
 #: machines that test linearity, and machines drawn where it fails
 TRIAL, DRAWS = 24, 400
@@ -64,13 +64,13 @@ def predict_ranges(session: SessionReadings, rng: np.random.Generator) -> Ranges
     slopes = measurement.jacobian(series, nominal)
     spread = np.linalg.norm(measurement.in_prior_units(slopes), axis=1)
     factor = float(-special.ndtri(0.5 * FALSE_ALARM / len(middle)))
-    machines = simulation.draw_parameters(measurement, rng, TRIAL)
+    machines = draw_parameters(measurement, rng, TRIAL)
     exact = measurement.try_readings(series, machines)
     linear = middle + (machines - nominal) @ slopes.T
     curved = np.sqrt(np.mean((exact - linear) ** 2, axis=0))
     if (curved <= CURVATURE * spread + noise).all():
         return Ranges(middle, middle, np.hypot(spread, noise), factor)
-    machines = simulation.draw_parameters(measurement, rng, DRAWS)
+    machines = draw_parameters(measurement, rng, DRAWS)
     few = max(VALUES // len(middle), 1)
     parts = np.split(machines, range(few, DRAWS, few))
     exact = np.vstack([measurement.try_readings(series, part) for part in parts])

@@ -25,8 +25,7 @@ from oed.dataset.columns import (
 )
 from oed.dataset.data import consecutive
 from oed.dataset.file_rows import Row, named_rows
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import Measurement, Series, reading_structure
 from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.process import Laws

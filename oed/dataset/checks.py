@@ -24,7 +24,7 @@ from oed.dataset.columns import (
 from oed.dataset.notations import notations
 from oed.dataset.readings_file import ReadingsError, ReadingsFile
 from oed.dataset.table import cell_remedy
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate
 

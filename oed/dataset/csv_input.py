@@ -31,7 +31,7 @@ from oed.dataset.data import Dataset, column_layouts
 from oed.dataset.file_rows import FILE_COLUMN, short_names
 from oed.dataset.readings_file import FILE, ROW, ReadingsError, ReadingsFile
 from oed.dataset.table_checks import ORDER_REMEDY
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.instrument import Instrument
 from oed.model.machine import Machine

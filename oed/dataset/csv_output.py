@@ -19,7 +19,7 @@ from oed.dataset.columns import (
 )
 from oed.dataset.data import ColumnLayout, Dataset, consecutive
 from oed.dataset.dialect import commented
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 
 
 def to_csv(

@@ -10,7 +10,7 @@ import pandas as pd
 
 from oed.base.arrays import Array
 from oed.dataset.columns import ReadingsColumn
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.instrument import Channel, Setup
 from oed.model.machine import Coordinate, Machine
 

@@ -14,10 +14,9 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.design import condition, relaxation
-from oed.design.condition import EigenvalueRelaxation
+from oed.design import relaxation
 from oed.design.copies import find_copies
-from oed.design.criterion import Criterion, ExtremeEigenvalues
+from oed.design.forms import Criterion
 from oed.design.quotas import QuotaSet
 from oed.design.relaxation import Relaxation
 from oed.design.rules import RelaxedRules, Rules
@@ -125,9 +124,9 @@ def _relax_capped(
     rounding: Rounding,
 ) -> Relaxation:
     """The relaxation over weights of at most `cap`."""
-    if isinstance(criterion, ExtremeEigenvalues):
-        optimum = condition.e_optimal(scaled, total, prior, cap)
-        return _in_log_phi(optimum, criterion.least)
+    extreme = criterion.eigenvalue_relaxation(scaled, total, prior, cap)
+    if extreme is not None:
+        return extreme
     return relaxation.relax(
         scaled, total, prior, cap, criterion=criterion, rounding=rounding
     )
@@ -155,21 +154,11 @@ def condition_bound(
     """
     if rules.size is None or rules.budget is not None:
         return None
-    if not isinstance(criterion, ExtremeEigenvalues):
-        return None
     size = float(rules.size)
-    if criterion.name == "O4":
-        return _in_log_phi(condition.o4(blocks, size, prior), 1.0)
     if rules.quotas is not None:
         from oed.design import conic  # cvxpy takes a second to import
 
         limits = rules.quotas.linear_limits()
         with contextlib.suppress(conic.NoConicAnswerError):
             return conic.relax(blocks, size, criterion, prior, 1.0, limits)
-    return _in_log_phi(condition.relax(blocks, size, prior), -1.0)
-
-
-def _in_log_phi(optimum: EigenvalueRelaxation, power: float) -> Relaxation:
-    """A relaxation whose criterion is a power of phi, in log phi."""
-    value, upper = power * np.log([max(optimum.value, 1e-300), optimum.bound])
-    return Relaxation(optimum.weights, float(value), float(upper), optimum.slopes)
+    return criterion.eigenvalue_relaxation(blocks, size, prior, 1.0)

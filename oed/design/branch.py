@@ -17,9 +17,10 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design import exchange, relaxation
 from oed.design.blocks import as_blocks, information, project_on_estimable
+from oed.design.catalogue import CRITERIA
 from oed.design.certificate import ROUNDING
-from oed.design.criterion import Criterion, named
 from oed.design.exchange import Choice
+from oed.design.forms import Criterion
 from oed.design.objective import CriterionObjective
 
 #: nodes visited, at the most
@@ -70,7 +71,7 @@ def solve(
     blocks = as_blocks(rows)
     goal = criterion
     if isinstance(goal, str):
-        goal = named(goal, blocks.shape[2])
+        goal = CRITERIA.over(goal, blocks.shape[2])
     if not (goal.smooth and goal.concave):
         raise ValueError(
             f"branch and bound needs a smooth, concave criterion, not {goal.name}"

@@ -25,20 +25,14 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
-from oed.design.criterion import (
-    Criterion,
-    Determinant,
-    LargestVariance,
-    Variance,
-    named,
-)
+from oed.design.catalogue import CRITERIA
+from oed.design.forms import Criterion
 from oed.design.nuisances import Nuisances, no_nuisances
 from oed.design.plan_limits import DistanceLimit, SetupLimit, TimeBudget
 from oed.design.quotas import QuotaSet
 from oed.design.rules import Rules
-from oed.identifiability.information import Scaling, column_scale
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_noise import reading_covariances, run_errors
+from oed.identifiability import Scaling, column_scale
+from oed.measurement import Measurement, Series, reading_covariances, run_errors
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,41 +93,40 @@ class Candidates:
         total[: self.columns, : self.columns] += information
         return dataclasses.replace(self, prior_information=total)
 
-    def criterion(
-        self,
-        name: str,
-        *,
-        interest: Array | None = None,
-        factor: Array | None = None,
-        factors: Array | None = None,
-    ) -> Criterion:
+    def criterion(self, name: str, ingredient: Array | None = None) -> Criterion:
         """A criterion of the parameters, with the shared errors profiled out.
 
-        interest (n, s), factor (r, n), factors (J, r, n) are in the scaled columns. With
-        n + u columns, factors judge what the nuisances do as well.
+        ingredient  what it needs, in the scaled columns (`catalogue.NamedCriterion`). An
+                    accuracy over n + u columns judges what the nuisances do as well
 
         Raises ValueError for criteria of eigenvalues where errors are shared: they have
         no profiling.
         """
-        n, shared = self.columns, self.shared_errors
-        if not shared:
-            return named(name, n, interest=interest, factor=factor, factors=factors)
-        if name in ("D", "O1", "Ds"):
-            of_interest = np.eye(n)
-            if interest is not None and name == "Ds":
-                of_interest = interest
-            no_shared = np.zeros((shared, of_interest.shape[1]))
-            padded = np.vstack([of_interest, no_shared])
-            return Determinant(n + shared, padded, name)
-        if name == "A":
-            return Variance(np.eye(n, n + shared), "A")
-        if name in ("I", "c") and factor is not None:
-            return Variance(self.over_all_columns(factor), name)
-        if name == "G" and factors is not None:
-            return LargestVariance(self.over_all_columns(factors))
-        raise ValueError(
-            f"{name} does not profile out {self._shared_words}: choose D, A, c, I or G"
-        )
+        if not self.shared_errors:
+            return CRITERIA.over(name, self.columns, ingredient)
+        columns = np.arange(self.columns)
+        if ingredient is not None and CRITERIA[name].needs == "accuracy":
+            columns = self._columns_of(ingredient)
+        criterion = CRITERIA.over(name, len(columns), ingredient)
+        if criterion.spectral:
+            raise ValueError(
+                f"{name} does not profile out {self._shared_words}: choose D, A, c, I or G"
+            )
+        return criterion.among(columns, self.columns + self.shared_errors)
+
+    def _columns_of(self, gradients: Array) -> Index:
+        """Columns of gradients (..., n), or (..., n + u) by the nuisances as well."""
+        further = gradients.shape[-1] - self.columns
+        total = self.columns + self.shared_errors
+        last = np.arange(total - further, total)
+        return np.concatenate([np.arange(self.columns), last])
+
+    def spread(self, gradients: Array) -> Array:
+        """Gradients (..., n) or (..., n + u) over all columns (..., n + r)."""
+        total = self.columns + self.shared_errors
+        spread = np.zeros((*gradients.shape[:-1], total))
+        spread[..., self._columns_of(gradients)] = gradients
+        return spread
 
     @property
     def _shared_words(self) -> str:
@@ -142,13 +135,6 @@ class Candidates:
         return (
             "the error that a run's readings share (whole runs as candidates have none)"
         )
-
-    def over_all_columns(self, factor: Array) -> Array:
-        """A factor (..., n) or (..., n + u) over all columns (..., n + r)."""
-        n = self.columns
-        missing = n + self.shared_errors - factor.shape[-1]
-        zeros = np.zeros((*factor.shape[:-1], missing))
-        return np.concatenate([factor[..., :n], zeros, factor[..., n:]], axis=-1)
 
     def rules(
         self,
@@ -239,7 +225,7 @@ def build(
     counts = np.concatenate([part.readings for part in parts])
     first = np.cumsum(counts) - counts
     commands = np.vstack([s.reading_commands() for s in series])
-    seconds = [reading_time(measurement, s.setup) for s in series]
+    seconds = [measurement.reading_seconds(s.setup) for s in series]
     reading_seconds = np.repeat(seconds, [len(s) for s in series])
     mounting = [measurement.setups[name].instrument.cost.setup for name in setups]
     positions = [setups.index(s.setup) for s in series]
@@ -295,13 +281,6 @@ def _join_blocks(parts: Sequence[_SeriesBlocks], free: Mask) -> Array:
         column += shared_columns
         blocks.append(_with_rows(wide, most_rows))
     return np.concatenate(blocks)
-
-
-def reading_time(measurement: Measurement, setup: str) -> float:
-    """Seconds of one planned reading with all passes that are averaged into it."""
-    mounted = measurement.setups[setup]
-    passes = len(mounted.protocol.pass_names) if mounted.protocol.average else 1
-    return mounted.instrument.cost.reading * passes
 
 
 def _series_blocks(

@@ -7,7 +7,7 @@ M' = M0 + sum_i w'_i A_i,
 
 and the sum is at most the knapsack value of the slopes tr(M^-1 A_i). M need not belong
 to a feasible or a converged plan: the bound only gets looser. Homogeneous criteria have
-tighter lines through the origin (`oed.design.criterion.protocol`). What rounding can
+tighter lines through the origin (`oed.design.forms.protocol`). What rounding can
 change is added on the safe side: of the slopes (`oed.design.objective`), of their sum,
 and of the line's logarithms.
 """

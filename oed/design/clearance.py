@@ -17,7 +17,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.design.segments import Capsule, segment_distance
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.batch import BatchedFunction
 from oed.mechanism.kinematics import Kinematics
 from oed.model.expressions import symbols

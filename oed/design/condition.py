@@ -24,6 +24,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.design.eigenvalue_path import ROUNDING, EigenvaluePoint, follow
 from oed.design.interior import build_problem
+from oed.design.relaxation import Relaxation
 
 #: lines that bound O4, at the most
 LINES = 16
@@ -51,6 +52,12 @@ class EigenvalueRelaxation:
     def duality_gap(self) -> float:
         """|log bound - log value|: how loose the bound can be, as a relaxation."""
         return float(abs(np.log(self.bound / self.value)))
+
+    def in_log_phi(self, power: float) -> Relaxation:
+        """The relaxation of log phi, where the criterion to a power is phi."""
+        value = power * float(np.log(max(self.value, 1e-300)))
+        bound = power * float(np.log(self.bound))
+        return Relaxation(self.weights, value, bound, self.slopes)
 
 
 def relax(

@@ -7,7 +7,7 @@ It serves plans with quotas (`oed.design.quotas`), and as an independent check o
 apply. The criteria enter as cones (`oed.design.conic_criterion`).
 
 Only a plan and dual matrices are taken from the solver's answer. The plan is made
-feasible. A dual gives a line above the criterion (`oed.design.criterion.protocol`),
+feasible. A dual gives a line above the criterion (`oed.design.forms.protocol`),
 whose extreme over the weights (`oed.design.polytope`) holds whatever the solver
 reports.
 """
@@ -25,8 +25,8 @@ from oed.design import relaxation
 from oed.design.blocks import as_blocks, information
 from oed.design.certificate import ROUNDING
 from oed.design.conic_criterion import ConicCriterion, dual_root
-from oed.design.criterion import Compound, Criterion, ExtremeEigenvalues
-from oed.design.criterion.protocol import Support, slopes
+from oed.design.forms import Compound, Criterion, ExtremeEigenvalues
+from oed.design.forms.protocol import Support, slopes
 from oed.design.polytope import Polytope
 from oed.design.relaxation import Relaxation
 
@@ -187,7 +187,7 @@ def _relax_condition(
     Minimises s subject to 1 <= tau M0 + sum u_i A_i <= s 1, up to scales.
     """
     if criterion.least != criterion.largest:
-        raise ValueError(
+        raise NoConicAnswerError(
             f"{criterion.name} has no conic form: see oed.design.condition"
         )
     tau, s = cp.Variable(nonneg=True), cp.Variable()

@@ -20,7 +20,7 @@ import cvxpy as cp
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.design.criterion import (
+from oed.design.forms import (
     Criterion,
     Determinant,
     ExtremeEigenvalues,

@@ -20,7 +20,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design.blocks import information
 from oed.design.certificate import knapsack_value
-from oed.design.criterion.protocol import slopes
+from oed.design.forms.protocol import slopes
 from oed.design.interior import InteriorPath, InteriorProblem
 
 #: rounds of joining candidates; steps of a path

@@ -14,8 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.criterion import Criterion
-from oed.design.criterion.spectrum import ExtremeEigenvalues
+from oed.design.forms import Criterion, ExtremeEigenvalues
 from oed.design.rules import Rules
 
 #: plans that are looked at, at most

@@ -16,13 +16,8 @@ from oed.design import (
     tabu,
 )
 from oed.design.blocks import information
-from oed.design.criterion import (
-    Criterion,
-    Determinant,
-    ExtremeEigenvalues,
-    Variance,
-)
-from oed.design.criterion.protocol import is_positive_definite
+from oed.design.forms import Criterion, Variance
+from oed.design.forms.protocol import is_positive_definite
 from oed.design.row_exchange import RowExchange
 
 
@@ -167,20 +162,19 @@ class CriterionEvaluator:
     @property
     def _by_determinant(self) -> bool:
         """Whether candidates are judged by D of all directions."""
-        criterion = self.criterion
-        return isinstance(criterion, Determinant) and criterion.interest is None
+        return self.criterion.fast_search == "volume"
 
     @property
     def _rows_by_least_eigenvalue(self) -> bool:
         """Whether single rows are judged by the least eigenvalue alone."""
-        criterion = self.criterion
-        least = isinstance(criterion, ExtremeEigenvalues) and criterion.concave
+        least = self.criterion.fast_search == "least eigenvalue"
         return least and self.blocks.shape[1] == 1
 
     @property
     def _rows_by_variance(self) -> bool:
         """Whether single rows are judged by a mean variance that a prior determines."""
-        single = self.blocks.shape[1] == 1 and isinstance(self.criterion, Variance)
+        mean = self.criterion.fast_search == "mean variance"
+        single = mean and self.blocks.shape[1] == 1
         return single and is_positive_definite(self.base)
 
     def _row_exchange(self, ridge: float) -> RowExchange:

@@ -25,17 +25,15 @@ from oed.design.blocks import (
 )
 from oed.design.bounds import bound, condition_bound
 from oed.design.candidate_file import NumpyCandidates
-from oed.design.criterion import Criterion, Determinant, Variance, named
+from oed.design.catalogue import CRITERIA
 from oed.design.enumeration import best_of_all
 from oed.design.evaluator import CriterionEvaluator
+from oed.design.forms import Criterion, Determinant, Variance
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 from oed.design.search import search, select_greedily
 from oed.design.whitening import EXACT, Rounding, WhiteCandidates, whiten
 
-#: rounds of search for each that is asked for, for D of candidates with several rows:
-#: their exchanges end in more local optima
-BLOCK_ROUNDS = 2
 #: a plan whose log phi is within this of the bound is proven optimal
 PROVEN = 1e-7
 
@@ -156,8 +154,8 @@ def choose(
     guide = bound(blocks, guiding, rules, base, rounding=problem.rounding)
     evaluator = CriterionEvaluator(blocks, goal, base)
     starts = _greedy_plans(evaluator, rules, guide.weights)
-    if isinstance(goal, Determinant) and blocks.shape[1] > 1:
-        rounds *= BLOCK_ROUNDS
+    if blocks.shape[1] > 1:
+        rounds *= goal.block_rounds
     best = search(evaluator, rules, guide.weights, guide.slopes, starts, rng, rounds)
     value = evaluator.value(best)
     if not rules.satisfied(best):
@@ -247,7 +245,7 @@ def pose(
     blocks = as_blocks(rows)
     goal = criterion
     if isinstance(goal, str):
-        goal = named(goal, blocks.shape[2])
+        goal = CRITERIA.over(goal, blocks.shape[2])
     _check(blocks, rules)
     of_all = spectrum(blocks, prior)
     white = _estimable(blocks, goal, prior, tolerance, of_all)
@@ -270,8 +268,7 @@ def _estimable(
 
     For D they are well conditioned there; other criteria need an orthonormal basis.
     """
-    by_volume = isinstance(goal, Determinant) and goal.interest is None
-    if by_volume and of_all.is_ill_conditioned(tolerance):
+    if goal.any_coordinates and of_all.is_ill_conditioned(tolerance):
         return whiten(blocks, prior, tolerance, of_all)
     projected, basis = in_orthonormal_basis(blocks, of_all, tolerance)
     base = np.zeros((basis.shape[1],) * 2)
@@ -296,7 +293,7 @@ def _greedy_plans(
     determinant = Determinant(evaluator.base.shape[0])
     guides = [dataclasses.replace(evaluator, criterion=determinant)]
     criterion = evaluator.criterion
-    if criterion.smooth and not isinstance(criterion, Determinant):
+    if criterion.smooth and criterion.starts_from_own_plan:
         guides.append(evaluator)
     ridge = evaluator.ridge()
     return [select_greedily(g, rules, ridge, weights=weights) for g in guides]

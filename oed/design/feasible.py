@@ -22,7 +22,7 @@ from scipy.special import ndtr
 from oed.base.arrays import Array, Mask
 from oed.design.clearance import Clearance, Surroundings, cup_place
 from oed.design.segments import Point3
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 
 #: share of a joint's limits that rounding may exceed
 SLACK = 1e-9

@@ -20,7 +20,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design import exchange, relaxation
 from oed.design.blocks import as_blocks
-from oed.design.criterion import LargestVariance, Variance
+from oed.design.forms import LargestVariance, Variance
 from oed.design.rules import Rules
 
 #: duality gap of the bounds, and of the goal's feasibility, in log phi

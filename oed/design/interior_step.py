@@ -12,7 +12,7 @@ from scipy import linalg
 
 from oed.base.arrays import Array
 from oed.design.blocks import information
-from oed.design.criterion.protocol import pairwise_traces, slopes
+from oed.design.forms.protocol import pairwise_traces, slopes
 
 if TYPE_CHECKING:
     from oed.design.interior import InteriorProblem

@@ -23,9 +23,10 @@ from oed.design import exchange
 from oed.design.blocks import RANK, Spectrum, information, spectrum
 from oed.design.bounds import bound
 from oed.design.candidate_file import CandidateFile
-from oed.design.criterion import Criterion, Determinant, named
+from oed.design.catalogue import CRITERIA
 from oed.design.evaluator import CriterionEvaluator
 from oed.design.exchange import Choice
+from oed.design.forms import Criterion
 from oed.design.objective import CriterionObjective, Tangent
 from oed.design.relaxation import bound_by
 from oed.design.rules import Rules
@@ -104,11 +105,13 @@ def choose_from_file(
         )
     survey = _survey(candidates, prior)
     columns = len(survey.column_sizes)
-    goal = named(criterion, columns) if isinstance(criterion, str) else criterion
+    goal = (
+        CRITERIA.over(criterion, columns) if isinstance(criterion, str) else criterion
+    )
     if not serves(goal):
         raise ValueError(
-            f"{goal.name} needs its candidates in memory: a file serves the criteria that"
-            " are smooth and concave (D, Ds, A, c, I, O1, O5)"
+            f"{goal.name} needs its candidates in memory: a file serves the smooth criteria"
+            f" ({', '.join(CRITERIA.smooth)})"
         )
     space = _coordinates(survey, goal, prior, tolerance)
     choice, upper, gap = _search(candidates, size, rng, space, survey, rounds)
@@ -126,7 +129,7 @@ def choose_from_file(
 
 def serves(criterion: Criterion | str) -> bool:
     """Whether a choice by the criterion can go through a file in passes."""
-    goal = named(criterion, 1) if isinstance(criterion, str) else criterion
+    goal = CRITERIA.over(criterion, 1) if isinstance(criterion, str) else criterion
     return goal.smooth and goal.concave
 
 
@@ -228,8 +231,7 @@ def _coordinates(
 ) -> _Coordinates:
     """Those of `choose`: the columns, orthonormal directions, or white ones for D."""
     of_all, n = survey.of_all, len(survey.column_sizes)
-    by_volume = isinstance(goal, Determinant) and goal.interest is None
-    white = by_volume and of_all.is_ill_conditioned(tolerance)
+    white = goal.any_coordinates and of_all.is_ill_conditioned(tolerance)
     least = max(tolerance, RANK * n) if white else tolerance
     visible = of_all.visible(least)
     basis: Array = of_all.directions[:, visible]

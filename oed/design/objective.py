@@ -22,7 +22,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.design.blocks import information
-from oed.design.criterion.protocol import Criterion, slopes
+from oed.design.forms.protocol import Criterion, slopes
 from oed.design.whitening import EXACT, Rounding, gamma
 
 #: ridge, by the mean eigenvalue, that keeps an undetermined direction finite

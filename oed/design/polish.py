@@ -8,7 +8,7 @@ variables (cup, bar length, tool). They are tied by
     sign det phi_x >= clearance |det phi_x at home|            where asked, on either side of a singularity,
 
 within workspace, joint ranges and the ranges of the free variables. The objective is a
-smooth criterion of M = M0 + H^T H (`oed.design.symbolic_criterion`), with H from
+smooth criterion of M = M0 + H^T H (`Criterion.polished`), with H from
 `oed.design.reading_slopes`. IPOPT solves the programme (`oed.design.polish_program`).
 
 IPOPT's result counts only after `oed.measurement.measurement` has computed it again: in range, on
@@ -23,7 +23,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.design import symbolic_criterion
+from oed.design.forms import Criterion, Determinant
 from oed.design.polish_program import PolishProgram
 from oed.design.reading_plan import (
     HOLD_TOLERANCE,
@@ -34,9 +34,8 @@ from oed.design.reading_plan import (
     restore_hold,
     settings_and_tool,
 )
-from oed.design.symbolic_criterion import SymbolicCriterion
-from oed.identifiability import information
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import Scaling, scaled
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.instrument import Setup
 
@@ -78,8 +77,8 @@ class PolishResult:
 def polish_readings(
     measurement: Measurement,
     series: Sequence[Series],
-    criterion: SymbolicCriterion | None = None,
-    scaling: information.Scaling = "tolerance",
+    criterion: Criterion | None = None,
+    scaling: Scaling = "tolerance",
     *,
     free: Ranges | None = None,
     prior: Array | None = None,
@@ -89,20 +88,23 @@ def polish_readings(
 ) -> PolishResult:
     """Readings moved to a local optimum; the start where nothing is gained.
 
-    criterion   over the free parameters in the stated scaling; D by default
+    criterion   over the free parameters in the stated scaling; D by default. One that is
+                not smooth is polished by the smooth one that stands for it
     free        set-up -> setting or tool_x, tool_y, tool_z -> range, SI
     prior       (n, n) prior information, over the free parameters
     travel      m, by how much a held reading may differ from its nominal; None: not
     clearance   least |det phi_x| as a share of that at home
     iterations  of IPOPT, at the most
 
-    Raises ValueError for unknown names, a start outside the ranges or off hold, recorded
+    Raises ValueError for a criterion that has none, unknown names, a start outside the ranges or off hold, recorded
     joints without commands, and noise that a run shares.
     """
     start = ReadingPlan(measurement, tuple(series))
     variables = _check_start(start, free or {}, travel)
-    goal = symbolic_criterion.determinant() if criterion is None else criterion
-    evaluator = _evaluator(start, goal, scaling, prior)
+    goal = Determinant(int(measurement.free.sum())) if criterion is None else criterion
+    if goal.polished is None:
+        raise ValueError(f"{goal.name} has no gradient to polish along")
+    evaluator = _evaluator(start, goal.polished, scaling, prior)
     before = evaluator.value(start)
     if not np.isfinite(before):
         raise ValueError(
@@ -187,24 +189,28 @@ def _free_variables(
 
 @dataclasses.dataclass(frozen=True)
 class _PolishEvaluator:
-    """The criterion over the columns of `basis` (n, r), with prior information (r, r)."""
+    """The criterion over the columns of `basis` (n, r), with prior information (r, r).
 
-    criterion: SymbolicCriterion
-    scaling: information.Scaling
+    Its value is the logarithm that users know: log det M, or the log of a variance.
+    """
+
+    criterion: Criterion
+    scaling: Scaling
     basis: Array
     prior: Array
 
     def value(self, plan: ReadingPlan) -> float:
         """Criterion of a plan."""
         m = plan.measurement
-        rows = information.scaled(m, plan.series, m.nominal, self.scaling) @ self.basis
-        return self.criterion.value(self.prior + rows.T @ rows)
+        rows = scaled(m, plan.series, m.nominal, self.scaling) @ self.basis
+        log_phi = self.criterion.value(self.prior + rows.T @ rows)
+        return self.criterion.log_size * log_phi
 
 
 def _evaluator(
     start: ReadingPlan,
-    criterion: SymbolicCriterion,
-    scaling: information.Scaling,
+    criterion: Criterion,
+    scaling: Scaling,
     prior: Array | None,
 ) -> _PolishEvaluator:
     """Over all free parameters with a prior, else over what the start determines."""
@@ -213,9 +219,15 @@ def _evaluator(
     if prior is not None:
         information_known = np.asarray(prior, dtype=float)
         return _PolishEvaluator(criterion, scaling, columns, information_known)
-    rows = information.scaled(m, start.series, m.nominal, scaling) @ columns
+    rows = scaled(m, start.series, m.nominal, scaling) @ columns
     _, singular_values, vt = np.linalg.svd(rows, full_matrices=False)
     estimable = vt[singular_values > UNDETERMINED * singular_values[0]].T
     nothing_known = np.zeros((estimable.shape[1],) * 2)
     restricted = criterion.restrict(estimable)
+    of_interest = isinstance(criterion, Determinant) and not criterion.any_coordinates
+    if of_interest and restricted.log_size < criterion.log_size:
+        raise ValueError(
+            "the readings do not determine the directions of interest: choose other"
+            " directions or readings"
+        )
     return _PolishEvaluator(restricted, scaling, columns @ estimable, nothing_known)

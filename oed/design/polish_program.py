@@ -16,6 +16,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.design import reading_slopes
+from oed.design.forms import Criterion
 from oed.design.reading_plan import (
     Ranges,
     ReadingPlan,
@@ -24,9 +25,8 @@ from oed.design.reading_plan import (
     settings_and_tool,
     tool_shift,
 )
-from oed.design.symbolic_criterion import SymbolicCriterion
-from oed.identifiability import information
-from oed.measurement.measurement import Series
+from oed.identifiability import Scaling
+from oed.measurement import Series
 from oed.model.instrument import Setup
 
 IPOPT: dict[str, Any] = {
@@ -207,8 +207,8 @@ class PolishProgram:
         self,
         basis: Array,
         prior: Array,
-        criterion: SymbolicCriterion,
-        scaling: information.Scaling,
+        criterion: Criterion,
+        scaling: Scaling,
     ) -> None:
         """The criterion over the columns of `basis`, and the held readings."""
         m = ca.MX(ca.DM(prior))

@@ -14,7 +14,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.design import reading_slopes
 from oed.design.reading_slopes import TOOL
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup
 
 #: by how much a held reading (m, rad) and a joint may miss in the end

@@ -19,8 +19,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed.identifiability.information import Scaling, column_scale
-from oed.measurement.measurement import Measurement
+from oed.identifiability import Scaling, column_scale
+from oed.measurement import Measurement
 from oed.model.expressions import machine_frame, symbols
 from oed.model.instrument import Frame, Setup
 from oed.model.machine import Machine

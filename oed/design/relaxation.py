@@ -24,8 +24,8 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design.blocks import as_blocks, information
 from oed.design.certificate import ROUNDING, knapsack_value
-from oed.design.criterion import Criterion, Determinant
-from oed.design.criterion.determinant import log_det_of_gram
+from oed.design.forms import Criterion, Determinant
+from oed.design.forms.determinant import log_det_of_gram
 from oed.design.newton import newton_steps, scale_to_size
 from oed.design.objective import CriterionObjective, Objective, Tangent
 from oed.design.whitening import EXACT, Rounding, gamma, is_ill_conditioned, whiten
@@ -97,7 +97,7 @@ def relax(
         raise ValueError(
             f"{goal.name} is not concave: see oed.design.condition for its bound"
         )
-    if isinstance(goal, Determinant) and goal.interest is None:
+    if goal.any_coordinates:
         return _relax_determinant(blocks, size, base, cap, tolerance, rounding)
     smooth = [c for c in goal.continuation() if c.smooth]
     start: Array | None = None

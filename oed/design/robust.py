@@ -12,7 +12,7 @@ a plan is valued by
 The mean, the conditional value at risk and the worst case are all the least of
 sum_s l_s f_s over shares l in a set of simplex type. So any shares in this set, with
 the supporting lines of the f_s, give a bound (joined as in
-`oed.design.criterion.compound`). The relaxation smooths the least value: shares are
+`oed.design.forms.compound`). The relaxation smooths the least value: shares are
 proportional to exp(-sharpness f_s), capped at 1 / (tail_share S).
 """
 
@@ -26,8 +26,9 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.blocks import as_blocks
-from oed.design.criterion import Criterion
+from oed.design.catalogue import CRITERIA
 from oed.design.evaluator import CriterionEvaluator, PlanEvaluator
+from oed.design.forms import Criterion
 from oed.design.objective import RIDGE, CriterionObjective, Tangent
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
@@ -75,8 +76,8 @@ def choose(
     """
     if not criterion.smooth:
         raise ValueError(
-            "a robust design needs a smooth criterion (D, Ds, A, c, I, phi_p, O5), not"
-            f" {criterion.name}"
+            "a robust design needs a smooth criterion"
+            f" ({', '.join(CRITERIA.smooth)}), not {criterion.name}"
         )
     if not 0.0 < tail_share <= 1.0:
         raise ValueError(

@@ -22,7 +22,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.criterion.protocol import inverse, parts, quadratic_forms
+from oed.design.forms.protocol import inverse, parts, quadratic_forms
 
 #: gain in log t below which an exchange counts as none
 GAIN = 1e-10

@@ -17,7 +17,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.design import relaxation
-from oed.design.criterion import Criterion
+from oed.design.forms import Criterion
 from oed.design.plan_limits import SetupLimit
 from oed.design.rules import MAX_COMBINATIONS, RelaxedRules, Rules
 

@@ -17,15 +17,13 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.design.blocks import as_blocks, information
 from oed.design.bounds import bound
-from oed.design.criterion import Criterion
 from oed.design.exchange import Choice, Problem, pose
+from oed.design.forms import Criterion
 from oed.design.relaxation import Relaxation
 from oed.design.rules import Rules
 
 #: the methods of this project, and the conic solvers that cvxpy calls
 Solver = Literal["built_in", "clarabel", "scs"]
-#: criteria whose weights every solver gives
-WEIGHED = ("D", "A", "E")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import canonical_rows, right_singular
 from oed.estimation.fitter import READINGS_ROUNDED, minimise
-from oed.identifiability import identifiability, information
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import analyse, whiten
+from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise
 
 
@@ -77,7 +77,7 @@ def identifiable_coordinates(
     free = np.flatnonzero(scale > 0)
     units = _PriorUnits(scale[free], measurement.correlation_root(free))
     jacobian = measurement.jacobian(series, theta)
-    whitened = units.slopes(information.whiten(jacobian, noise)[:, free])
+    whitened = units.slopes(whiten(jacobian, noise)[:, free])
     null_space = _null_space(measurement, series, jacobian, free)
     lost, determined = _split_directions(units.changes(null_space))
     # The right singular vectors of H, strongest first, decouple the sampler's
@@ -165,7 +165,7 @@ def _null_space(
     h = (jacobian * reading_lengths[:, None] / lengths)[:, free]
     names = [measurement.names[k] for k in free]
     scale = 1.0 / lengths[free]
-    identified = identifiability.analyse(h, names, scale)
+    identified = analyse(h, names, scale)
     return identified.null_space / lengths[free]
 
 

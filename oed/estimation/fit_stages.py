@@ -15,8 +15,8 @@ from oed.estimation.coordinates import (
 )
 from oed.estimation.estimate import Estimate, FitStage
 from oed.estimation.fitter import TRIALS, minimise
-from oed.identifiability import information
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import posterior_covariance
+from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise
 
 
@@ -114,7 +114,7 @@ class ReadingsFit:
         freed = tolerance > 0.0
         white = noise.whiten(self.measurement.jacobian(self.series, theta))
         h = self.measurement.in_prior_units(white, freed)
-        scaled = information.posterior_covariance(h)
+        scaled = posterior_covariance(h)
         leverage = np.einsum("ij,jk,ik->i", h, scaled, h)
         return self.measurement.from_prior_units(scaled, freed), leverage
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from oed.base import text, units
 from oed.estimation.estimate import AT_PRIOR, WEAK, Estimate
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.result.fit_limits import FAR, GUESS, chi2_is_large
 
 #: standard deviations from a bound within which an estimate is near it

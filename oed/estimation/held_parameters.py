@@ -25,7 +25,7 @@ from scipy import special
 from oed.base import units
 from oed.base.arrays import Array
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result.fit import HeldParameter
 from oed.result.fit_limits import FAR
 

@@ -37,7 +37,7 @@ from oed.estimation.law_stage import (
     settle_law,
     structure_and_prior,
 )
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.noise.covariance import Noise, as_noise
 from oed.noise.law_noise import noise_under

@@ -12,7 +12,7 @@ from oed.estimation.coordinates import IdentifiableCoordinates
 from oed.estimation.estimate import Estimate
 from oed.estimation.fit_stages import ReadingsFit, last_stage
 from oed.estimation.law_check import LawCheck, check_law
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import reading_structure
 from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.marginal import ResidualModel, integrate, most_probable

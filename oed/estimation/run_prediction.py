@@ -22,7 +22,7 @@ from scipy import linalg, special
 
 from oed.base.arrays import Array, Index
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result.goodness import LeftOutRun
 
 #: probability below which a run is surprising, over the number of runs

@@ -28,7 +28,7 @@ import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array
-from oed.identifiability import identifiability
+from oed.identifiability import analyse
 
 #: information about a change, in tolerances, below which it counts as undetermined: a
 #: standard deviation of ten tolerances
@@ -211,7 +211,7 @@ def combinations(
     if not len(root):
         return ()
     # one unit for all columns: the tolerance
-    verdict = identifiability.analyse(root, names, np.ones(len(names)))
+    verdict = analyse(root, names, np.ones(len(names)))
     scaled, inverse = verdict.combinations, np.linalg.pinv(root)
     estimates = scaled @ inverse @ white
     deviations = np.linalg.norm(scaled @ inverse, axis=1)

@@ -26,7 +26,7 @@ from scipy import special
 from oed.base.arrays import Array
 from oed.estimation.estimate import Estimate
 from oed.estimation.law_check import NO_NOISE
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.parameter import Parameter
 
 #: factors on the tolerances: four a decade, up to thirty times

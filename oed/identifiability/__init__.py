@@ -6,6 +6,8 @@ Scaling               columns in SI, as lengths, or in units of tolerances
 analyse               the identifiability that slopes of readings have
 assess                the same for series of a measurement
 column_scale          the factor by which each column of H is multiplied
+combination_text      a linear combination of parameters, as text
+explain               an assessment in sentences, with remedies
 lost_motions          rigid motions that no reading determines
 parameter_covariance  the same in SI
 posterior_covariance  covariance by readings and prior, in units of tolerances
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
         scaled,
         whiten,
     )
+    from oed.identifiability.sentences import combination_text, explain
 else:
     # imported when first used: a module of the room may need little of it
     __getattr__ = door(__name__)

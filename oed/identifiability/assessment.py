@@ -2,7 +2,7 @@
 
 The assessment needs no reading, only the slopes H of the readings over the parameters.
 `oed.identifiability.identifiability` finds rank and null directions of H,
-`oed.identifiability.information` the posterior covariance; `oed.identifiability.explain`
+`oed.identifiability.information` the posterior covariance; `oed.identifiability.sentences`
 puts the result into sentences.
 
 Remedies for lost directions are additional readings, tried on the slopes H. Each trial
@@ -22,7 +22,7 @@ from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.identifiability import identifiability, information
 from oed.identifiability.identifiability import Identifiability
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.expressions import passive_joints
 from oed.model.instrument import Channel, Cost, Frame, Instrument, mount
 from oed.model.machine import Expr, Parameter, Values

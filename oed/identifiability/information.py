@@ -18,7 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise, as_noise
 
 Scaling = Literal["si", "length", "tolerance"]

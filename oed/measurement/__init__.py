@@ -1,15 +1,35 @@
-"""A machine read by instruments: readings, slopes, noise of readings, simulation."""
+"""A machine read by instruments: readings, Jacobians, noise of readings, simulation.
 
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_noise import reading_covariances
-from oed.measurement.simulation import draw_parameters, draw_readings
+Measurement                a machine with its set-ups
+Response                   how readings change with what changes at their poses
+Series                     readings of one set-up at commanded poses
+commands_at_fixed_reading  commands at which an instrument keeps its reading
+draw_errors                errors of readings, by the stated noise
+draw_parameters            true parameters of virtual machines
+draw_readings              noisy readings of virtual machines
+mode_jumps                 poses on another side of a singularity than the nominal ones
+reading_covariances        covariance of each reading by itself
+reading_sigma              standard deviation of each reading by itself
+reading_structure          runs, chains and courses that readings belong to
+run_errors                 how readings move with the errors that their run shares
+source_gradients           how readings move with the errors inside an instrument
+"""
 
-__all__ = [
-    "Measurement",
-    "Series",
-    "commands_at_fixed_reading",
-    "draw_parameters",
-    "draw_readings",
-    "reading_covariances",
-]
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from oed.measurement.fixed_reading import commands_at_fixed_reading
+    from oed.measurement.measurement import Measurement, Response, Series, mode_jumps
+    from oed.measurement.noise_structure import reading_structure
+    from oed.measurement.reading_noise import (
+        reading_covariances,
+        reading_sigma,
+        run_errors,
+        source_gradients,
+    )
+    from oed.measurement.simulation import draw_errors, draw_parameters, draw_readings
+else:
+    # imported when first used: CasADi takes time to load
+    __getattr__ = door(__name__)

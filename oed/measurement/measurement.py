@@ -10,9 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Mask
-from oed.measurement.observation import Response
 from oed.measurement.reading_noise import stated_noise
-from oed.measurement.setup_readings import SetupReadings
+from oed.measurement.setup_readings import Response, SetupReadings
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.mechanism.nearby_poses import NearbyPoses
 from oed.model.instrument import Setup
@@ -200,6 +199,12 @@ class Measurement(ParameterVector):
             free = np.flatnonzero(self.free[: len(controller.parameters)])
             theta[free] = controller.parameters[free]
         return theta
+
+    def reading_seconds(self, setup: str) -> float:
+        """Time of one planned reading with all passes that are averaged into it, s."""
+        mounted = self.setups[setup]
+        passes = len(mounted.protocol.pass_names) if mounted.protocol.average else 1
+        return mounted.instrument.cost.reading * passes
 
     def expected_poses(self, series: Series) -> Array:
         """Poses (m, nx) at which readings are planned. Raises AssemblyError.

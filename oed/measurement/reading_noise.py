@@ -92,11 +92,11 @@ def reading_covariances(readings: SetupReadings, series: Series) -> Array:
     if instrument.sources is None:
         return np.square(sigma)[:, :, None] * np.eye(sigma.shape[1])
     default = np.array([c.sigma for c in instrument.channels])
-    root = source_slopes(readings, series) * (sigma / default)[:, :, None]
+    root = source_gradients(readings, series) * (sigma / default)[:, :, None]
     return np.asarray(root @ np.swapaxes(root, 1, 2))
 
 
-def source_slopes(readings: SetupReadings, series: Series) -> Array:
+def source_gradients(readings: SetupReadings, series: Series) -> Array:
     """Slopes (n, channels, sources), SI, over the errors inside an instrument.
 
     Each error is in its standard deviation. Only for instruments that state them.

@@ -13,7 +13,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_structure import common_statement, reading_structure
+from oed.measurement.noise_structure import common_statement, reading_structure
 from oed.noise.process import Whitening, stated_laws
 
 #: draws of a machine at most, until it keeps to the bounds of its parameters

@@ -8,7 +8,7 @@ In units of the stated noise, a chain of readings (one channel of a run) has the
 with white_k and level independent standard normal, carried_k an Ornstein-Uhlenbeck
 process with correlation exp(-|k - l| / reach), s the channel's own, seat the set-up's unknowns that the run
 seated anew, with slopes c, and shared the errors that instrument and study state. The
-course of the session goes through all runs (`oed.measurement.reading_structure`).
+course of the session goes through all runs (`oed.measurement.noise_structure`).
 
 White and carried error have a banded root (`oed.noise.banded`); what a run shares is a
 matrix of a few columns, taken out by the Woodbury identity (`oed.noise.banded`). Both are

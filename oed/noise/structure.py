@@ -38,7 +38,7 @@ class ReadingStructure:
     kinds      (K,) LEVEL, KNOWN, RENEWED, STATED_LEVEL or STATED_SEAT
     statement  of the parts that all readings have: what is carried along, tails
     course     (N, c) modes of what each group's readings share through the session, of
-               unit standard deviation at its end (`oed.measurement.reading_structure`)
+               unit standard deviation at its end (`oed.measurement.noise_structure`)
     effects    (N, k) changes per standard deviation of independent normal coefficients
                that all readings share: what the model lacks, in units of the stated noise
     """

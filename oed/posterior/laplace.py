@@ -16,7 +16,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.base.linear_algebra import covariance_root
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.posterior.log_density import LogDensity, OutOfBoundsError
 
 #: draws of the parameters: their covariance is known to 2 %; rounds of them at most

@@ -17,17 +17,17 @@ import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
 from oed.estimation.estimate import Estimate
-from oed.measurement.interpolated_readings import (
+from oed.measurement import Measurement, Series
+from oed.model.series import take_values
+from oed.noise.marginal import NoisePosterior, ResidualModel
+from oed.noise.process import Whitening
+from oed.posterior.interpolated_readings import (
     CHECKS,
     LEAST_READINGS,
     POINTS,
     Readings,
     interpolate,
 )
-from oed.measurement.measurement import Measurement, Series
-from oed.model.series import take_values
-from oed.noise.marginal import NoisePosterior, ResidualModel
-from oed.noise.process import Whitening
 
 #: degrees of freedom of the independent proposals' Student tails
 PROPOSAL_DOF = 20.0
@@ -123,7 +123,7 @@ class LogDensity:
         return self._interpolated(self.coordinates.null_basis)
 
     def _interpolated(self, null: Array) -> Readings:
-        """Readings of long sessions from a few of them (`oed.measurement.interpolated_readings`).
+        """Readings of long sessions from a few of them (`oed.posterior.interpolated_readings`).
 
         null  (n, k) directions that move by their prior
         """

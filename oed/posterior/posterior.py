@@ -18,7 +18,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.posterior import chains, importance
 from oed.posterior.chains import MIXED_RHAT
 from oed.posterior.checkpoint import Checkpoint

@@ -14,8 +14,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import Measurement, Series, reading_structure
 from oed.noise.process import Whitening, stated_laws
 from oed.noise.structure import ReadingStructure
 from oed.posterior.posterior import Posterior

@@ -14,7 +14,7 @@ from oed.accuracy.maps import driven_errors, error_maps
 from oed.base import units
 from oed.base.arrays import Array
 from oed.estimation.coordinates import coordinates_of_readings
-from oed.identifiability.assessment import assess
+from oed.identifiability import assess
 from oed.mechanism.batch import begin_job
 from oed.result import trust
 from pkm_campaign.interval import HALF_WIDTH

@@ -9,7 +9,7 @@ import contextlib
 import dataclasses
 from typing import Final
 
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
 from pkm_page import rows

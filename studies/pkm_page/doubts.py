@@ -13,7 +13,7 @@ from oed.base.arrays import Array
 from oed.checks import CheckFinding, Severity
 from oed.checks.ranges import predict_ranges
 from oed.dataset.columns import written
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result.fit_limits import GUESS
 from pkm_page import typed
 from pkm_studies.base import Stream

@@ -16,7 +16,7 @@ from oed import dataset
 from oed.base.arrays import Array
 from oed.dataset import dialect
 from oed.dataset.columns import column_name, parse_column
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.machine import Coordinate
 from pkm_page.readings_log import REMARK, UNDONE, FileContent
 from pkm_studies.base import InputError

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.base import units
 from oed.dataset.columns import column_name, written
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup
 from pkm_page import approach, doubts, known, rows
 from pkm_page.readings_log import REMARK, FileContent

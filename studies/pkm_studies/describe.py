@@ -14,8 +14,7 @@ import oed
 from oed import result
 from oed.base import units
 from oed.base.arrays import Array, Index
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_noise import reading_sigma
+from oed.measurement import Measurement, Series, reading_sigma
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Channel, Setup
 from oed.model.machine import Coordinate, Machine

@@ -8,7 +8,7 @@ from pathlib import Path
 from oed import dataset
 from oed.dataset import Dataset, ReadingsError
 from oed.dataset import table as readings_table
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from pkm_studies.base import InputError, SourceAbsentError, suggest
 from pkm_studies.plugins import project_plugins
 from pkm_studies.study import Row, Study

@@ -12,7 +12,7 @@ import pytest
 
 from oed.accuracy import driven_errors, error_maps, predict
 from oed.estimation import identify
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import reading_structure
 from oed.noise import noise_prior
 from oed.posterior import laplace
 from pkm_studies.commands import main

@@ -25,8 +25,7 @@ from oed.accuracy.budget.model import (
 )
 from oed.accuracy.maps import ErrorMaps, Reference, maps_by_reference
 from oed.base.arrays import Array
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series, draw_parameters
 from oed.mechanism.kinematics import AssemblyError
 from oed.mechanism.pose_errors import NO_TOOL
 
@@ -204,7 +203,7 @@ def variance_over_machines(
     count = len(measurement.machine.parameters)
     sums: dict[Reference, Array] = {}
     assembled = 0
-    for truth in simulation.draw_parameters(measurement, rng, MACHINES):
+    for truth in draw_parameters(measurement, rng, MACHINES):
         try:
             covariance = budget_model(measurement, series, truth).covariance()
             by_reference = maps_by_reference(

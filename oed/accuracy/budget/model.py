@@ -23,8 +23,7 @@ from typing import Literal
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import Measurement, Series, reading_structure
 from oed.noise.law_noise import (
     BEYOND,
     COURSE,

@@ -29,8 +29,7 @@ from oed.checks.mistakes.trial import (
     in_values,
 )
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Series
-from oed.measurement.reading_noise import source_slopes
+from oed.measurement import Series, source_gradients
 from oed.model.instrument import InnerReading
 
 #: log prior of another factor in part of a set-up: it belongs to the instrument
@@ -312,7 +311,7 @@ def _slopes(given: Given, name: str) -> Array:
         for one in setup.instrument.inner:
             if one.name == name:
                 readings = session.measurement.of(series)
-                of_sources = source_slopes(readings, series)
+                of_sources = source_gradients(readings, series)
                 of_errors = of_sources[:, :, list(one.sources)].sum(axis=2)
                 slopes[span] = of_errors.ravel() / setup.settings[one.noise]
     return slopes

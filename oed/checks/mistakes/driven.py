@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from oed.base.arrays import Array, Mask
 from oed.checks.mistakes.moved import Moved
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.machine import RANGE_SLACK, Machine, Tool
 
 #: a full turn, rad

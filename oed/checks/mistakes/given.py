@@ -14,7 +14,7 @@ from oed.checks.fit import Fit
 from oed.checks.mistakes.scope import Scope, part_scopes, run_scopes, whole_scopes
 from oed.checks.session import SessionReadings
 from oed.dataset.columns import column_name, parse_column
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 
 #: noise within which two readings are the same
 SAME = 0.2

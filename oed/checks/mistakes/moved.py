@@ -16,7 +16,7 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, PoseTable, in_scopes
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.instrument import Setup
 

@@ -40,7 +40,7 @@ from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, amount
 from oed.dataset.columns import column_name
 from oed.dataset.notations import notations
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Coordinate
 

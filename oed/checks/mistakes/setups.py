@@ -15,7 +15,7 @@ from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.moved import Moved, by_run, moved_trials
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 
 #: readings of a run whose pose may be the reference, of so many
 PLACES: dict[str, Callable[[int], int]] = {

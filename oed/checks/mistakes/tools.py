@@ -22,7 +22,7 @@ from oed.checks.mistakes.moved import AGAIN, Moved, mounted_again, with_moved
 from oed.checks.mistakes.scope import Scope
 from oed.checks.mistakes.trial import MistakeTrial, PoseTable, amount, in_scopes
 from oed.checks.session import SessionReadings
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 
 #: step of the tool's length for differences, m
 STEP = 1e-4

@@ -28,7 +28,7 @@ from oed.estimation.estimate import Estimate
 from oed.estimation.identification import IdentificationError
 from oed.gap.cause.hypothesis import PRIOR
 from oed.gap.data.diagnosis import AnswerContent
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.effect import Effect
 from oed.posterior import laplace

@@ -18,7 +18,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.gap.data import state as states_of
 from oed.gap.data.problem import GapProblem
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 from oed.model.effect import State
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from oed.accuracy.maps import ErrorMaps, Reference, error_maps
 from oed.base.arrays import Array
 from oed.gap.data import state as states_of
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.machine import Parameter
 from oed.model.series import TakenReadings
 

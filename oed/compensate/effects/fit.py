@@ -23,7 +23,7 @@ from oed.gap.data import problem as problems
 from oed.gap.data import signature as signatures
 from oed.gap.data.linearisation import ActingEffectForm, settle
 from oed.gap.data.state import DOWN
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.effect import Effect, State
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ import numpy as np
 
 from oed.accuracy.prediction import ErrorMaps
 from oed.base.arrays import Array
-from oed.design.criterion import Criterion, LargestVariance, Variance
-from oed.measurement.measurement import Measurement
+from oed.design.forms import Criterion, LargestVariance, Variance
+from oed.measurement import Measurement
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from oed.base.arrays import Array, Index
 from oed.design import candidates
 from oed.design.candidates import Candidates
 from oed.design.nuisances import Nuisances
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup
 from oed.model.machine import Machine
 

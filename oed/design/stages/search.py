@@ -18,7 +18,7 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.design.criterion.protocol import inverse
+from oed.design.forms.protocol import inverse
 from oed.design.stages.bound.goal_bound import GoalBound, bound_goal
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option

@@ -28,7 +28,7 @@ from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.power import FALSE_ALARM, needed_lambda, power
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from oed.result.gap_before import DetectabilityRecord, DetectabilityTable

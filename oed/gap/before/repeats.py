@@ -19,7 +19,7 @@ from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.gap.before.runs import CONDITIONS, Run
 from oed.gap.data.problem import GapProblem
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 
 #: from the last reading to a second visit, s
 PAUSE = 600.0

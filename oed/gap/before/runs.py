@@ -18,7 +18,7 @@ from oed.gap.before.forms import Form, effect_forms
 from oed.gap.before.separation import Separation, Target
 from oed.gap.data import state
 from oed.gap.data.problem import GapProblem, assemble
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 

@@ -39,7 +39,7 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem, assemble
 from oed.gap.forms import discrepancy
 from oed.gap.forms import library as libraries
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 from oed.model.effect import Effect
 from oed.noise.law import NoiseLaw
 from oed.result.gap_before import SeparationRecord

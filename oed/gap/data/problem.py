@@ -22,8 +22,7 @@ from oed.base.arrays import Array, Index
 from oed.estimation import identification
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
-from oed.measurement.measurement import Measurement, Response, Series
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import Measurement, Response, Series, reading_structure
 from oed.model.effect import Effect, State
 from oed.noise.law import NoiseLaw
 from oed.noise.process import stated_laws

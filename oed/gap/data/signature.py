@@ -17,7 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Mask
-from oed.measurement.measurement import Measurement, Response, Series
+from oed.measurement import Measurement, Response, Series
 from oed.model.effect import Column, Effect, State
 
 #: norm of a signature over all readings, in units of the noise, up to which a

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from oed.base.arrays import Array, Index, rows_by_label
 from oed.dataset.columns import TEMPERATURE, TENSION
 from oed.gap.data.motion import motion, tool_places
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.effect import State
 
 DOWN = (0.0, 0.0, -1.0)

@@ -15,7 +15,7 @@ import pandas as pd
 
 from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 
 #: names of the carriers whose columns are the joints and the channels' readings
 JOINTS = "the joints"

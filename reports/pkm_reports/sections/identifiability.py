@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
+from oed.design import CRITERIA
 from oed.result import (
     IdentifiabilityFinding,
     IdentifiabilitySection,
     StudyResult,
-    indices,
 )
 from pkm_reports import missing, text
 from pkm_reports.blocks import (
@@ -201,13 +201,13 @@ def _indices(
 ) -> Table:
     """The indices that the study asks for: of its readings, and of the variants."""
     entries = {"this plan": section, **variants}
-    symbols = [indices.symbol(name) for name in section.indices]
+    symbols = [CRITERIA.symbol(name) for name in section.indices]
     rows = [
         [plan, str(one.rank), *_values(one, section.indices)]
         for plan, one in entries.items()
     ]
     columns = [TableColumn("Readings"), *number_columns("Rank", *symbols)]
-    sentences = " ".join(map(text.sentence, indices.sentences(section.indices)))
+    sentences = " ".join(map(text.sentence, CRITERIA.sentences(section.indices)))
     caption = (
         "Indices of the identification matrix over the directions that each determines;"
         f" compare plans of equal rank. Of this plan: {sentences}"

@@ -18,7 +18,7 @@ from scipy import linalg, stats
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result import CorrectedSection, EstimateSection, RunCurve
 from pkm_studies import result_folder
 from pkm_studies.base import Location, Silent

@@ -17,7 +17,7 @@ import importlib
 import inspect
 import pkgutil
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from types import ModuleType
@@ -31,13 +31,19 @@ from pkm_studies.user_code import Origin
 #: characters of an error that are shown
 LONGEST_REASON = 120
 
-KINDS = ("machines", "instruments", "effects", "criteria", "formats")
+#: kinds that installed packages add to
+OPEN_KINDS = ("machines", "instruments", "effects", "formats")
+KINDS = (*OPEN_KINDS, "criteria")
 #: packages with the shipped ones of a kind, and attribute that may be left out, where
 #: these are not `pkm_models.KIND` and the kind's singular
-PACKAGES = {"formats": "pkm_studies.compensation.formats"}
+PACKAGES = {
+    "criteria": "oed.design.criteria",
+    "formats": "pkm_studies.compensation.formats",
+}
 ATTRIBUTES = {"formats": "controller"}
 #: module and name of the class of a kind's items
 CLASSES = {
+    "criteria": ("oed.design", "NamedCriterion"),
     "machines": ("oed.model.machine", "Machine"),
     "instruments": ("oed.model.instrument", "Instrument"),
     "effects": ("oed.model.effect", "Effect"),
@@ -64,11 +70,6 @@ class CatalogueEntry:
 
 def listing(kind: str) -> list[CatalogueEntry]:
     """The catalogue of one of KINDS, by name."""
-    if kind == "criteria":
-        return [
-            CatalogueEntry(c.name, c.about, c.source, f"oed.design.criteria:{c.name}")
-            for c in _criteria().values()
-        ]
     return [
         CatalogueEntry(name, item.about, item.source, where)
         for name, (where, item) in sorted(named_items(kind).items())
@@ -126,24 +127,9 @@ def function(reference: str, origin: Origin, location: Location) -> Callable[...
     )
 
 
-def criterion(name: str, location: Location) -> str:
-    """The name of a known criterion. Raises InputError."""
-    available = _criteria()
-    if name not in available:
-        raise location.error("no such criterion", suggest(name, available), name)
-    return name
-
-
-def _criteria() -> Mapping[str, Any]:
-    catalogue: Mapping[str, Any] = importlib.import_module(
-        "oed.design.criteria"
-    ).CATALOGUE
-    return catalogue
-
-
 @functools.cache
 def named_items(kind: str) -> dict[str, tuple[str, Any]]:
-    """Machines, instruments, effects or formats by name, each with its long name."""
+    """Machines, instruments, effects, criteria or formats by name, each with its long name."""
     wanted = _item_class(kind)
     package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
     items: dict[str, tuple[str, Any]] = {}
@@ -151,7 +137,7 @@ def named_items(kind: str) -> dict[str, tuple[str, Any]]:
         for attribute, item in vars(importlib.import_module(info.name)).items():
             if isinstance(item, wanted):
                 items.setdefault(item.name, (f"{info.name}:{attribute}", item))
-    for point, item in _installed(kind):
+    for point, item in _installed(kind) if kind in OPEN_KINDS else ():
         if isinstance(item, wanted):
             items.setdefault(item.name, (point.value, item))
     return items
@@ -267,7 +253,7 @@ def _named_modules() -> set[str]:
     points = entry_points()
     groups = [group for group in points.groups if group.startswith(GROUPS)]
     names = {point.module for group in groups for point in points.select(group=group)}
-    for kind in ("machines", "instruments", "effects", "formats"):
+    for kind in OPEN_KINDS:
         package = importlib.import_module(PACKAGES.get(kind, f"pkm_models.{kind}"))
         listed = pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
         names |= {info.name for info in listed}

@@ -9,8 +9,7 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement, commands_at_fixed_reading
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Instrument, mount
 from oed.model.machine import Family, Machine

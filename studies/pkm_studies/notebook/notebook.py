@@ -14,7 +14,7 @@ from typing import Any, Literal
 import msgspec
 
 from oed.base.arrays import Array
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.result import StudyResult
 from pkm_studies import shipped
 from pkm_studies.base import Silent

@@ -13,7 +13,7 @@ from oed.base.arrays import Array, Mask
 from oed.design import feasible
 from oed.design.clearance import Surroundings, cup_place
 from oed.design.segments import Capsule
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.machine import Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location

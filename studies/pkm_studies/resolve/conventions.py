@@ -19,7 +19,7 @@ from pkm_studies.catalogue import CatalogueEntry
 from pkm_studies.quantities import column
 
 if TYPE_CHECKING:
-    from oed.measurement.measurement import Measurement
+    from oed.measurement import Measurement
     from pkm_studies.study import Study
 
 COMMAND, JOINT, ERROR, READING = "command", "joint", "pose error", "reading"

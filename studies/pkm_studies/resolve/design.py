@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import get_args
 
 import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
+from oed.design import CRITERIA
 from oed.design.quotas import QuotaSet
-from oed.design.weights import WEIGHED
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import command_ranges, lookup, quotas
 from pkm_studies.resolve.grids import ReferencePlan
 from pkm_studies.study import Study
-from pkm_studies.tables import CriterionName, DesignTable
+from pkm_studies.tables import DesignTable
 
-#: criteria by their names in the schema
-CRITERIA: tuple[str, ...] = get_args(CriterionName)
-#: criteria that polishing can improve
-POLISHED = ("D", "O1", "Ds", "A", "c", "I", "E", "O3")
-#: criteria that branch and bound knows
-SMOOTH = ("D", "Ds", "A", "c", "I", "O1", "O5")
 #: remedy for what needs prior tolerances
 USE_PRIOR = 'write scaling = "tolerance" and prior = true'
 
@@ -105,10 +98,11 @@ def _check_fields(study: Study, table: DesignTable, location: Location) -> None:
 
 
 def _check_polish(study: Study, table: DesignTable, location: Location) -> None:
-    if table.judged_by not in POLISHED:
+    polished = CRITERIA.polished
+    if table.judged_by not in polished:
         raise location.error(
-            f"criterion {table.judged_by} has no slope to polish along",
-            f"take one of {', '.join(POLISHED)}, or leave polishing out",
+            f"criterion {table.judged_by} has no gradient to polish along",
+            f"take one of {', '.join(polished)}, or leave polishing out",
         )
     if study.machine.controller is not None:
         raise location.error(
@@ -120,10 +114,10 @@ def _check_polish(study: Study, table: DesignTable, location: Location) -> None:
 def _check_criteria(study: Study, table: DesignTable, location: Location) -> None:
     for name in table.compound:
         field_location = location.key("compound").key(name)
-        lookup.known_name(name, CRITERIA, field_location, "criterion")
+        lookup.known_name(name, CRITERIA.of_plans, field_location, "criterion")
     for i, name in enumerate(table.compare):
         field_location = location.key("compare").item(i)
-        lookup.known_name(name, CRITERIA, field_location, "criterion")
+        lookup.known_name(name, CRITERIA.of_plans, field_location, "criterion")
     if table.compound and table.criterion != "D":
         raise location.key("compound").error(
             "a criterion is given as well", "keep criterion or compound"
@@ -158,10 +152,11 @@ def _check_prior(table: DesignTable, location: Location) -> None:
 def _check_branching(table: DesignTable, location: Location) -> None:
     """Raises InputError for fields that a tree's bound does not hold under."""
     nodes, location = table.branch_nodes, location.key("branch_nodes")
-    rough = [name for name in table.criteria if name not in SMOOTH]
+    smooth = CRITERIA.smooth
+    rough = [name for name in table.criteria if name not in smooth]
     if rough:
         problem = f"branch and bound needs a smooth criterion, not {', '.join(rough)}"
-        remedy = f"take one of {', '.join(SMOOTH)}, or leave branch_nodes out"
+        remedy = f"take one of {', '.join(smooth)}, or leave branch_nodes out"
         raise location.error(problem, remedy, nodes)
     for name, value in _given_rules(table).items():
         if value:
@@ -192,10 +187,11 @@ def _check_method(table: DesignTable, location: Location) -> None:
             )
         return
     field_location = location.key("method")
-    if table.judged_by not in WEIGHED:
+    weighed = CRITERIA.weighed
+    if table.judged_by not in weighed:
         raise field_location.error(
-            f"weights are for {', '.join(WEIGHED)}, not {table.judged_by}",
-            f"take one of {', '.join(WEIGHED)}, or leave method out",
+            f"weights are for {', '.join(weighed)}, not {table.judged_by}",
+            f"take one of {', '.join(weighed)}, or leave method out",
             table.method,
         )
     fields = {
@@ -216,14 +212,15 @@ def _check_needs(
     study: Study, table: DesignTable, name: str, location: Location
 ) -> None:
     """Raises InputError where a criterion lacks its workspace, prior or combination."""
-    if name in ("I", "G") and study.prediction is None:
+    needs = CRITERIA[name].needs
+    if needs == "accuracy" and study.prediction is None:
         raise location.error(
             "accuracy over which workspace?", "add a [prediction] table", name
         )
-    if name in ("I", "G") and not table.prior:
+    if needs == "accuracy" and not table.prior:
         problem = "accuracy depends on the tolerances of what no reading sees"
         raise location.error(problem, USE_PRIOR, name)
-    if name == "c" and not table.combination:
+    if needs == "combination" and not table.combination:
         raise location.error(
             "which combination?", "add combination = { PARAMETER = 1.0 }", name
         )

@@ -12,7 +12,7 @@ from oed.base.arrays import Array
 from oed.design.plan_limits import DistanceLimit, ReadingTimes, SetupLimit, TimeBudget
 from oed.design.rules import Rules
 from oed.gap.before.runs import Run
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.effect import Effect
 from pkm_studies import catalogue
 from pkm_studies.base import Location

@@ -14,8 +14,7 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series, commands_at_fixed_reading
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Coordinate, Machine

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model.instrument import Setup
 from oed.noise.statement import NoiseStatement
 from pkm_studies import quantities

@@ -15,10 +15,9 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.compensate.effects.planned_effects import PlannedEffects
-from oed.design.candidates import reading_time
 from oed.design.nuisances import Nuisances
 from oed.design.stages.option import Option, build_option
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from pkm_studies import quantities
 from pkm_studies.base import Location
 from pkm_studies.resolve import grids, lookup
@@ -323,6 +322,6 @@ def _candidate_seconds(option: Option, pass_seconds: float) -> Array:
     seconds = []
     for name in candidates.setups:
         usual = measurement.setups[name].instrument.cost.reading
-        seconds.append(pass_seconds * reading_time(measurement, name) / usual)
+        seconds.append(pass_seconds * measurement.reading_seconds(name) / usual)
     each = np.array(seconds)
     return each[candidates.setup] * candidates.members[:, 1]

@@ -16,7 +16,7 @@ from oed.compensate.effects.planned_effects import PlannedEffects, planned_effec
 from oed.design.candidates import Candidates
 from oed.gap.data import problem as problems
 from oed.gap.data.problem import GapProblem
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.effect import Effect
 from pkm_studies.base import Location
 from pkm_studies.resolve.gap import GapRequest
@@ -124,4 +124,4 @@ def pose_error_slopes(pool: Candidates, raw: Array, effects: PlannedEffects) -> 
     by_parameter = np.zeros((poses, components, len(measurement.names)))
     by_parameter[:, :, :parameters] = raw
     scaled = (by_parameter * measurement.tolerance)[:, :, measurement.free]
-    return pool.over_all_columns(np.concatenate([scaled, effects.tool], axis=2))
+    return pool.spread(np.concatenate([scaled, effects.tool], axis=2))

@@ -16,7 +16,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Index, Mask
 from oed.design.quotas import Quota, QuotaSet, equal_numbers
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.machine import Machine
 from pkm_studies import quantities
 from pkm_studies.base import Location, suggest

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from oed.dataset.digests import digests
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import Kinematics
 from oed.model.instrument import Setup
 from oed.model.machine import Machine

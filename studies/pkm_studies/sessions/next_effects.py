@@ -19,9 +19,8 @@ from oed.design import candidates
 from oed.design.blocks import information
 from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief, weights_of
-from oed.identifiability.information import prior_information
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_structure import reading_structure
+from oed.identifiability import prior_information
+from oed.measurement import Measurement, Series, reading_structure
 from oed.noise.covariance import Noise
 from oed.noise.law_noise import noise_under
 from oed.noise.process import stated_laws

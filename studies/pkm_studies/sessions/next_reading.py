@@ -18,7 +18,7 @@ from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief
 from oed.estimation import identification
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result import trust
 from pkm_studies import quantities
 from pkm_studies.base import InputError, Silent, Stream

@@ -10,7 +10,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.base.text import format_number
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 from oed.result.verdict import SURE, Judgement, judge, overall, percent
 from pkm_studies import describe, quantities
 from pkm_studies.sessions.next_effects import Outlook

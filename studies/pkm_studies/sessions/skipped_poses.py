@@ -17,7 +17,7 @@ from oed.base.arrays import Array, Mask
 from oed.dataset import dialect
 from oed.dataset.columns import column_name, parse_column
 from oed.design.candidates import Candidates
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from pkm_studies.base import InputError
 
 #: how the remark of a skipped pose begins

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from oed.base.text import format_number
+from oed.design import CRITERIA
 from oed.result import (
     IMPORTANCE,
     CorrectedSection,
@@ -20,7 +21,6 @@ from oed.result import (
     PosteriorSection,
     PredictionSection,
     StudyResult,
-    indices,
     verdict,
 )
 from oed.result.verdict import accuracy_verdicts
@@ -269,7 +269,7 @@ def _rank(section: IdentifiabilitySection | None) -> list[str]:
 
 def _indices(section: IdentifiabilitySection | None) -> list[str]:
     """The indices that the study asks for."""
-    return [] if section is None else indices.sentences(section.indices)
+    return [] if section is None else CRITERIA.sentences(section.indices)
 
 
 def _fit(section: EstimateSection | None, checked: GoodnessSection | None) -> list[str]:

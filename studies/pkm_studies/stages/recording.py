@@ -24,7 +24,7 @@ from oed.compensate.effects.remaining_error import (
     relative,
 )
 from oed.gap.data.problem import GapProblem
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.effect import Effect
 from oed.result import RecordedChoice, RecordingSection
 from pkm_studies.resolve import (

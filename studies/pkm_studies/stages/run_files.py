@@ -12,7 +12,7 @@ import numpy as np
 import oed
 from oed import dataset
 from oed.base import own_files
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.posterior import posterior
 from oed.posterior.checkpoint import Checkpoint
 from oed.posterior.posterior import Posterior

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from oed.base.arrays import Array, Mask
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.noise.prior import LEAST_FREEDOM
 from oed.result import EstimateSection, GoodnessSection, StudyResult
 from pkm_studies import describe
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from oed.compensate.effects.mixture import AnswerMixture
     from oed.estimation.identification import Estimate
     from oed.gap.data.diagnosis import Diagnosis
-    from oed.identifiability.assessment import Assessment
+    from oed.identifiability import Assessment
     from oed.posterior.checkpoint import Checkpoint
     from oed.posterior.posterior import Posterior
     from pkm_studies.stages.design.select import ChosenDesign

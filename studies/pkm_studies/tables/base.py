@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import msgspec
+
+from oed.design import CRITERIA
 
 Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 RunCount = Annotated[int, msgspec.Meta(ge=1, le=100_000)]
@@ -16,10 +18,12 @@ Triple = tuple[float, float, float]
 Pair = tuple[float, float]
 #: a number, a list of numbers, or a list of points
 Numbers = float | list[float | list[float]]
-CriterionName = Literal[
-    "D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5"
-]
-IndexName = Literal["kappa", "O1", "O2", "O3", "O4", "O5", "noise_amplification"]
+if TYPE_CHECKING:
+    CriterionName = str
+    IndexName = str
+else:  # as the catalogue lists them
+    CriterionName = Literal[CRITERIA.of_plans]
+    IndexName = Literal[CRITERIA.indices]
 #: readings chosen where neither a number nor a budget is given
 READINGS = 30
 

@@ -120,7 +120,7 @@ def held(rng: np.random.Generator, n: int) -> Array:
 
 
 def lost(seen: Assessment) -> IdentifiabilityFinding:
-    return next(f for f in explain.explain(seen) if f.kind == "lost")
+    return next(f for f in explain(seen) if f.kind == "lost")
 
 
 def test_full_poses_in_a_known_frame_see_42_of_42(rng: np.random.Generator) -> None:

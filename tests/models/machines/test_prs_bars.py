@@ -45,7 +45,7 @@ def analyse(
 
 def lost_text(analysis: Assessment) -> str:
     """The sentence about lost directions."""
-    findings = explain.explain(analysis)
+    findings = explain(analysis)
     return next(f.text for f in findings if "lost" in f.text.lower())
 
 

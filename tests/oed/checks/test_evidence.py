@@ -16,8 +16,7 @@ from oed.checks import evidence, screening
 from oed.checks.fit import fit, fit_amounts
 from oed.checks.mistakes import Given, trials
 from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
-from oed.measurement import Measurement
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import Measurement, reading_structure
 from oed.model import mount
 from oed.noise import Laws, ReadingStructure, prior
 from oed.noise.law_noise import noise_under

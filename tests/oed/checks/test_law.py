@@ -6,7 +6,7 @@ import pytest
 
 from kernel.dense_noise import dense_covariance
 from oed.checks.session import CheckedLaw
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import reading_structure
 from oed.noise import LEVEL, Laws
 
 

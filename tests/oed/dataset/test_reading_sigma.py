@@ -12,7 +12,7 @@ from oed import Measurement, dataset, mount
 from oed.dataset import ReadingsError
 from oed.estimation import identify
 from oed.gap import prepare
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import reading_structure
 from oed.posterior import draw_approximation
 
 laser = laser_ball_bar.position

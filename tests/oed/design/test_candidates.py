@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans
-from oed.design.candidates import build, reading_time
-from oed.design.criterion.determinant import Determinant
+from oed.design.candidates import build
+from oed.design.forms.determinant import Determinant
 
 M = a3_plans.measurement()
 SERIES = a3_plans.circles(M, 6)
@@ -40,7 +40,7 @@ def test_a_whole_run_has_the_information_of_its_readings() -> None:
     for block, run in zip(candidates.blocks, runs, strict=True):
         rows = np.flatnonzero(SERIES.run == run)
         assert block.T @ block == pytest.approx(exact_information(rows), rel=1e-9)
-    seconds = reading_time(M, NAME)
+    seconds = M.reading_seconds(NAME)
     count = np.array([(SERIES.run == run).sum() for run in runs])
     assert candidates.cost == pytest.approx(seconds * count)
 

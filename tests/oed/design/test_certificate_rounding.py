@@ -8,9 +8,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from oed.design import condition, exchange, relaxation
-from oed.design.criterion import named
-from oed.design.criterion.determinant import Determinant
+from oed.design import CRITERIA, condition, exchange, relaxation
+from oed.design.forms.determinant import Determinant
 from oed.design.objective import CriterionObjective
 from oed.design.whitening import whiten
 
@@ -130,7 +129,8 @@ def test_lines_lie_above_other_criteria_by_their_height(name: str) -> None:
     rng = np.random.default_rng(4)
     factor = rng.standard_normal((1 if name == "c" else 3, 5))
     interest = np.linalg.qr(factor.T)[0]
-    goal = named(name, 5, interest=interest, factor=factor)
+    ingredients = {"Ds": interest, "c": factor, "I": factor[None]}
+    goal = CRITERIA.over(name, 5, ingredients.get(name))
     for kappa in (1e2, 1e5):
         rows = rng.standard_normal((12, 5)) * np.logspace(0.0, -np.log10(kappa), 5)
         line = goal.support(rows.T @ rows)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oed.design import condition, conic
-from oed.design.criterion import ExtremeEigenvalues
+from oed.design.forms import ExtremeEigenvalues
 
 METHODS = (condition.relax, condition.e_optimal, condition.o4)
 TOLERANCES = (1e-4, 1e-4, 1e-3)

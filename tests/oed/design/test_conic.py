@@ -12,7 +12,7 @@ import pytest
 
 from oed.design import conic, relaxation
 from oed.design.blocks import information
-from oed.design.criterion import (
+from oed.design.forms import (
     Compound,
     Criterion,
     Determinant,

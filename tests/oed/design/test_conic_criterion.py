@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from oed.design.conic_criterion import ConicCriterion, dual_root
-from oed.design.criterion import Criterion, PowerMean
-from oed.design.criterion.determinant import Determinant
-from oed.design.criterion.spectrum import ExtremeEigenvalues
-from oed.design.criterion.variance import LargestVariance, Variance
+from oed.design.forms import Criterion, PowerMean
+from oed.design.forms.determinant import Determinant
+from oed.design.forms.eigenvalues import ExtremeEigenvalues
+from oed.design.forms.variance import LargestVariance, Variance
 
 N = 3
 _rng = np.random.default_rng(2)

@@ -6,7 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from oed.design import criteria
+from oed.design import CRITERIA
+
+
+def of_information(
+    name: str, m: np.ndarray, ingredient: np.ndarray | None = None
+) -> float:
+    """The number that users know, of an information matrix."""
+    criterion = CRITERIA.over(name, len(m), ingredient)
+    return criterion.conventional_value(criterion.value(m), 1)
 
 
 @st.composite
@@ -23,16 +31,16 @@ def matrices(draw: st.DrawFn) -> np.ndarray:
 @given(matrices())
 def test_alphabetic_criteria_are_sums_over_singular_values(h: np.ndarray) -> None:
     s, m = np.linalg.svd(h, compute_uv=False), h.T @ h
-    assert criteria.d(m) == pytest.approx(2 * np.log(s).sum(), abs=1e-6)
-    assert criteria.a(m) == pytest.approx(-np.sum(1 / s**2), rel=1e-6)
-    assert criteria.e(m) == pytest.approx(s.min() ** 2, rel=1e-6)
+    assert of_information("D", m) == pytest.approx(2 * np.log(s).sum(), abs=1e-6)
+    assert of_information("A", m) == pytest.approx(-np.sum(1 / s**2), rel=1e-6)
+    assert of_information("E", m) == pytest.approx(s.min() ** 2, rel=1e-6)
     jacobian = h[:3]
     inverse = np.linalg.inv(m)
-    assert criteria.i(m, jacobian.T @ jacobian) == pytest.approx(
+    assert of_information("I", m, jacobian[None]) == pytest.approx(
         -np.trace(jacobian @ inverse @ jacobian.T), rel=1e-6
     )
-    assert criteria.i(m, np.eye(len(m))) == criteria.a(m)
-    assert criteria.kappa(s) == pytest.approx(np.linalg.cond(h), rel=1e-9)
+    assert of_information("I", m, np.eye(len(m))[None]) == of_information("A", m)
+    assert CRITERIA.index("kappa", s) == pytest.approx(np.linalg.cond(h), rel=1e-9)
 
 
 @settings(max_examples=50, deadline=None)
@@ -40,18 +48,24 @@ def test_alphabetic_criteria_are_sums_over_singular_values(h: np.ndarray) -> Non
 def test_scale_laws(h: np.ndarray, c: float) -> None:
     """All readings c times as sensitive."""
     n, (s, m) = h.shape[1], (np.linalg.svd(h, compute_uv=False), h.T @ h)
-    assert criteria.d(c**2 * m) == pytest.approx(
-        criteria.d(m) + 2 * n * np.log(c), abs=1e-6
+    assert of_information("D", c**2 * m) == pytest.approx(
+        of_information("D", m) + 2 * n * np.log(c), abs=1e-6
     )
-    assert criteria.a(c**2 * m) == pytest.approx(criteria.a(m) / c**2, rel=1e-6)
-    assert criteria.e(c**2 * m) == pytest.approx(criteria.e(m) * c**2, rel=1e-6)
+    assert of_information("A", c**2 * m) == pytest.approx(
+        of_information("A", m) / c**2, rel=1e-6
+    )
+    assert of_information("E", c**2 * m) == pytest.approx(
+        of_information("E", m) * c**2, rel=1e-6
+    )
     once, scaled = (
-        criteria.observability(s, len(h)),
-        criteria.observability(c * s, len(h)),
+        CRITERIA.observability(s, len(h)),
+        CRITERIA.observability(c * s, len(h)),
     )
     for index, power in {"O1": 1, "O2": 0, "O3": 1, "O4": 1, "O5": 1}.items():
         assert scaled[index] == pytest.approx(once[index] * c**power, rel=1e-9)
-    assert criteria.kappa(c * s) == pytest.approx(criteria.kappa(s), rel=1e-12)
+    assert CRITERIA.index("kappa", c * s) == pytest.approx(
+        CRITERIA.index("kappa", s), rel=1e-12
+    )
 
 
 @settings(max_examples=50, deadline=None)
@@ -61,10 +75,10 @@ def test_one_more_reading_never_makes_it_worse(h: np.ndarray, seed: int) -> None
     m = h.T @ h
     more = m + row.T @ row
     for criterion in (
-        criteria.d,
-        criteria.a,
-        criteria.e,
-        lambda m: criteria.i(m, row.T @ row),
+        lambda x: of_information("D", x),
+        lambda x: of_information("A", x),
+        lambda x: of_information("E", x),
+        lambda x: of_information("I", x, row[None]),
     ):
         assert criterion(more) >= criterion(m) - 1e-6 * abs(criterion(m))
 
@@ -72,7 +86,7 @@ def test_one_more_reading_never_makes_it_worse(h: np.ndarray, seed: int) -> None
 def test_observability_indices_of_a_diagonal() -> None:
     """Singular values 8, 4, 1 and 9 readings, worked by hand."""
     s = np.array([8.0, 4.0, 1.0])
-    assert criteria.observability(s, 9) == pytest.approx(
+    assert CRITERIA.observability(s, 9) == pytest.approx(
         {
             "O1": 32 ** (1 / 3) / 3,
             "O2": 1 / 8,
@@ -81,8 +95,8 @@ def test_observability_indices_of_a_diagonal() -> None:
             "O5": 1 / (1 / 8 + 1 / 4 + 1),
         }
     )
-    assert criteria.kappa(s) == 8.0
-    assert criteria.kappa(s) * criteria.o2(s) == 1.0
+    assert CRITERIA.index("kappa", s) == 8.0
+    assert CRITERIA.index("kappa", s) * CRITERIA.index("O2", s) == 1.0
 
 
 def test_index_bounds(rng: np.random.Generator) -> None:
@@ -91,15 +105,15 @@ def test_index_bounds(rng: np.random.Generator) -> None:
     """
     for s in 10.0 ** rng.uniform(-3, 3, (50, 6)):
         assert (
-            criteria.o5(s)
-            <= criteria.o3(s)
-            <= criteria.o1(s, 1)
+            CRITERIA.index("O5", s)
+            <= CRITERIA.index("O3", s)
+            <= CRITERIA.index("O1", s, 1)
             <= s.max() * (1 + 1e-12)
         )
-        assert criteria.o4(s) <= criteria.o3(s)
+        assert CRITERIA.index("O4", s) <= CRITERIA.index("O3", s)
     same = np.full(6, 2.5)
-    assert criteria.o5(same) == pytest.approx(criteria.o3(same) / 6)
-    assert criteria.o1(same, 4) == pytest.approx(2.5 / 2)
+    assert CRITERIA.index("O5", same) == pytest.approx(CRITERIA.index("O3", same) / 6)
+    assert CRITERIA.index("O1", same, 4) == pytest.approx(2.5 / 2)
 
 
 def test_noise_amplification_is_a_geometric_mean(rng: np.random.Generator) -> None:
@@ -107,28 +121,32 @@ def test_noise_amplification_is_a_geometric_mean(rng: np.random.Generator) -> No
     over the root of the poses.
     """
     s = rng.uniform(0.1, 10, 7)
-    assert criteria.noise_amplification(s, 25) == pytest.approx(stats.gmean(s) / 5)
-    assert criteria.noise_amplification(np.array([2.0, 8.0]), 4) == pytest.approx(2.0)
+    assert CRITERIA.index("noise_amplification", s, 25) == pytest.approx(
+        stats.gmean(s) / 5
+    )
+    assert CRITERIA.index(
+        "noise_amplification", np.array([2.0, 8.0]), 4
+    ) == pytest.approx(2.0)
 
 
 def test_long_products_neither_overflow_nor_vanish() -> None:
-    assert criteria.o1(np.full(400, 1e200), 1) == pytest.approx(1e200)
-    assert criteria.o1(np.full(400, 1e-200), 1) == pytest.approx(1e-200)
+    assert CRITERIA.index("O1", np.full(400, 1e200), 1) == pytest.approx(1e200)
+    assert CRITERIA.index("O1", np.full(400, 1e-200), 1) == pytest.approx(1e-200)
 
 
 @pytest.mark.parametrize(
     "m", [np.zeros((3, 3)), np.diag([1.0, 2.0, 0.0]), np.ones((4, 4))]
 )
 def test_a_singular_design_is_worth_nothing(m: np.ndarray) -> None:
-    assert criteria.d(m) == -np.inf
-    assert criteria.a(m) == -np.inf
-    assert criteria.i(m, np.eye(len(m))) == -np.inf
-    assert criteria.e(m) == pytest.approx(0.0, abs=1e-15)
+    assert of_information("D", m) == -np.inf
+    assert of_information("A", m) == -np.inf
+    assert of_information("I", m, np.eye(len(m))[None]) == -np.inf
+    assert of_information("E", m) == pytest.approx(0.0, abs=1e-15)
 
 
 def test_the_catalogue_lists_what_is_computed() -> None:
     alphabetic = {"D", "Ds", "A", "c", "I", "G", "E"}
-    assert set(criteria.CATALOGUE) == alphabetic | {
+    assert set(CRITERIA.by_name) == alphabetic | {
         "kappa",
         "O1",
         "O2",
@@ -137,25 +155,57 @@ def test_the_catalogue_lists_what_is_computed() -> None:
         "O5",
         "noise_amplification",
     }
-    s = np.array([8.0, 4.0, 1.0])
-    for name, value in criteria.observability(s, 9).items():
-        given_to = (s, 9) if name == "O1" else (s,)
-        assert criteria.CATALOGUE[name].function(*given_to) == value
+    assert all(c.source and c.about for c in CRITERIA.by_name.values())
+    assert all(c.meaning for c in CRITERIA.by_name.values() if c.form is not None)
     assert all(
-        c.source and c.about and c.name == n for n, c in criteria.CATALOGUE.items()
+        c.index_meaning for c in CRITERIA.by_name.values() if c.index is not None
     )
+
+
+@pytest.mark.parametrize("name", ["O1", "O2", "O3", "O4", "O5", "kappa"])
+def test_an_index_is_the_criterion_of_the_information(
+    name: str, rng: np.random.Generator
+) -> None:
+    """Of the singular values, and of the matrix that they belong to."""
+    h = rng.standard_normal((9, 4))
+    of_values = CRITERIA.index(name, np.linalg.svd(h, compute_uv=False), 9)
+    criterion = CRITERIA.over(name, 4)
+    of_matrix = criterion.conventional_value(criterion.value(h.T @ h), 9)
+    assert of_values == pytest.approx(of_matrix, rel=1e-9)
+
+
+def test_properties_by_the_books() -> None:
+    """Pukelsheim (2006), chapter 6: which are smooth; kappa, O2, O4 are not concave."""
+    assert CRITERIA.smooth == ("A", "c", "D", "Ds", "I", "O1", "O5")
+    assert CRITERIA.polished == ("A", "c", "D", "Ds", "E", "I", "O1", "O3")
+    concave = {n for n in CRITERIA.of_plans if CRITERIA[n].properties.concave}
+    assert set(CRITERIA.of_plans) - concave == {"kappa", "O2", "O4"}
+    spectral = {n for n in CRITERIA.of_plans if CRITERIA[n].properties.spectral}
+    assert spectral == {"E", "kappa", "O2", "O3", "O4", "O5"}
+
+
+@pytest.mark.parametrize("name", ["D", "A", "E", "kappa", "O1", "O2", "O3", "O4", "O5"])
+def test_phi_follows_from_the_number(name: str, rng: np.random.Generator) -> None:
+    """phi of one matrix over phi of another, from log phi and from the numbers."""
+    criterion = CRITERIA.over(name, 4)
+    first, second = (h.T @ h for h in rng.standard_normal((2, 9, 4)))
+    log_phi = [criterion.value(m) for m in (first, second)]
+    numbers = [criterion.conventional_value(value, 9) for value in log_phi]
+    ratio = CRITERIA[name].phi_ratio(numbers[0], numbers[1], 4)
+    expected = np.exp(log_phi[0] - log_phi[1])
+    assert ratio == pytest.approx(expected, rel=1e-9)
 
 
 def test_profiled_combined_and_worst_variances(rng: np.random.Generator) -> None:
     """Ds, c and G against the covariance itself."""
     a = rng.standard_normal((9, 4))
     m, covariance = a.T @ a, np.linalg.inv(a.T @ a)
-    assert criteria.ds(m, np.eye(4)[:, :2]) == pytest.approx(
+    assert of_information("Ds", m, np.eye(4)[:, :2]) == pytest.approx(
         -np.linalg.slogdet(covariance[:2, :2])[1]
     )
     row = rng.standard_normal(4)
-    assert criteria.c(m, row) == pytest.approx(-row @ covariance @ row)
-    moments = np.array([np.outer(x, x) for x in rng.standard_normal((3, 4))])
-    assert criteria.g(m, moments) == pytest.approx(
-        -max(np.trace(w @ covariance) for w in moments)
+    assert of_information("c", m, row[None]) == pytest.approx(-row @ covariance @ row)
+    rows = rng.standard_normal((3, 1, 4))
+    assert of_information("G", m, rows) == pytest.approx(
+        -max(float(x @ covariance @ x) for x in rows[:, 0])
     )

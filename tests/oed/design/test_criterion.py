@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed.design.criterion import Criterion, PowerMean, named
-from oed.design.criterion.compound import Compound
-from oed.design.criterion.determinant import Determinant
-from oed.design.criterion.protocol import slopes
-from oed.design.criterion.spectrum import ExtremeEigenvalues
-from oed.design.criterion.variance import LargestVariance, Variance
+from oed.design import CRITERIA
+from oed.design.criteria.c import CombinationVariance
+from oed.design.criteria.o5 import HarmonicSum
+from oed.design.forms import Criterion, PowerMean
+from oed.design.forms.compound import Compound
+from oed.design.forms.determinant import Determinant
+from oed.design.forms.eigenvalues import ExtremeEigenvalues
+from oed.design.forms.protocol import slopes
+from oed.design.forms.variance import LargestVariance, Variance
 
 N = 5
 _rng = np.random.default_rng(11)
@@ -20,10 +23,10 @@ SMOOTH: dict[str, Criterion] = {
     "D": Determinant(N),
     "Ds": Determinant(N, INTEREST, "Ds"),
     "A": Variance(np.eye(N), "A"),
-    "c": Variance(FACTOR[:1], "c"),
+    "c": CombinationVariance(FACTOR[:1]),
     "I": Variance(FACTOR),
     "G smoothed": LargestVariance(FACTORS, 6.0),
-    "O5": PowerMean(0.5, N, "O5"),
+    "O5": HarmonicSum(directions=N),
     "phi_3": PowerMean(3.0, N),
     "compound": Compound((Determinant(N), Variance(FACTOR)), (0.3, 0.7)),
 }
@@ -144,16 +147,16 @@ def test_conventional_values(rng: np.random.Generator) -> None:
         "O5": 1.0 / np.sum(1.0 / s),
     }
     for name, number in expected.items():
-        criterion = named(name, N)
+        criterion = CRITERIA.over(name, N)
         assert criterion.conventional_value(criterion.value(m), 7) == pytest.approx(
             number, rel=1e-9
         )
     worst = max(float(np.trace(f @ inverse @ f.T)) for f in FACTORS)
-    assert named("G", N, factors=FACTORS).conventional_value(
-        named("G", N, factors=FACTORS).value(m), 7
+    assert CRITERIA.over("G", N, FACTORS).conventional_value(
+        CRITERIA.over("G", N, FACTORS).value(m), 7
     ) == pytest.approx(-worst)
     covariance = INTEREST.T @ inverse @ INTEREST
-    ds = named("Ds", N, interest=INTEREST)
+    ds = CRITERIA.over("Ds", N, INTEREST)
     assert ds.conventional_value(ds.value(m), 7) == pytest.approx(
         -np.linalg.slogdet(covariance)[1]
     )
@@ -163,27 +166,25 @@ def test_profiling_out_is_the_schur_complement(rng: np.random.Generator) -> None
     """Ds of the first three columns is log det of M_aa - M_ab M_bb^-1 M_ba."""
     m = matrix(rng)
     schur = m[:3, :3] - m[:3, 3:] @ np.linalg.solve(m[3:, 3:], m[3:, :3])
-    ds = named("Ds", N, interest=np.eye(N)[:, :3])
+    ds = CRITERIA.over("Ds", N, np.eye(N)[:, :3])
     assert 3 * ds.value(m) == pytest.approx(np.linalg.slogdet(schur)[1])
 
 
 def test_what_no_reading_determines_is_refused() -> None:
     basis = np.eye(N)[:, :3]
-    assert named("Ds", N, interest=np.eye(N)[:, 2:4]).restrict(
-        basis
-    ).interest.shape == (
+    assert CRITERIA.over("Ds", N, np.eye(N)[:, 2:4]).restrict(basis).interest.shape == (
         3,
         1,
     )
     with pytest.raises(
         ValueError, match="no reading determines the directions of interest"
     ):
-        named("Ds", N, interest=np.eye(N)[:, 4:]).restrict(basis)
+        CRITERIA.over("Ds", N, np.eye(N)[:, 4:]).restrict(basis)
     with pytest.raises(ValueError, match="no reading determines the combination"):
-        named("c", N, factor=np.ones((1, N))).restrict(basis)
+        CRITERIA.over("c", N, np.ones((1, N))).restrict(basis)
     with pytest.raises(ValueError, match="needs a workspace"):
-        named("I", N)
+        CRITERIA.over("I", N)
     with pytest.raises(ValueError, match="is none of"):
-        named("Z", N)
+        CRITERIA.over("Z", N)
     with pytest.raises(ValueError, match="summing to 1"):
         Compound((Determinant(N),), (0.5,))

@@ -11,8 +11,8 @@ import pytest
 from oed.design import choose, eigenvalue_tabu, exchange
 from oed.design.bounds import bound
 from oed.design.copies import find_copies
-from oed.design.criterion import Determinant
 from oed.design.eigenvalue_tabu import _EigenvalueSearch
+from oed.design.forms import Determinant
 from oed.design.rules import Rules
 
 

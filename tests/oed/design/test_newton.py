@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from oed.design.criterion.determinant import Determinant
+from oed.design.forms.determinant import Determinant
 from oed.design.newton import newton_steps, project_to_sum, scale_to_size
 from oed.design.objective import CriterionObjective
 

@@ -9,7 +9,7 @@ import pytest
 
 from kernel.plan_catalogues import linear_option, searched, stage_after
 from oed.base import symmetric_root
-from oed.design.criterion.protocol import pairwise_traces
+from oed.design.forms.protocol import pairwise_traces
 from oed.design.row_exchange import LEAST_SHARE, RowExchange
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option

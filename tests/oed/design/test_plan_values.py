@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from oed.design.bounds import bound, condition_bound
-from oed.design.criterion import Criterion
-from oed.design.criterion.determinant import Determinant
-from oed.design.criterion.spectrum import ExtremeEigenvalues
-from oed.design.criterion.variance import Variance
 from oed.design.evaluator import CriterionEvaluator
+from oed.design.forms import Criterion
+from oed.design.forms.determinant import Determinant
+from oed.design.forms.eigenvalues import ExtremeEigenvalues
+from oed.design.forms.variance import Variance
 from oed.design.plan_limits import SetupLimit, TimeBudget
 from oed.design.rules import Rules
 from oed.design.search import improve, search, select_greedily

@@ -12,7 +12,8 @@ from shipped_models import ball_bar, pose_tracker
 from kernel import a3_plans
 from kernel.cases import CASES, reading_series
 from oed import identifiability
-from oed.design import polish, reading_slopes, symbolic_criterion
+from oed.design import CRITERIA, polish, reading_slopes
+from oed.design.forms import Criterion, Determinant, PowerMean
 from oed.measurement import Measurement, Series
 from oed.model import mount
 
@@ -199,14 +200,14 @@ def test_a_search_cut_short_is_never_worse() -> None:
 @pytest.mark.parametrize(
     "criterion",
     [
-        symbolic_criterion.determinant(),
-        symbolic_criterion.variance(),
-        symbolic_criterion.power_mean(4),
-        symbolic_criterion.determinant_of_interest(np.eye(13)[:, :7]),
+        Determinant(13),
+        CRITERIA.over("A", 13),
+        PowerMean(4.0),
+        CRITERIA.over("Ds", 13, np.eye(13)[:, :7]),
     ],
     ids=["D", "A", "power", "Ds"],
 )
-def test_planar_with_a_tracker(criterion: symbolic_criterion.SymbolicCriterion) -> None:
+def test_planar_with_a_tracker(criterion: Criterion) -> None:
     machine = CASES["planar_2dof"].machine
     m = Measurement(machine, [mount(pose_tracker.position, "tracker")])
     command = CASES["planar_2dof"].commands(np.random.default_rng(1), 8)
@@ -217,7 +218,7 @@ def test_planar_with_a_tracker(criterion: symbolic_criterion.SymbolicCriterion) 
     assert result.value_after > result.value_before
     rows = identifiability.scaled(m, result.series, m.nominal, "tolerance")[:, m.free]
     assert result.value_after == pytest.approx(
-        criterion.value(np.eye(n) + rows.T @ rows), abs=1e-9
+        criterion.log_size * criterion.value(np.eye(n) + rows.T @ rows), abs=1e-9
     )
     assert not machine.out_of_range(result.series[0].command)
 

@@ -7,8 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from oed.design import conic, exchange
-from oed.design.criterion import named
+from oed.design import CRITERIA, conic, exchange
 from oed.design.plan_limits import DistanceLimit, TimeBudget
 from oed.design.quotas import Quota, QuotaSet, equal_numbers
 from oed.design.rules import Rules
@@ -79,7 +78,7 @@ def test_plans_keep_the_quotas_and_no_subset_exceeds_the_bound(
     choice = exchange.choose(
         rows, None, rng, criterion, rules=Rules(size=5, quotas=quotas)
     )
-    goal = named(criterion, DIRECTIONS)
+    goal = CRITERIA.over(criterion, DIRECTIONS)
     values = {
         plan: goal.value(rows[list(plan)].T @ rows[list(plan)])
         for plan in plans_that_keep(quotas)

@@ -13,8 +13,8 @@ from scipy.optimize import linprog
 
 from oed.design import certificate, condition, exchange, relaxation
 from oed.design.blocks import information
-from oed.design.criterion import Determinant
-from oed.design.criterion.power import trace_after_adding
+from oed.design.forms import Determinant
+from oed.design.forms.eigenvalues import trace_after_adding
 from oed.design.objective import CriterionObjective
 
 

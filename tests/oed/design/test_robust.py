@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from oed.design import robust
-from oed.design.criterion import Determinant, ExtremeEigenvalues, Variance
+from oed.design.forms import Determinant, ExtremeEigenvalues, Variance
 from oed.design.plan_limits import TimeBudget
 from oed.design.rules import Rules
 

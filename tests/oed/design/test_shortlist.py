@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from oed.design.criterion.shortlist import (
-    SHORTLIST,
+from oed.design.forms.eigenvalues import (
+    SHORTLIST_SIZE,
     evaluate_shortlist,
     rank_by_spread,
     rank_by_variance,
@@ -35,7 +35,7 @@ def test_a_shortlist_has_the_first_by_each_rank(rng: np.random.Generator) -> Non
         return eigenvalues[:, 0]
 
     values = evaluate_shortlist(least, m, blocks, first, second)
-    places = SHORTLIST // 2
+    places = SHORTLIST_SIZE // 2
     expected = {*np.argsort(-first)[:places], *np.argsort(-second)[:places]}
     assert set(np.flatnonzero(np.isfinite(values))) == expected
     for k in expected:

@@ -13,8 +13,7 @@ from kernel import a3_plans
 from oed import Measurement, mount
 from oed.estimation import identify
 from oed.estimation.noise_summary import SCATTER, noise_numbers
-from oed.measurement import draw_parameters
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import draw_parameters, reading_structure
 from oed.noise import Laws, noise_prior
 
 position = pose_tracker.position

@@ -8,14 +8,20 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, ball_bar, calliper, height_probe, linear_delta
 
-from oed.identifiability import information
-from oed.identifiability.assessment import (
+from oed import identifiability
+from oed.identifiability import (
     Assessment,
     assess,
-    free_parameters,
+    column_scale,
+    combination_text,
+    explain,
+    parameter_covariance,
+    posterior_covariance,
+    prior_information,
     recoveries,
+    whiten,
 )
-from oed.identifiability.explain import combination_text, explain
+from oed.identifiability.assessment import free_parameters
 from oed.measurement import Measurement, Series
 from oed.model import CommonTolerance, mount
 
@@ -47,17 +53,15 @@ def test_covariances_are_inverses_of_prior_and_information(
 ) -> None:
     slopes, noise = delta.jacobian(heights, delta.nominal), delta.sigma(heights)
     white = slopes * delta.tolerance / noise[:, None]
-    scaled = information.scaled(delta, heights, delta.nominal, "tolerance")
+    scaled = identifiability.scaled(delta, heights, delta.nominal, "tolerance")
     np.testing.assert_allclose(scaled, white, rtol=1e-9, atol=1e-12)
     whole = np.linalg.inv(np.eye(white.shape[1]) + white.T @ white)
-    told = information.posterior_covariance(scaled)
+    told = posterior_covariance(scaled)
     np.testing.assert_allclose(told, whole, atol=1e-9)
-    in_si = information.parameter_covariance(delta, heights, delta.nominal)
+    in_si = parameter_covariance(delta, heights, delta.nominal)
     outer = np.outer(delta.tolerance, delta.tolerance)
     np.testing.assert_allclose(in_si, whole * outer, atol=1e-9 * outer.max())
-    np.testing.assert_allclose(
-        information.whiten(slopes, noise), slopes / noise[:, None]
-    )
+    np.testing.assert_allclose(whiten(slopes, noise), slopes / noise[:, None])
 
 
 def test_each_scaling_has_its_units(delta: Measurement, heights: list[Series]) -> None:
@@ -65,21 +69,21 @@ def test_each_scaling_has_its_units(delta: Measurement, heights: list[Series]) -
     angles = np.array([p.unit == "rad" for p in delta.parameters])
     lengths = np.where(angles, 1.0 / delta.machine.lever, 1.0)
     for scaling, factor in (("si", 1.0), ("length", lengths)):
-        told = information.scaled(delta, heights, delta.nominal, scaling)
+        told = identifiability.scaled(delta, heights, delta.nominal, scaling)
         np.testing.assert_allclose(told, slopes * factor, rtol=1e-12)
     with pytest.raises(ValueError, match="scaling 'mm' is none of"):
-        information.column_scale(delta, "mm")  # type: ignore[arg-type]
+        column_scale(delta, "mm")  # type: ignore[arg-type]
 
 
 def test_a_common_cause_is_in_the_prior_information(delta: Measurement) -> None:
-    assert (information.prior_information(delta) == np.eye(delta.free.sum())).all()
+    assert (prior_information(delta) == np.eye(delta.free.sum())).all()
     names = tuple(
         p.name for p in linear_delta.machine.parameters if "endstop" in p.name
     )
     machine = dataclasses.replace(
         linear_delta.machine, correlated=(CommonTolerance(names[:2], 0.5),)
     )
-    matrix = information.prior_information(Measurement(machine, []))
+    matrix = prior_information(Measurement(machine, []))
     assert np.sort(np.linalg.eigvalsh(matrix))[[0, -1]] == pytest.approx([1 / 1.5, 2.0])
 
 

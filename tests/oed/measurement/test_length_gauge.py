@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, height_probe, length_gauge
 
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.model import mount
 
 POSES = np.array(

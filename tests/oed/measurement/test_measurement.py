@@ -11,9 +11,12 @@ from shipped_models import a3_head, ball_bar, calliper, height_probe, linear_del
 from kernel import a3_plans
 from kernel.cases import CASES
 from oed import identifiability
-from oed.measurement import simulation
-from oed.measurement.fixed_reading import commands_at_fixed_reading
-from oed.measurement.measurement import Measurement
+from oed.measurement import (
+    Measurement,
+    commands_at_fixed_reading,
+    draw_parameters,
+    draw_readings,
+)
 from oed.mechanism import AssemblyError
 from oed.model import Channel, Cost, Instrument, Parameter, mount
 
@@ -330,16 +333,16 @@ def test_virtual_machines_scatter_as_stated(rng: np.random.Generator) -> None:
     spread is known to 1.6 %.
     """
     m = Measurement(linear_delta.machine, [mount(height_probe.instrument, "probe")])
-    truth = simulation.draw_parameters(m, rng, 2000)
+    truth = draw_parameters(m, rng, 2000)
     spread = truth.std(axis=0) / np.where(m.free, m.tolerance, 1.0)
     assert spread[m.free] == pytest.approx(1.0, abs=0.08)
     assert (truth[:, ~m.free] == m.nominal[~m.free]).all()
     assert truth.mean(axis=0) == pytest.approx(m.nominal, abs=0.1 * m.tolerance.max())
     series = m.series("probe", CASES["linear_delta"].commands(rng, 3))
-    y = simulation.draw_readings(m, [series], np.tile(truth[0], (2000, 1)), rng)
+    y = draw_readings(m, [series], np.tile(truth[0], (2000, 1)), rng)
     assert y.std(axis=0) == pytest.approx(20e-6, rel=0.08)
     assert y.mean(axis=0) == pytest.approx(m.readings([series], truth[0]), abs=3e-6)
-    assert simulation.draw_parameters(m, rng).shape == m.nominal.shape
+    assert draw_parameters(m, rng).shape == m.nominal.shape
 
 
 def test_machines_with_joints_of_their_own(rng: np.random.Generator) -> None:

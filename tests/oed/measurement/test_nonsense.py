@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from shipped_models import camera, delta
 
-from oed.measurement.measurement import Measurement, mode_jumps
+from oed.measurement import Measurement, mode_jumps
 from oed.model import mount
 from pkm_studies.commands import main
 

@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 from shipped_models import a3_head, ball_bar, laser_ball_bar, prs_spindle
 
-from oed.measurement.fixed_reading import _solve_coordinate
-from oed.measurement.measurement import Measurement, Series, mode_jumps
-from oed.measurement.observation import ObservationModel
-from oed.measurement.reading_noise import (
+from oed.measurement import (
+    Measurement,
+    Series,
+    mode_jumps,
     reading_covariances,
+    reading_structure,
     run_errors,
-    source_slopes,
-    stated_noise,
+    source_gradients,
 )
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement.fixed_reading import _solve_coordinate
+from oed.measurement.reading_noise import stated_noise
+from oed.measurement.setup_readings import ObservationModel
 from oed.model import Coordinate, Setup, mount
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
@@ -90,7 +92,7 @@ def test_channels_with_common_sources_have_a_covariance() -> None:
     m = Measurement(prs_spindle.machine, [setup])
     series = m.series("laser", np.array([[0.6, 0.1, 0.0], [0.65, 0.0, 0.1]]))
     covariances = reading_covariances(m.of(series), series)
-    slopes = source_slopes(m.of(series), series)
+    slopes = source_gradients(m.of(series), series)
     np.testing.assert_allclose(covariances, slopes @ np.swapaxes(slopes, 1, 2))
     assert np.abs(covariances[0] - np.diag(np.diag(covariances[0]))).max() > 0.0
 

@@ -7,8 +7,7 @@ import pytest
 from shipped_models import laser_ball_bar, prs_spindle
 
 from kernel import bar_circles
-from oed.measurement import Measurement
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import Measurement, reading_structure
 from oed.model import mount
 from oed.noise.law_noise import factor_of
 from oed.noise.marginal import NoisePosterior, ResidualModel, integrate

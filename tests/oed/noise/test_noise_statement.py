@@ -21,8 +21,14 @@ from oed.design import candidates
 from oed.estimation import identify
 from oed.gap import assemble
 from oed.gap.data import laws as gap_laws
-from oed.measurement import Measurement, Series, simulation
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import (
+    Measurement,
+    Series,
+    draw_errors,
+    draw_parameters,
+    draw_readings,
+    reading_structure,
+)
 from oed.noise import prior
 from oed.noise.law import NoiseLaw
 from oed.noise.outliers import Precision, StudentT, detect, fisher_information
@@ -220,8 +226,8 @@ def test_a_cup_that_is_stated_to_stay_gives_narrower_intervals() -> None:
     free = a3_plans.measurement()
     series = circles(free)
     rng = np.random.default_rng(3)
-    truth = simulation.draw_parameters(free, rng)
-    y = simulation.draw_readings(free, [series], truth, rng)
+    truth = draw_parameters(free, rng)
+    y = draw_readings(free, [series], truth, rng)
     sizes = []
     for statement in (NOTHING_STATED, NOTHING_ELSE):
         m = stating(statement)
@@ -247,7 +253,7 @@ def test_stated_tails_are_drawn(dof: float) -> None:
     m = stating(NoiseStatement(student_dof=dof))
     series = circles(m)
     rng = np.random.default_rng(4)
-    e = simulation.draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA
+    e = draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA
     unit = np.sqrt((dof - 2.0) / dof)
     assert stats.kstest(e / unit, stats.t(dof).cdf).pvalue > 1e-3
     structure = reading_structure(m, [series], m.nominal)
@@ -258,7 +264,7 @@ def test_stated_tails_are_drawn(dof: float) -> None:
     unit = np.sqrt(information)
     assert stats.kstest(e / unit, stats.t(dof).cdf).pvalue > 1e-3
     m = stating(NoiseStatement(outlier_share=0.1))
-    e = simulation.draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA
+    e = draw_errors(m, [series], rng, (2000, 24)).ravel() / SIGMA
     beyond = np.mean(np.abs(e) > 4.5)
     assert beyond == pytest.approx(0.1, abs=4.0 * np.sqrt(0.1 * 0.9 / e.size) + 0.003)
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from kernel.delta_probe import problem
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import reading_structure
 from oed.posterior.posterior_checks import DISCREPANCIES, predictive_checks
 
 problem_once = functools.cache(functools.partial(problem, distances=False))

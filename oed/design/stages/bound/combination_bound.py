@@ -26,7 +26,7 @@ import numpy as np
 from oed.base.arrays import Array, Index
 from oed.design import relaxation
 from oed.design.certificate import ROUNDING
-from oed.design.criterion import Criterion
+from oed.design.forms import Criterion
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option
 from oed.design.stages.stage.travel import capture_probability_bound

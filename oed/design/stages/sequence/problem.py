@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.criterion.protocol import inverse
+from oed.design.forms.protocol import inverse
 from oed.design.stages.goal import Goal
 from oed.design.stages.option import Option
 from oed.design.stages.sequence.stage_memory import StageMemory

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.design.criterion.protocol import inverse
+from oed.design.forms.protocol import inverse
 from oed.design.stages.option import Option
 from oed.design.stages.sequence.problem import PlanProblem
 from oed.design.stages.sequence.stage_plan import StagePlan, is_better

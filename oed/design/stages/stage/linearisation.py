@@ -25,7 +25,7 @@ from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import symmetric_root
 from oed.design.stages.option import Option
 from oed.design.stages.stage.knowledge import multiply_each
-from oed.measurement.reading_noise import reading_covariances
+from oed.measurement import reading_covariances
 
 #: share of a reading's noise below which its residual is neglected
 NEGLIGIBLE = 0.02

@@ -19,13 +19,13 @@ import dataclasses
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.criterion.protocol import inverse
+from oed.design.forms.protocol import inverse
 from oed.design.stages.option import Option
 from oed.design.stages.stage import linearisation
 from oed.design.stages.stage.drawn_machines import DrawnMachines, draw_machines
 from oed.design.stages.stage.knowledge import Knowledge, Prior, as_knowledge
 from oed.design.stages.stage.profiled import profile
-from oed.measurement.measurement import Series
+from oed.measurement import Series
 
 #: machines drawn where readings can be lost: usually, and for a first look
 DRAWS, FIRST_LOOK_DRAWS = 48, 12

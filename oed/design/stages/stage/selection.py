@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design.criterion import Criterion
 from oed.design.evaluator import CriterionEvaluator
+from oed.design.forms import Criterion
 from oed.design.plan_limits import TimeBudget
 from oed.design.rules import Rules
 from oed.design.search import improve, select_greedily

@@ -31,8 +31,7 @@ from oed.design.stages.virtual_machines.readings import (
 )
 from oed.design.stages.virtual_machines.refit import refit_machines
 from oed.design.stages.virtual_machines.workspace import MachineErrors, WorkspaceErrors
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement, draw_parameters
 
 #: machines whose poses are computed together
 TOGETHER = 50
@@ -221,7 +220,7 @@ class _Propagation:
 
     def _draw(self, measurement: Measurement, rng: np.random.Generator) -> Array:
         """True parameters (n,) of a machine and of all set-ups."""
-        truth = simulation.draw_parameters(measurement, rng)
+        truth = draw_parameters(measurement, rng)
         root = self._prior_root(measurement)
         if root is not None:
             free = measurement.free

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
 from oed.design.stages.stage.prediction import PlanStage
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.instrument import Setup
 
 

@@ -21,8 +21,8 @@ import numpy as np
 from oed.base.arrays import Array, Index, Mask
 from oed.estimation.fitter import READINGS_ROUNDED, minimise
 from oed.estimation.identification import IdentificationError, identify
-from oed.identifiability.information import posterior_covariance
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import posterior_covariance
+from oed.measurement import Measurement, Series
 from oed.noise.covariance import Noise
 
 #: distance to the minimum, in posterior standard deviations, of the last step: its square

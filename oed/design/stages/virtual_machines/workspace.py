@@ -8,7 +8,7 @@ import numpy as np
 
 from oed.accuracy import prediction
 from oed.base.arrays import Array
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from oed.mechanism.error_model import ErrorModel, error_model
 from oed.mechanism.kinematics import Kinematics
 from oed.mechanism.pose_errors import NO_TOOL, twist_between

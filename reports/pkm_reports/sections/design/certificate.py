@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
+from oed.design import CRITERIA
 from oed.result import DesignSection
 from oed.result.record import Number
 from pkm_reports import text
@@ -17,27 +18,6 @@ from pkm_reports.blocks import (
     wide_column,
 )
 
-#: what each criterion is
-MEANING: Final = {
-    "D": "log det of the information: the volume of all uncertainty together",
-    "Ds": "log det over the parameters of interest alone",
-    "A": "sum of the variances of the parameters, with a minus sign",
-    "c": "variance of one combination of parameters, with a minus sign",
-    "I": "mean variance of the pose over the workspace, with a minus sign",
-    "G": "largest variance of the pose over the workspace, with a minus sign",
-    "E": "smallest eigenvalue of the information: the worst-determined direction",
-    "kappa": "condition number of the scaled identification matrix",
-    "O1": (
-        "geometric mean of the singular values over the root of the number of readings"
-    ),
-    "O2": "reciprocal condition number",
-    "O3": "smallest singular value",
-    "O4": "smallest singular value squared over the largest",
-    "O5": "reciprocal of the sum of the reciprocal singular values",
-    "compound": "weighted mean of the logarithms of several criteria",
-}
-#: criteria whose values are logarithms, written with two decimals
-LOGARITHMIC: Final = ("D", "Ds", "compound")
 #: duality gap that is written as none
 NO_GAP: Final = 1e-9
 
@@ -72,7 +52,8 @@ def sentence(design: DesignSection) -> str:
 
 def criterion_value(criterion: str, value: Number) -> str:
     """A value of a criterion: logarithms with two decimals."""
-    if criterion in LOGARITHMIC:
+    known = CRITERIA.get(criterion)
+    if known is not None and known.is_log_det:
         return text.fixed(value, 2)
     return text.number(value, 4)
 
@@ -83,8 +64,8 @@ def criterion_value(criterion: str, value: Number) -> str:
 def _facts(design: DesignSection) -> Iterator[tuple[str, str]]:
     """Name and value of all that is stored; what is missing has an empty value."""
     criterion, setups = design.criterion, design.setups
-    explained = criterion in MEANING
-    yield "Criterion", f"{criterion}: {MEANING[criterion]}" if explained else criterion
+    known = CRITERIA.get(criterion)
+    yield "Criterion", f"{criterion}: {known.meaning}" if known else criterion
     yield "Shares", _shares(design)
     yield "Value", criterion_value(criterion, design.value)
     yield "Bound", _bound(design)
@@ -116,7 +97,8 @@ def _bound(design: DesignSection) -> str:
 
 
 def _better(design: DesignSection) -> str:
-    return "smaller" if design.criterion == "kappa" else "larger"
+    known = CRITERIA.get(design.criterion)
+    return "smaller" if known is not None and known.smaller_is_better else "larger"
 
 
 def _certificate(design: DesignSection) -> str:

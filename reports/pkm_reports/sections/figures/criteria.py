@@ -11,21 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed.base.arrays import Array
+from oed.design import CRITERIA
 from oed.result import CriterionComparison, DesignSection
 from pkm_reports import missing, style, text
 from pkm_reports.missing import or_nan
 
-#: phi is this power of the stored number: O1 and O5 are stored as square roots
-POWER: Final = {
-    "E": 1,
-    "O1": 2,
-    "O2": 1,
-    "O3": 1,
-    "O4": 1,
-    "O5": 2,
-}
-#: criteria stored as a logarithm of phi, times a number of directions
-LOGARITHMIC: Final = ("D", "Ds", "compound")
 #: share of the colour scale above which letters are white
 DARK: Final = 0.55
 #: least |log ratio| from which a number of directions is computed
@@ -87,12 +77,9 @@ def _ratio(
     best: float,
     directions: float,
 ) -> float:
-    """phi of a design over phi of the best one, from the numbers as stored."""
-    if criterion in LOGARITHMIC:
-        return math.exp((value - best) / directions)
-    # kappa, and the variances with their minus sign, are the reciprocals of phi
-    upper, lower = (value, best) if criterion in POWER else (best, value)
-    return float((upper / lower) ** POWER.get(criterion, 1)) if lower else math.nan
+    """phi of a design over phi of the best one; NaN for a criterion of another version."""
+    known = CRITERIA.get(criterion)
+    return math.nan if known is None else known.phi_ratio(value, best, directions)
 
 
 def _counted_directions(
@@ -105,7 +92,8 @@ def _counted_directions(
 
     It follows from the bound or the gain, where these differ from the value itself.
     """
-    if entry.name == "compound":
+    known = CRITERIA.get(entry.name)
+    if known is None or known.form is None:  # a weighted mean of log phi
         return 1.0
     below_bound = entry.value - or_nan(entry.bound)
     above_main = values[entry.name] - values[main]
@@ -116,7 +104,8 @@ def _counted_directions(
     for size in sizes:
         if math.isfinite(size) and size > 0.0:
             return size
-    return float(directions) if entry.name == "D" and directions > 0 else math.nan
+    judges_all = known.needs == "none"
+    return float(directions) if judges_all and directions > 0 else math.nan
 
 
 def _directions_from(difference: float, ratio: float) -> float:

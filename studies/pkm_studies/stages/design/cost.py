@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from oed.design import criteria
-from oed.design.candidates import reading_time
-from oed.identifiability.assessment import Assessment
-from oed.measurement.measurement import Measurement, Series
+from oed.design import CRITERIA
+from oed.identifiability import Assessment
+from oed.measurement import Measurement, Series
 from oed.result import AlternativePlan, PlanSection, StageRecord
 from pkm_studies.resolve import ResolvedStudy
 
@@ -16,7 +15,7 @@ def plan_seconds(measurement: Measurement, series: Sequence[Series]) -> float:
     """Time to mount the set-ups and take the readings of a plan, s."""
     setups = dict.fromkeys(s.setup for s in series)
     mounting = sum(measurement.setups[n].instrument.cost.setup for n in setups)
-    return mounting + sum(reading_time(measurement, s.setup) * len(s) for s in series)
+    return mounting + sum(measurement.reading_seconds(s.setup) * len(s) for s in series)
 
 
 def single_stage_plan(
@@ -35,7 +34,7 @@ def single_stage_plan(
         readings=sum(len(s) for s in series),
         identifies=verdict.rank,
         cost=plan_seconds(measurement, series) / 60.0,
-        kappa=criteria.kappa(verdict.identifiable_singular_values),
+        kappa=CRITERIA.index("kappa", verdict.identifiable_singular_values),
         predicted=dict(predicted),
     )
     references: list[str | AlternativePlan] = [

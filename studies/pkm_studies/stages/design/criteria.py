@@ -9,37 +9,26 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import TypedDict
 
 import numpy as np
 
 from oed.accuracy import prediction
 from oed.base.arrays import Array
 from oed.compensate.effects.planned_effects import PlannedEffects
+from oed.design import CRITERIA
 from oed.design.blocks import project_on_estimable
 from oed.design.candidates import Candidates
-from oed.design.criterion import Compound, Criterion, named
-from oed.identifiability import information
-from oed.measurement.measurement import Measurement, Series
+from oed.design.forms import Compound, Criterion
+from oed.identifiability import (
+    column_scale,
+    parameter_covariance,
+    prior_information,
+    scaled,
+)
+from oed.measurement import Measurement, Series
 from pkm_studies.quantities import fine_units
 from pkm_studies.resolve import DesignRequest, ResolvedStudy
 from pkm_studies.tables import DesignTable
-
-#: criteria to which a column that no reading touches is one more eigenvalue
-EIGENVALUES = ("E", "kappa", "O2", "O3", "O4", "O5")
-
-
-class Ingredients(TypedDict, total=False):
-    """What a criterion needs besides its name; see `oed.design.criterion.named`.
-
-    interest    (n, s) directions that Ds judges
-    factor      (r, n) combination of c, or accuracy over the workspace of I
-    factors     (J, r, n) accuracy at each workspace pose, for G
-    """
-
-    interest: Array
-    factor: Array
-    factors: Array
 
 
 class StudyCriteria:
@@ -81,8 +70,8 @@ class StudyCriteria:
                 self.candidates_criterion(n, candidates) for n in self.table.compound
             ]
             return Compound(tuple(parts), self._shares())
-        ingredients = self.ingredients(name, candidates.measurement, self.effects)
-        return candidates.criterion(name, **ingredients)
+        ingredient = self.ingredient(name, candidates.measurement, self.effects)
+        return candidates.criterion(name, ingredient)
 
     def parameters_criterion(self, name: str, measurement: Measurement) -> Criterion:
         """The criterion over a measurement's free parameters."""
@@ -92,34 +81,33 @@ class StudyCriteria:
             ]
             return Compound(tuple(parts), self._shares())
         count = int(measurement.free.sum())
-        return named(name, count, **self.ingredients(name, measurement))
+        return CRITERIA.over(name, count, self.ingredient(name, measurement))
 
     def _shares(self) -> tuple[float, ...]:
         total = sum(self.table.compound.values())
         return tuple(share / total for share in self.table.compound.values())
 
-    def ingredients(
+    def ingredient(
         self,
         name: str,
         measurement: Measurement,
         effects: PlannedEffects | None = None,
-    ) -> Ingredients:
+    ) -> Array | None:
         """What the criterion needs besides its name, over the free parameters.
 
-        I and G judge what the effects do to the tool as well.
+        Criteria of accuracy judge what the effects do to the tool as well.
         """
-        if name == "Ds":
-            return {"interest": self._interest(measurement)}
-        if name == "c":
-            return {"factor": self._combination(measurement)}
-        if name == "G":
-            return {"factors": self._accuracy_slopes(measurement, effects)}
-        if name == "I":
-            return {"factor": self._mean_accuracy(measurement, effects)}
-        return {}
+        needs = CRITERIA[name].needs
+        if needs == "interest":
+            return self._interest(measurement)
+        if needs == "combination":
+            return self._combination(measurement)
+        if needs == "accuracy":
+            return self._accuracy_gradients(measurement, effects)
+        return None
 
     def _scale(self, measurement: Measurement) -> Array:
-        scale = information.column_scale(measurement, self.table.scaling)
+        scale = column_scale(measurement, self.table.scaling)
         return scale[measurement.free]
 
     def _interest(self, measurement: Measurement) -> Array:
@@ -132,20 +120,10 @@ class StudyCriteria:
         row = [coefficients.get(name, 0.0) for name in measurement.free_names]
         return (np.array(row) * self._scale(measurement))[None]
 
-    def _mean_accuracy(
+    def _accuracy_gradients(
         self, measurement: Measurement, effects: PlannedEffects | None
     ) -> Array:
-        """F (r, n) of criterion I. Only F^T F counts: its triangle is as good."""
-        slopes = self._accuracy_slopes(measurement, effects)
-        flat = slopes.reshape(-1, slopes.shape[2]) / np.sqrt(len(slopes))
-        if len(flat) <= flat.shape[1]:
-            return np.asarray(flat)
-        return np.asarray(np.linalg.qr(flat, mode="r"))
-
-    def _accuracy_slopes(
-        self, measurement: Measurement, effects: PlannedEffects | None
-    ) -> Array:
-        """Slopes (poses, components, n) of wanted components over wanted accuracy.
+        """Gradients (poses, components, n) of wanted components over wanted accuracy.
 
         With effects over n + u columns.
         """
@@ -153,9 +131,9 @@ class StudyCriteria:
         columns = [k for k, name in enumerate(maps.names) if name in accuracy]
         wanted = np.array([accuracy[maps.names[k]] for k in columns])
         poses, _, machine_parameters = maps.raw.shape
-        slopes = np.zeros((poses, len(columns), len(measurement.names)))
-        slopes[:, :, :machine_parameters] = maps.raw[:, columns] / wanted[:, None]
-        of_parameters = slopes[:, :, measurement.free] * self._scale(measurement)
+        gradients = np.zeros((poses, len(columns), len(measurement.names)))
+        gradients[:, :, :machine_parameters] = maps.raw[:, columns] / wanted[:, None]
+        of_parameters = gradients[:, :, measurement.free] * self._scale(measurement)
         if effects is None:
             return of_parameters
         of_effects = effects.tool[:, columns] / wanted[:, None]
@@ -164,15 +142,15 @@ class StudyCriteria:
     # -- plans -------------------------------------------------------------------------
 
     def _rows(self, measurement: Measurement, series: Sequence[Series]) -> Array:
-        """Whitened slopes (N, n) of readings over the scaled free parameters."""
+        """Whitened Jacobian (N, n) of readings over the scaled free parameters."""
         theta, scaling = measurement.nominal, self.table.scaling
-        rows = information.scaled(measurement, series, theta, scaling)
+        rows = scaled(measurement, series, theta, scaling)
         return rows[:, measurement.free]
 
     def information(self, measurement: Measurement, series: Sequence[Series]) -> Array:
         """Information (n, n) of readings, with the tolerances where they count."""
         rows = self._rows(measurement, series)
-        prior = information.prior_information(measurement) if self.table.prior else 0.0
+        prior = prior_information(measurement) if self.table.prior else 0.0
         return rows.T @ rows + prior
 
     def score(
@@ -202,7 +180,7 @@ class StudyCriteria:
         if maps is None:
             return {}
         count, nominal = len(measurement.machine.parameters), measurement.nominal
-        whole = information.parameter_covariance(measurement, series, nominal)
+        whole = parameter_covariance(measurement, series, nominal)
         covariance = whole[:count, :count]
         total = np.einsum(
             "nkp,pq,nkq->k", maps.raw, covariance, maps.raw, optimize=True

@@ -11,8 +11,8 @@ from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.blocks import information
 from oed.design.exchange import Choice
 from oed.estimation.discrepancy import HEALTHY
-from oed.identifiability.information import prior_information
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import prior_information
+from oed.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
 from pkm_studies.base import Stream
 from pkm_studies.quantities import fine_units

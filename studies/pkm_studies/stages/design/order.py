@@ -14,8 +14,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.design import move_times, order, schedule
-from oed.design.candidates import reading_time
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.machine import Machine
 from oed.result import WorkingOrder
 from pkm_studies.base import Location
@@ -176,7 +175,7 @@ def _order_setup(
         kicks=_kicks(len(whole)),
     )
     ordered = whole.take(route.indices)
-    reading = reading_time(measurement, name)
+    reading = measurement.reading_seconds(name)
     before = float(distance[np.arange(len(whole) - 1), np.arange(1, len(whole))].sum())
     before += 0.0 if start is None else float(start[0])
     scheduled, seconds = ordered, route.length + reading * len(whole)

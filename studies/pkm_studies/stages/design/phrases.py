@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from oed.base.text import format_number, guaranteed_percent
+from oed.design import CRITERIA
 from oed.result import DesignSection, PlanScore
 
 
@@ -43,9 +44,16 @@ def design_sentences(section: DesignSection | None) -> list[str]:
 
 def _value(criterion: str, value: float) -> str:
     """What a plan reaches by a criterion."""
-    if criterion == "D":
-        return f"log det {value:.2f}"
+    label = _label(criterion)
+    if label:
+        return f"{label} {value:.2f}"
     return f"{criterion} = {format_number(value)}"
+
+
+def _label(criterion: str) -> str:
+    """What the criterion's number is called; empty where by the criterion's name."""
+    known = CRITERIA.get(criterion)
+    return "" if known is None else known.label
 
 
 def _proof(section: DesignSection) -> str:
@@ -76,6 +84,7 @@ def effects_sentences(section: DesignSection | None) -> list[str]:
 
 
 def _other_plan(plan: PlanScore, criterion: str) -> str:
-    value = f"{plan.logdet:.2f}" if criterion == "D" else format_number(plan.value)
+    by_log_det = bool(_label(criterion))
+    value = f"{plan.logdet:.2f}" if by_log_det else format_number(plan.value)
     share = f"{100 * plan.efficiency:.0f} % {criterion}-efficiency"
     return f"{value} for {plan.name} ({share})"

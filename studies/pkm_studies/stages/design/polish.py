@@ -7,18 +7,15 @@ from collections.abc import Sequence
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.design import polish, symbolic_criterion
-from oed.identifiability import information
-from oed.measurement.measurement import Measurement, Series
+from oed.design import polish
+from oed.identifiability import prior_information
+from oed.measurement import Measurement, Series
 from oed.result import PolishSummary
 from pkm_studies.base import Location
 from pkm_studies.describe import field
 from pkm_studies.resolve import CommandRanges
 from pkm_studies.stages.design.criteria import StudyCriteria
 from pkm_studies.tables import PolishTable
-
-#: power mean that stands for E and O3
-POWER = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +45,7 @@ def polish_plan(
         polished = polish.polish_readings(
             measurement,
             series,
-            _smooth(name, study_criteria, measurement),
+            study_criteria.parameters_criterion(name, measurement),
             table.scaling,
             free=ranges,
             prior=_prior_information(study_criteria, measurement, retained),
@@ -111,28 +108,8 @@ def _prior_information(
     if retained:
         return study_criteria.information(measurement, retained)
     if study_criteria.table.prior:
-        return information.prior_information(measurement)
+        return prior_information(measurement)
     return None
-
-
-def _smooth(
-    name: str, study_criteria: StudyCriteria, measurement: Measurement
-) -> symbolic_criterion.SymbolicCriterion:
-    """The smooth form of the criterion, which has a slope to polish along."""
-    ingredients = study_criteria.ingredients(name, measurement)
-    if name == "Ds":
-        return symbolic_criterion.determinant_of_interest(ingredients["interest"])
-    if name in ("c", "I"):
-        return symbolic_criterion.variance(
-            ingredients["factor"].T @ ingredients["factor"]
-        )
-    if name in ("E", "O3"):
-        return symbolic_criterion.power_mean(POWER)
-    return (
-        symbolic_criterion.variance()
-        if name == "A"
-        else symbolic_criterion.determinant()
-    )
 
 
 def _moved_settings(

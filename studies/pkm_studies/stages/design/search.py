@@ -16,8 +16,8 @@ from oed.base.arrays import Array, Index
 from oed.design import bounds, branch, exchange
 from oed.design.blocks import information, project_on_estimable
 from oed.design.candidates import Candidates
-from oed.design.criterion import Compound, Criterion, ExtremeEigenvalues, PowerMean
 from oed.design.exchange import Choice
+from oed.design.forms import Compound, Criterion, ExtremeEigenvalues, PowerMean
 from oed.design.plan_limits import SetupLimit
 from oed.design.rules import MAX_COMBINATIONS, Rules
 from oed.design.setups import rank_combinations

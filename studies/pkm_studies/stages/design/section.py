@@ -11,10 +11,10 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.base.text import guaranteed_percent
-from oed.design import criteria
-from oed.identifiability import information
-from oed.identifiability.assessment import Assessment, assess
-from oed.measurement.measurement import Measurement, Series
+from oed.design import CRITERIA
+from oed.design.forms import Criterion
+from oed.identifiability import Assessment, assess, prior_information
+from oed.measurement import Measurement, Series
 from oed.result import (
     AllowedEffects,
     DesignSection,
@@ -31,16 +31,12 @@ from pkm_studies.resolve import ResolvedStudy
 from pkm_studies.stages.design import effects
 from pkm_studies.stages.design.cost import plan_seconds
 from pkm_studies.stages.design.criteria import (
-    EIGENVALUES,
     StudyCriteria,
     improvement_factors,
 )
 from pkm_studies.stages.design.select import ChosenDesign
 
 # Scores the chosen plan and the reference plans by the study's criterion.
-
-#: ratios of eigenvalues, which do not grow with the number of readings
-RATIOS = {"kappa", "O2", "O4"}
 
 
 class _Plan(NamedTuple):
@@ -100,7 +96,7 @@ def _judging(
     tolerances, are judged over what their own readings concern.
     """
     table = judge.table
-    if not table.prior or set(table.criteria) & set(EIGENVALUES):
+    if not table.prior or any(form.spectral for form in _forms(judge)):
         return measurement, measurement
     candidates = [*resolved.measurement.setups, *measurement.setups]
     every = [n for plan in resolved.reference_plans for n in plan.setups]
@@ -108,6 +104,11 @@ def _judging(
         _add_setups(resolved, measurement, candidates),
         _add_setups(resolved, measurement, [*candidates, *every]),
     )
+
+
+def _forms(judge: StudyCriteria) -> list[Criterion]:
+    """The study's criteria, to ask for their properties."""
+    return [CRITERIA[name].properties for name in judge.table.criteria]
 
 
 def _add_setups(
@@ -132,15 +133,15 @@ def _score(plan: _Plan, judge: StudyCriteria, value: float) -> PlanScore:
         value=value,
         logdet=logdet,
         efficiency=1.0,
-        kappa=criteria.kappa(s),
-        observability=criteria.observability(s, n),
+        kappa=CRITERIA.index("kappa", s),
+        observability=CRITERIA.observability(s, n),
         predicted=judge.predicted_accuracy(plan.measurement, series),
     )
 
 
 def _gain(total: Array, measurement: Measurement) -> float:
     """Log determinant of an information (n, n) over that of the prior in it."""
-    prior = information.prior_information(measurement)
+    prior = prior_information(measurement)
     return float(np.linalg.slogdet(total)[1] - np.linalg.slogdet(prior)[1])
 
 
@@ -153,7 +154,8 @@ def _compared(
 ) -> PlanScore:
     """With its efficiency against the chosen plan, and its gain over a reference."""
     table = judge.table
-    grows = not set(table.criteria) & RATIOS
+    # ratios of eigenvalues do not grow with the number of readings
+    grows = all(form.concave for form in _forms(judge))
     per_reading = best.n / score.n if grows and not table.prior else 1.0
     gain = improvement_factors(reference, score.predicted) if reference else {}
     return msgspec.structs.replace(

@@ -10,16 +10,13 @@ import msgspec
 import numpy as np
 
 from oed.base.arrays import Array, Index
-from oed.design import candidates, criteria, robust
+from oed.design import CRITERIA, candidates, robust
 from oed.design.candidates import Candidates
-from oed.design.criterion import Criterion
 from oed.design.exchange import Choice
+from oed.design.forms import Criterion
 from oed.design.weights import choose_by_weights
-from oed.identifiability import information
-from oed.identifiability.assessment import assess
-from oed.identifiability.information import Scaling
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import Scaling, assess, prior_information
+from oed.measurement import Measurement, Series, draw_parameters
 from oed.mechanism.kinematics import AssemblyError
 from oed.result import (
     AllowedEffects,
@@ -83,7 +80,8 @@ def choose_robust(
         )
     except ValueError as error:
         raise location.key("risk").error(
-            str(error), "choose D, Ds, A, c, I or O5, or leave the table out"
+            str(error),
+            f"choose one of {', '.join(CRITERIA.smooth)}, or leave the table out",
         ) from error
     nominal_rows = np.searchsorted(pool, nominal.indices)
     nominal_values = _log_phis(blocks, within, prior, nominal_rows)
@@ -115,7 +113,7 @@ def _scenarios(
     blocks = [c.blocks]
     failures = 0
     while len(blocks) < count:
-        theta = simulation.draw_parameters(measurement, rng)
+        theta = draw_parameters(measurement, rng)
         try:
             scenario = candidates.build(
                 measurement,
@@ -422,7 +420,7 @@ def _prior_information(
     retained = study_criteria.request.retained
     if retained:
         return study_criteria.information(measurement, retained)
-    return information.prior_information(measurement)
+    return prior_information(measurement)
 
 
 def _best(
@@ -505,5 +503,5 @@ def kappa_map(circles: Circles, scaling: Scaling) -> KappaMap:
             for series in of_circles
         ]
         values = [identified.identifiable_singular_values for identified in assessed]
-        table.append([criteria.kappa(v) for v in values])
+        table.append([CRITERIA.index("kappa", v) for v in values])
     return KappaMap(circles.title, list(circles.circles), list(circles.points), table)

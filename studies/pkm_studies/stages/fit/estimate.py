@@ -11,8 +11,8 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.base.text import rounded
 from oed.estimation.estimate import AT_PRIOR, WEAK, Estimate
-from oed.identifiability.identifiability import Identifiability
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import Identifiability
+from oed.measurement import Measurement, Series
 from oed.result import (
     CombinationEstimate,
     EstimateSection,

@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from oed.design import criteria
-from oed.identifiability import explain
-from oed.identifiability.assessment import Assessment, assess
-from oed.identifiability.information import Scaling
-from oed.measurement.measurement import Measurement, Series
+from oed.design import CRITERIA
+from oed.identifiability import Assessment, Scaling, assess, explain
+from oed.measurement import Measurement, Series
 from oed.result import IdentifiabilitySection
 
 SeriesWithMeasurement = tuple[Measurement, Sequence[Series]]
@@ -36,7 +34,7 @@ def identifiability_section(
         singular_values=[float(v) for v in verdict.singular_values],
         combinations=verdict.coefficients_by_name(verdict.combinations),
         lost=verdict.coefficients_by_name(verdict.lost),
-        words=explain.explain(identifiability, others),
+        words=explain(identifiability, others),
         indices={n: _index(identifiability, n) for n in indices if verdict.rank},
     )
 
@@ -44,12 +42,15 @@ def identifiability_section(
 def _index(assessment: Assessment, name: str) -> float:
     """An observability index over the directions that the readings determine."""
     s = assessment.identifiability.identifiable_singular_values
-    function = criteria.CATALOGUE[name].function
-    if name == "O1":
-        return function(s, sum(len(one) for one in assessment.series))
-    if name == "noise_amplification":
-        return function(s, sum(_poses(assessment, one) for one in assessment.series))
-    return function(s)
+    count_of = _poses if CRITERIA[name].index_of_poses else _readings
+    return CRITERIA.index(
+        name, s, sum(count_of(assessment, x) for x in assessment.series)
+    )
+
+
+def _readings(assessment: Assessment, series: Series) -> int:
+    """Number of readings."""
+    return len(series)
 
 
 def _poses(assessment: Assessment, series: Series) -> int:

@@ -12,7 +12,6 @@ from oed.compensate import GridAxis, box_axes
 from oed.compensate.error_field import Kernel, expected_kernel, joint_size
 from oed.compensate.joint_errors import JointErrors
 from oed.compensate.table import grid_nodes
-from oed.design.candidates import reading_time
 from oed.mechanism.kinematics import AssemblyError, Kinematics
 from oed.model.instrument import Setup
 from pkm_studies import quantities
@@ -149,7 +148,7 @@ def forecast_task(
         setup=setup.name,
         seconds=(
             setup.instrument.cost.setup,
-            reading_time(measurement, setup.name),
+            measurement.reading_seconds(setup.name),
         ),
         knowledge=knowledge,
     )

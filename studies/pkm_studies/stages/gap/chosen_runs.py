@@ -16,7 +16,7 @@ from oed.gap.before.runs import pool_runs
 from oed.gap.before.separation import Separation
 from oed.gap.data import problem
 from oed.gap.data.problem import GapProblem
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result.gap_before import ChosenRun, ChosenRuns, SeparationRecord
 from pkm_studies.resolve import GapDesignRequest, GapRequest, comments_of
 

@@ -12,7 +12,7 @@ import numpy as np
 from oed.design.rules import Rules
 from oed.gap.before import detect
 from oed.gap.data import problem
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result.gap_before import GapBeforeSection
 from pkm_studies.resolve import GapDesignRequest, GapRequest
 from pkm_studies.stages.gap import chosen_runs

@@ -23,7 +23,7 @@ from oed.compensate.effects.mixture import (
     side_by_side,
 )
 from oed.gap.cause.advice import GO_AHEAD
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.result import (
     CompensationChoice,
     GapSection,

@@ -14,7 +14,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.gap.data import problem
 from oed.gap.data.diagnosis import NO_EFFECT, UNKNOWN, Diagnosis, Size
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.effect import Column, Effect
 from oed.result.gap import (
     ClosureRecord,

@@ -12,7 +12,7 @@ from oed.base import units
 from oed.base.arrays import Array
 from oed.gap.data import signature
 from oed.gap.data.state import states as states_of
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.model.effect import State
 from pkm_studies.resolve import (
     ActingEffect,

@@ -12,14 +12,14 @@ import numpy as np
 
 from oed import result
 from oed.base.arrays import Index
-from oed.design import criteria
+from oed.design import CRITERIA
 from oed.design.stages.option import Option
 from oed.design.stages.search import PlanSearchResult
 from oed.design.stages.sequence.stage_plan import StagePlan
 from oed.design.stages.stage import travel
 from oed.design.stages.stage.knowledge import Prior
 from oed.design.stages.stage.prediction import PlanStage, predict_stage
-from oed.identifiability.assessment import assess
+from oed.identifiability import assess
 from pkm_studies.base import InputError
 from pkm_studies.stages.plan.phrases import loss_bound_text, minutes, more_accurate
 from pkm_studies.stages.plan.streams import plan_streams
@@ -50,9 +50,9 @@ def compare_sequence(
         sequence=task.record(sequence),
         rank=explained.identifiability.rank,
         parameters=len(explained.names),
-        kappa=criteria.kappa(singular_values),
+        kappa=CRITERIA.index("kappa", singular_values),
         weakest=float(singular_values[-1]),
-        observability=criteria.observability(
+        observability=CRITERIA.observability(
             singular_values, sum(len(s) for s in readings)
         ),
         lost=_lost_share(sequence),

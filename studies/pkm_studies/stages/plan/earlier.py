@@ -11,7 +11,6 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.design.candidates import reading_time
 from oed.design.stages.option import Option
 from oed.mechanism.kinematics import Kinematics
 from oed.model.machine import Machine
@@ -142,7 +141,7 @@ def _session_seconds(
     for name in sorted(set(done) - planned):
         if name in resolved.setups:
             mounting = resolved.setups[name].instrument.cost.setup
-            reading = reading_time(resolved.measurement_with([name]), name)
+            reading = resolved.measurement_with([name]).reading_seconds(name)
             total += mounting + reading * done[name]
     return total
 

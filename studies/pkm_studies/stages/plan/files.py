@@ -9,7 +9,7 @@ import msgspec
 
 from oed import result
 from oed.base import csv_text
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from pkm_studies import describe
 from pkm_studies.stages.design.section import planned_readings
 from pkm_studies.stages.plan.section import PlanOutcome

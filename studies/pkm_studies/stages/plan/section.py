@@ -10,13 +10,12 @@ import numpy as np
 from oed import result
 from oed.base import units
 from oed.base.arrays import Array
-from oed.design import criteria
+from oed.design import CRITERIA
 from oed.design.stages.search import PlanSearchResult
 from oed.design.stages.sequence.stage_plan import StagePlan
 from oed.design.stages.stage.prediction import PlanStage
-from oed.identifiability import explain
-from oed.identifiability.assessment import Assessment, assess
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import Assessment, assess, combination_text
+from oed.measurement import Measurement, Series
 from pkm_studies.stages.design import order
 from pkm_studies.stages.plan.task import PlanTask
 from pkm_studies.tables import DesignTable
@@ -125,7 +124,7 @@ def _stage_record(
         readings=sum(len(s) for s in stage.series),
         identifies=verdict.rank,
         cost=duration_min,
-        kappa=criteria.kappa(verdict.identifiable_singular_values),
+        kappa=CRITERIA.index("kappa", verdict.identifiable_singular_values),
         predicted=accuracy,
         chosen=len(stage.chosen),
         begin_min=begin_min,
@@ -199,5 +198,5 @@ def _unidentified(
         cumulative.identifiability.lost
     ):
         if set(terms) <= set(names) and not set(terms) <= set(alone):
-            combinations.append(explain.combination_text(terms, unit))
+            combinations.append(combination_text(terms, unit))
     return [*alone, *combinations]

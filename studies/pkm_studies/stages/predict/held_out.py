@@ -22,8 +22,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.estimation.estimate import Estimate
-from oed.measurement.measurement import Measurement, Series
-from oed.measurement.reading_structure import reading_structure
+from oed.measurement import Measurement, Series, reading_structure
 from oed.model.instrument import Channel
 from oed.noise.process import Whitening, stated_laws
 from oed.result import HeldOutSection, HeldOutVerdict

@@ -24,8 +24,8 @@ from oed.compensate.effects.absorbed import absorbing_shift
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.estimation.estimate import Estimate
-from oed.identifiability import information
-from oed.measurement.measurement import Measurement, Series
+from oed.identifiability import parameter_covariance
+from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.noise.law_noise import LawNoise
 from oed.posterior.laplace import ApproximateDraws
@@ -119,7 +119,7 @@ def planned(measurement: Measurement, series: Sequence[Series]) -> ParameterKnow
     """Before any reading: tolerances and planned readings."""
     count = len(measurement.machine.parameters)
     nominal = measurement.nominal
-    covariance = information.parameter_covariance(measurement, series, nominal)
+    covariance = parameter_covariance(measurement, series, nominal)
     return ParameterKnowledge(
         measurement,
         tuple(series),

@@ -11,8 +11,7 @@ from oed.accuracy.maps import driven_errors
 from oed.accuracy.prediction import Reference, Spread
 from oed.base.arrays import Array
 from oed.estimation.identification import fit_machines
-from oed.measurement import simulation
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series, draw_parameters
 
 #: machines that go through the check together
 TOGETHER = 50
@@ -74,7 +73,7 @@ def _draw_machines(
     noise = measurement.noise(series)
     truth, errors = [], []
     for _ in range(machines):
-        truth.append(simulation.draw_parameters(measurement, rng))
+        truth.append(draw_parameters(measurement, rng))
         errors.append(noise.draw(rng, (len(noise.sigma),)))
     exact = measurement.readings(series, np.array(truth))
     return np.array(truth), exact + np.array(errors)

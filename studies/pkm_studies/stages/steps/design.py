@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from oed.identifiability.assessment import assess
-from oed.identifiability.information import Scaling
+from oed.identifiability import Scaling, assess
 from oed.result import PolishSummary
 from pkm_studies import describe
 from pkm_studies.base import Stream

@@ -11,7 +11,7 @@ from oed.checks.judgement import goodness_of_delivered
 from oed.estimation import fit_warnings, identification, run_prediction
 from oed.estimation.held_parameters import contradicted_parameters
 from oed.estimation.tolerances import tolerance_factor, with_tolerances
-from oed.measurement.measurement import mode_jumps
+from oed.measurement import mode_jumps
 from oed.posterior import posterior, posterior_checks
 from oed.result import GoodnessSection
 from oed.result.verdict import percent

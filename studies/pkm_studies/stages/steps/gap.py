@@ -6,7 +6,7 @@ import msgspec
 
 from oed.base import units
 from oed.design.rules import Rules
-from oed.measurement.measurement import Measurement
+from oed.measurement import Measurement
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (
     ALL_EFFECTS,

@@ -16,7 +16,7 @@ from oed.base.units import MM
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.unmodelled import ExpectedEffects, expected_effects
 from oed.gap.data import problem as problems
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series
 from oed.posterior import laplace
 from oed.posterior.laplace import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust

@@ -10,8 +10,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.dataset import Dataset
 from oed.dataset.columns import tension_columns
-from oed.measurement import simulation
-from oed.measurement.measurement import Series
+from oed.measurement import Series, draw_errors, draw_parameters, draw_readings
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.machine import Machine
 from pkm_studies.base import Stream
@@ -140,16 +139,14 @@ def _simulated(state: RunState, series: Sequence[Series]) -> SimulatedReadings:
     measurement, request = state.measurement, state.resolved.gap
     truth = _true_parameters(state)
     if request is None:
-        y = simulation.draw_readings(
-            measurement, series, truth, state.rng(Stream.NOISE)
-        )
+        y = draw_readings(measurement, series, truth, state.rng(Stream.NOISE))
         taken = MeasuredReadings(series=tuple(series), y=y, truth=truth)
         return SimulatedReadings(taken, truth, [])
     planned = virtual_readings.empty_readings(measurement, series, request)
     exact, effects = virtual_readings.exact_readings(
         measurement, planned, truth, request, state.rng(Stream.EFFECTS)
     )
-    errors = simulation.draw_errors(
+    errors = draw_errors(
         measurement, planned.series, state.rng(Stream.NOISE), exact.shape
     )
     readings = MeasuredReadings(
@@ -169,7 +166,7 @@ def _true_parameters(state: RunState) -> Array:
     table, stated = state.study.readings, state.resolved.true_parameters
     measurement = state.measurement
     if table is None or table.draw or not stated:
-        truth = simulation.draw_parameters(measurement, state.rng(Stream.TRUTH))
+        truth = draw_parameters(measurement, state.rng(Stream.TRUTH))
     else:
         truth = measurement.drawn
     for k, name in enumerate(measurement.names):

@@ -13,7 +13,8 @@ import report_fixture
 from report_fixture import result_of, shown_text
 
 from oed.base import Array
-from oed.design.criterion import Criterion, named
+from oed.design import CRITERIA
+from oed.design.forms import Criterion
 from oed.result import (
     CriterionComparison,
     PlannedReading,
@@ -28,7 +29,6 @@ from pkm_reports.sections.figures import criteria, path, robust
 
 pytestmark = pytest.mark.pictures
 
-CRITERIA = ("D", "Ds", "A", "c", "I", "G", "E", "kappa", "O1", "O2", "O3", "O4", "O5")
 #: keys that results of the first version lack
 NEWER = [
     "words",
@@ -159,13 +159,14 @@ def test_an_old_result_still_has_its_certificate() -> None:
 
 def _criteria(main: str, rng: np.random.Generator) -> dict[str, Criterion]:
     """All criteria over four directions, the main one first."""
-    pieces: dict[str, Any] = {
+    ingredients = {
         "interest": np.eye(4)[:, :2],
-        "factor": rng.normal(size=(1, 4)),
-        "factors": rng.normal(size=(5, 2, 4)),
+        "combination": rng.normal(size=(1, 4)),
+        "accuracy": rng.normal(size=(5, 2, 4)),
     }
-    names = [main, *[name for name in CRITERIA if name != main]]
-    return {name: named(name, 4, **pieces) for name in names}
+    names = [main, *[name for name in CRITERIA.of_plans if name != main]]
+    needs = {name: ingredients.get(CRITERIA[name].needs) for name in names}
+    return {name: CRITERIA.over(name, 4, needs[name]) for name in names}
 
 
 def _comparison(

@@ -1,8 +1,8 @@
 """A, c, I and G: a mean of variances, or the largest one.
 
 A, c, I: t = tr(W M^-1), phi = 1 / t. W = F^T F is the identity for A and one row c for c.
-For I it is the mean of J^T J over workspace poses, with J (k, n) the slopes of the pose
-components of interest (home-referenced, absolute or best-fit, `oed.accuracy.prediction`).
+For I it is the mean of J^T J over workspace poses, with J (k, n) the gradients of the
+pose components of interest (home-referenced, absolute or best-fit, `oed.accuracy.prediction`).
 With S = M^-1 W M^-1 / t,
 
     d log phi / dw_i = tr(S A_i) = g_i,
@@ -15,18 +15,20 @@ sharpness q smooths the maximum as (sum_j t_j^q)^(1/q). With pi_j = t_j^q / sum_
 
     -d2 log phi / dw_i dw_j = sum_j pi_j C_j + q Cov_pi(g)
 
-over the slopes g_j and curvatures C_j of the single variances.
+over the gradients g_j and curvatures C_j of the single variances.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
-from oed.base.arrays import Array
-from oed.design.criterion.protocol import (
+from oed.base.arrays import Array, Index
+from oed.design.forms.protocol import (
     Criterion,
+    FastSearch,
     Support,
     inner_products,
     inverse,
@@ -35,12 +37,15 @@ from oed.design.criterion.protocol import (
     slopes,
 )
 
-#: exponents that lead from the mean variance to the largest
+#: exponents that lead from the mean variance to the largest, whose error is then
+#: log(J) / 256
 SHARPNESS = (1.0, 4.0, 16.0, 64.0, 256.0)
+#: eigenvalues of W below this share of the largest are rounding
+RANK_TOLERANCE = 1e-14
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Variance:
+class Variance(Criterion):
     """Mean of the variances of the rows of `factor` F (r, n): W = F^T F.
 
     Its conventional value is -tr(W M^-1).
@@ -48,8 +53,11 @@ class Variance:
 
     factor: Array
     name: str = "I"
-    concave: bool = True
-    smooth: bool = True
+
+    @property
+    def fast_search(self) -> FastSearch:
+        """Rank-one updates."""
+        return "mean variance"
 
     def value(self, m: Array) -> float:
         """-log tr(W M^-1)."""
@@ -90,22 +98,38 @@ class Variance:
         return -float(np.exp(-value))
 
     def restrict(self, basis: Array) -> Criterion:
-        """The variances of the part of each row in the basis.
+        """The variances of the part of each row in the basis."""
+        return dataclasses.replace(self, factor=self.factor @ basis)
 
-        Raises ValueError where the combination c leaves the basis.
-        """
-        factor = self.factor @ basis
-        whole_size, inside_size = np.linalg.norm(self.factor), np.linalg.norm(factor)
-        if self.name == "c" and inside_size < (1 - 1e-8) * whole_size:
-            raise ValueError(
-                "no reading determines the combination c: choose another, or give more"
-                " candidates"
-            )
-        return dataclasses.replace(self, factor=factor)
+    def among(self, columns: Index, total: int) -> Criterion:
+        """The same variances, of some of the columns."""
+        return dataclasses.replace(self, factor=_spread(self.factor, columns, total))
 
-    def continuation(self) -> tuple[Criterion, ...]:
-        """Itself alone."""
-        return (self,)
+    @property
+    def polished(self) -> Criterion:
+        """Itself."""
+        return self
+
+    def expression(self, m: Any) -> Any:
+        """-log |L^-1 G|^2 with M = L L^T and W = G G^T."""
+        import casadi as ca  # a report that lists the criteria loads no CasADi
+
+        factor = ca.DM(_square_root(self.factor.T @ self.factor))
+        return -ca.log(ca.sumsqr(ca.solve(ca.chol(m).T, factor)))
+
+
+def _square_root(weight: Array) -> Array:
+    """G (n, r) with G G^T = W, of as few columns as W has rank."""
+    eigenvalues, eigenvectors = np.linalg.eigh(weight)
+    positive = eigenvalues > RANK_TOLERANCE * eigenvalues[-1]
+    return np.asarray(eigenvectors[:, positive] * np.sqrt(eigenvalues[positive]))
+
+
+def _spread(factor: Array, columns: Index, total: int) -> Array:
+    """A factor (..., n) over `total` columns, zero in all but these n."""
+    spread = np.zeros((*factor.shape[:-1], total))
+    spread[..., columns] = factor
+    return spread
 
 
 def variance_reduction(blocks: Array, inverted: Array, weighted: Array) -> Array:
@@ -123,7 +147,7 @@ def variance_reduction(blocks: Array, inverted: Array, weighted: Array) -> Array
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class LargestVariance:
+class LargestVariance(Criterion):
     """G over the variances of `factors` (J, r, n): W_j = F_j^T F_j.
 
     Its conventional value is -max_j tr(W_j M^-1). `sharpness` q smooths the maximum.
@@ -132,7 +156,6 @@ class LargestVariance:
     factors: Array
     sharpness: float = np.inf
     name: str = "G"
-    concave: bool = True
 
     @property
     def smooth(self) -> bool:
@@ -181,10 +204,10 @@ class LargestVariance:
         projected = self.factors @ inverse(m)
         s = np.einsum("j,jrn,jrm->nm", shares / variances, projected, projected)
         by_block = np.einsum("ckn,jrn->cjkr", blocks, projected, optimize=True)
-        slopes = np.einsum("cjkr,cjkr->jc", by_block, by_block)
-        slopes = slopes / variances[:, None]
-        mean = shares @ slopes
-        second_moment = (slopes.T * shares) @ slopes
+        gradients = np.einsum("cjkr,cjkr->jc", by_block, by_block)
+        gradients = gradients / variances[:, None]
+        mean = shares @ gradients
+        second_moment = (gradients.T * shares) @ gradients
         covariance = second_moment - np.outer(mean, mean)
         traces = 2.0 * pairwise_traces(blocks, inverse(m), s)
         return np.asarray(traces - second_moment + self.sharpness * covariance)
@@ -207,6 +230,10 @@ class LargestVariance:
     def restrict(self, basis: Array) -> Criterion:
         """The variances of what lies in the basis."""
         return dataclasses.replace(self, factors=self.factors @ basis)
+
+    def among(self, columns: Index, total: int) -> Criterion:
+        """The same variances, of some of the columns."""
+        return dataclasses.replace(self, factors=_spread(self.factors, columns, total))
 
     def continuation(self) -> tuple[Criterion, ...]:
         """Smoothed maxima of growing sharpness, then the maximum."""

@@ -7,7 +7,7 @@ import pytest
 
 from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
-from oed.measurement.reading_structure import course_terms
+from oed.measurement.noise_structure import course_terms
 from oed.noise.law_noise import COURSE, errors_of, errors_of_readings, factor_of
 from oed.noise.prior import noise_prior
 from oed.noise.process import Laws, Whitening

@@ -17,14 +17,20 @@ carry all design methods:
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+import abc
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
 from oed.base.arrays import Array, Index
 
-#: candidates whose products are in memory at once
-PART = 65536
+if TYPE_CHECKING:
+    from oed.design.relaxation import Relaxation
+
+FastSearch = Literal["none", "volume", "mean variance", "least eigenvalue"]
+
+#: number of candidates whose products are in memory at once: 500 MB of 1000 columns
+CANDIDATES_AT_ONCE = 65536
 
 
 class Support(NamedTuple):
@@ -34,60 +40,124 @@ class Support(NamedTuple):
     root: Array
 
 
-class Criterion(Protocol):
+class Criterion(abc.ABC):
     """A criterion over n directions.
 
-    Everywhere M (n, n) is symmetric and blocks (C, k, n) are whitened, scaled rows.
+    Everywhere M (n, n) is symmetric and blocks (C, k, n) are whitened, scaled rows. What
+    is not stated here holds of a smooth, concave criterion without methods of its own.
 
-    name     as in the catalogue
-    concave  whether `support` and `curvature` exist, and with them relaxations and
-             bounds by convexity
-    smooth   whether Newton steps apply; if not, `continuation` leads there over smooth
-             criteria
+    name  as in the catalogue
     """
 
-    @property
-    def name(self) -> str: ...
+    name: str
+
+    # -- properties --------------------------------------------------------------------
 
     @property
-    def concave(self) -> bool: ...
+    def concave(self) -> bool:
+        """Whether `support` exists, and with it relaxations and bounds by convexity."""
+        return True
 
     @property
-    def smooth(self) -> bool: ...
+    def smooth(self) -> bool:
+        """Whether Newton steps apply; if not, `continuation` leads there."""
+        return True
 
+    @property
+    def spectral(self) -> bool:
+        """Whether a column that no reading touches counts, as one more eigenvalue."""
+        return False
+
+    @property
+    def any_coordinates(self) -> bool:
+        """Whether coordinates that are not orthonormal only shift log phi."""
+        return False
+
+    @property
+    def fast_search(self) -> FastSearch:
+        """The search by closed formulas that serves the criterion."""
+        return "none"
+
+    @property
+    def starts_from_own_plan(self) -> bool:
+        """Whether a greedy plan by the criterion begins a search, beside one by D."""
+        return True
+
+    @property
+    def block_rounds(self) -> int:
+        """Rounds of search for each that is asked for, for candidates of several rows."""
+        return 1
+
+    @property
+    def log_size(self) -> int:
+        """Factor of log phi in the logarithm that users know: directions, for log det."""
+        return 1
+
+    # -- values ------------------------------------------------------------------------
+
+    @abc.abstractmethod
     def value(self, m: Array) -> float:
         """log phi(M); -inf where M leaves a direction undetermined that phi needs."""
-        ...
 
-    def support(self, m: Array) -> Support:
-        """Supporting line at M, positive definite.
-
-        Where the criterion is smooth, root root^T is the slope of log phi.
-        """
-        ...
-
-    def curvature(self, m: Array, blocks: Array) -> Array:
-        """-d2 log phi / dw_i dw_j (C, C) for M + sum w_i X_i^T X_i; semidefinite."""
-        ...
-
-    def values_after_adding(self, m: Array, blocks: Array) -> Array:
-        """log phi(M + X_i^T X_i) (C,); -inf for candidates outside a shortlist."""
-        ...
-
+    @abc.abstractmethod
     def conventional_value(self, value: float, readings: int) -> float:
         """The criterion from log phi, as tables state it: log det M, kappa.
 
         Variances (A, c, I, G) have a minus sign: more is better.
         """
-        ...
 
+    def support(self, m: Array) -> Support:
+        """Supporting line at M, positive definite.
+
+        Where the criterion is smooth, root root^T is the gradient of log phi. Raises
+        ValueError where there is no line.
+        """
+        raise ValueError(f"{self.name} has no supporting line")
+
+    def curvature(self, m: Array, blocks: Array) -> Array:
+        """-d2 log phi / dw_i dw_j (C, C) for M + sum w_i X_i^T X_i; semidefinite.
+
+        Raises ValueError where the criterion is not smooth.
+        """
+        raise ValueError(f"{self.name} is not smooth: follow its continuation")
+
+    def values_after_adding(self, m: Array, blocks: Array) -> Array:
+        """log phi(M + X_i^T X_i) (C,); -inf for candidates outside a shortlist."""
+        return np.array([self.value(m + block.T @ block) for block in blocks])
+
+    # -- other criteria that follow from it --------------------------------------------
+
+    @abc.abstractmethod
     def restrict(self, basis: Array) -> Criterion:
         """The same criterion of B^T M B, for an orthonormal basis B (n, r)."""
-        ...
+
+    def among(self, columns: Index, total: int) -> Criterion:
+        """The same criterion of some of `total` columns, the others profiled out.
+
+        Raises ValueError where it has no profiling.
+        """
+        raise ValueError(f"{self.name} does not profile out other columns")
 
     def continuation(self) -> tuple[Criterion, ...]:
         """Criteria that approach this one, the smoothest first and itself last."""
-        ...
+        return (self,)
+
+    # -- methods of its own ------------------------------------------------------------
+
+    @property
+    def polished(self) -> Criterion | None:
+        """The criterion with an `expression` to polish poses by; None without one."""
+        return None
+
+    def expression(self, m: Any) -> Any:
+        """`log_size` log phi of a CasADi SX matrix (n, n), up to a constant."""
+        raise NotImplementedError
+
+    def eigenvalue_relaxation(
+        self, blocks: Array, size: float, prior: Array, cap: Array | float
+    ) -> Relaxation | None:
+        """Weights and bound of a criterion of extreme eigenvalues; None for others."""
+        return None
 
 
 def pairwise_traces(blocks: Array, first: Array, second: Array) -> Array:
@@ -127,7 +197,7 @@ def inner_products(blocks: Array, matrix: Array) -> Array:
 
 
 def slopes(blocks: Array, root: Array) -> Array:
-    """|X_i R|^2 (C,): slope of log phi along each weight."""
+    """|X_i R|^2 (C,): gradient of log phi along the weights."""
     count, k, n = blocks.shape
     norms = np.empty(count)
     for part in parts(count):
@@ -147,7 +217,10 @@ def quadratic_forms(rows: Array, matrix: Array) -> Array:
 
 def parts(count: int) -> list[slice]:
     """Parts of so many candidates whose products are in memory at once."""
-    return [slice(start, start + PART) for start in range(0, count, PART)]
+    return [
+        slice(start, start + CANDIDATES_AT_ONCE)
+        for start in range(0, count, CANDIDATES_AT_ONCE)
+    ]
 
 
 def inverse(m: Array) -> Array:

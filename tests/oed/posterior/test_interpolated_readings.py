@@ -9,10 +9,9 @@ from shipped_models import a3_head, ball_bar, height_probe, linear_delta
 from oed.base import Array
 from oed.compensate.effects.effect_measurement import MeasurementWithEffects
 from oed.estimation import identify
-from oed.measurement import interpolated_readings, simulation
-from oed.measurement.measurement import Measurement, Series
+from oed.measurement import Measurement, Series, draw_parameters
 from oed.model import mount
-from oed.posterior import LogDensity
+from oed.posterior import LogDensity, interpolated_readings
 
 #: readings of a circle
 COUNT = 600
@@ -55,7 +54,7 @@ def density(session: Session, y: Array | None = None) -> LogDensity:
     m, series = session
     rng = np.random.default_rng(5)
     if y is None:
-        truth = simulation.draw_parameters(m, rng)
+        truth = draw_parameters(m, rng)
         sigma = m.sigma(series)
         y = m.readings(series, truth) + sigma * rng.standard_normal(len(sigma))
     return LogDensity(m, series, y, identify(m, series, y, estimate_noise=True))

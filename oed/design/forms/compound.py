@@ -15,11 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.design.criterion.protocol import Criterion, Support
+from oed.design.forms.protocol import Criterion, Support
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Compound:
+class Compound(Criterion):
     """Criteria with positive shares that sum to 1.
 
     Its conventional value is the weighted log phi.
@@ -47,6 +47,11 @@ class Compound:
     def smooth(self) -> bool:
         """Whether every part is smooth."""
         return all(part.smooth for part in self.parts)
+
+    @property
+    def spectral(self) -> bool:
+        """Whether a part is."""
+        return any(part.spectral for part in self.parts)
 
     def value(self, m: Array) -> float:
         """Weighted mean of the parts."""

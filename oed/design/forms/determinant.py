@@ -12,12 +12,15 @@ S = M^-1 K P^-1 K^T M^-1 / s,
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
+from scipy import linalg
 
-from oed.base.arrays import Array
-from oed.design.criterion.protocol import (
+from oed.base.arrays import Array, Index
+from oed.design.forms.protocol import (
     Criterion,
+    FastSearch,
     Support,
     inner_products,
     inverse,
@@ -25,30 +28,46 @@ from oed.design.criterion.protocol import (
     quadratic_forms,
 )
 
-#: a direction belongs to a basis if it leaves it by at most this share of its size
-OUTSIDE = 1e-8
+#: share of its size by which a direction may leave a basis that it belongs to: far above
+#: rounding, and below what a reading could determine
+OUTSIDE_TOLERANCE = 1e-8
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Determinant:
+class Determinant(Criterion):
     """D over `directions`, or Ds of the columns of `interest` (n, s).
 
-    Its conventional value is log det of the information on what is of interest; with
-    the name "O1" it is O1 of the readings. `log_volume` is what coordinates that are
-    not orthonormal add to the log det.
+    Its conventional value is log det of the information on what is of interest.
+    `log_volume` is what coordinates that are not orthonormal add to it.
     """
 
     directions: int
     interest: Array | None = None
     name: str = "D"
-    concave: bool = True
-    smooth: bool = True
     log_volume: float = 0.0
+    starts_from_own_plan = False
+    #: exchanges of D end in more local optima where candidates have several rows
+    block_rounds = 2
 
     @property
     def size(self) -> int:
         """Number of directions of interest."""
         return self.directions if self.interest is None else int(self.interest.shape[1])
+
+    @property
+    def log_size(self) -> int:
+        """log det is log phi times the number of directions of interest."""
+        return self.size
+
+    @property
+    def any_coordinates(self) -> bool:
+        """D is the same plan in any coordinates."""
+        return self.interest is None
+
+    @property
+    def fast_search(self) -> FastSearch:
+        """Pairs for D."""
+        return "volume" if self.interest is None else "none"
 
     def value(self, m: Array) -> float:
         """log det(P) / -s."""
@@ -103,11 +122,8 @@ class Determinant:
         return self.value(m) + gain / self.size
 
     def conventional_value(self, value: float, readings: int) -> float:
-        """log det, or O1 = exp(value / 2) / sqrt(m)."""
-        log_det = value * self.size + self.log_volume
-        if self.name == "O1":
-            return float(np.exp(log_det / self.size / 2.0) / np.sqrt(readings))
-        return log_det
+        """log det."""
+        return value * self.size + self.log_volume
 
     def restrict(self, basis: Array) -> Criterion:
         """The directions of interest that lie in the basis.
@@ -121,9 +137,34 @@ class Determinant:
         interest = estimable_part(self.interest, basis)
         return dataclasses.replace(self, directions=directions, interest=interest)
 
-    def continuation(self) -> tuple[Criterion, ...]:
-        """Itself alone."""
-        return (self,)
+    def among(self, columns: Index, total: int) -> Criterion:
+        """Ds: the other columns are no directions of interest."""
+        interest = np.zeros((total, self.size))
+        interest[columns] = (
+            np.eye(len(columns)) if self.interest is None else self.interest
+        )
+        return dataclasses.replace(self, directions=total, interest=interest)
+
+    @property
+    def polished(self) -> Criterion:
+        """Itself."""
+        return self
+
+    def expression(self, m: Any) -> Any:
+        """log det M; for Ds -log det(K^T M^-1 K).
+
+        det(K^T M^-1 K) = det(K^T K) det(N^T M N) / det M, with N an orthonormal basis of
+        what K leaves out.
+        """
+        log_det = _symbolic_log_det(m)
+        if self.interest is None:
+            return log_det
+        nuisance = np.asarray(linalg.null_space(self.interest.T))
+        nuisance = nuisance.reshape(m.shape[0], -1)
+        if nuisance.shape[1]:
+            log_det = log_det - _symbolic_log_det(nuisance.T @ m @ nuisance)
+        gram = self.interest.T @ self.interest
+        return log_det - float(np.linalg.slogdet(gram)[1])
 
 
 def log_det_of_gram(basis: Array) -> float:
@@ -131,6 +172,13 @@ def log_det_of_gram(basis: Array) -> float:
     lengths = np.linalg.norm(basis, axis=0)
     angles = np.linalg.svd(basis / lengths, compute_uv=False)
     return 2.0 * float(np.log(lengths).sum() + np.log(angles).sum())
+
+
+def _symbolic_log_det(m: Any) -> Any:
+    """log det of a CasADi SX matrix (n, n)."""
+    import casadi as ca  # a report that lists the criteria loads no CasADi
+
+    return 2.0 * ca.sum1(ca.log(ca.diag(ca.chol(m))))
 
 
 def _half(m: Array) -> Array:
@@ -145,7 +193,9 @@ def estimable_part(interest: Array, basis: Array) -> Array:
     """
     outside = interest - basis @ (basis.T @ interest)
     _, distances, vt = np.linalg.svd(outside, full_matrices=False)
-    inside_combinations = vt[distances <= OUTSIDE * np.linalg.norm(interest, 2)].T
+    inside_combinations = vt[
+        distances <= OUTSIDE_TOLERANCE * np.linalg.norm(interest, 2)
+    ].T
     inside: Array = basis.T @ interest @ inside_combinations
     if not inside.size or np.linalg.matrix_rank(inside) < inside.shape[1]:
         raise ValueError(

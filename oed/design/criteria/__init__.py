@@ -1,0 +1,1 @@
+"""Criteria, one a file: each module holds one `criterion` (`oed.design.catalogue`)."""

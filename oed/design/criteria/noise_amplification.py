@@ -1,0 +1,20 @@
+"""The noise amplification index: O1, with m counting measurement poses instead of readings."""
+
+from __future__ import annotations
+
+from oed.design.catalogue import NamedCriterion
+from oed.design.criteria.o1 import of_singular_values
+
+criterion = NamedCriterion(
+    name="noise_amplification",
+    about="O1 with m counting poses",
+    source="Chang, Li and Li (2011), Chin. J. Mech. Eng., Eq. (17)",
+    index=of_singular_values,
+    index_of_poses=True,
+    index_meaning=(
+        "the noise amplification index of Eq. (17) of Chang, Li and Li (2011), the"
+        " geometric mean of the singular values over the root of the number of poses;"
+        " larger is better"
+    ),
+    symbol="O",
+)
