@@ -28,12 +28,7 @@ from oed import build_study
 from oed.accuracy import error_maps
 from oed.base.arrays import Array
 from oed.estimation import identify
-from oed.estimation.fleet import (
-    FleetPrior,
-    MachineInformation,
-    fleet_prior,
-    readings_information,
-)
+from oed.history import FleetPrior, MachineInformation, fleet_prior
 from oed.measurement import Measurement
 from oed.mechanism.kinematics import Kinematics
 from pkm_studies import commands
@@ -184,7 +179,7 @@ def _information(bench: Bench, full: Any, y: Array) -> MachineInformation:
     m, free = bench.measurement, bench.free
     fit = identify(m, [full], y)
     block = fit.covariance[np.ix_(free, free)]
-    return readings_information(
+    return MachineInformation.of_posterior(
         fit.theta[free], block, m.nominal[free], m.tolerance[free]
     )
 

@@ -36,7 +36,7 @@ from oed.gap.data import problem as problem_of
 from oed.gap.data.problem import GapProblem
 from oed.gap.procedure import diagnose
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 from pkm_studies import stages, study
 from pkm_studies.resolve import gap_request, resolve
 

@@ -34,8 +34,8 @@ from scipy import stats
 
 import oed
 from benchmarks.long_traces import NOISE, write_readings, write_study
-from oed.posterior import posterior
-from oed.posterior.posterior import Posterior, Sampler
+from oed import posterior
+from oed.posterior import Posterior, Sampler
 from pkm_studies import shipped
 from pkm_studies.stages import Fitted
 

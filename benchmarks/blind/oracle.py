@@ -44,7 +44,7 @@ from oed.gap.cause.closure import Split, closure
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.gap.forms.library import Atom, Library
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 from pkm_campaign import Job, read_row, run_jobs
 
 #: size of a rival against its physical prior scale

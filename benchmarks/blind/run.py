@@ -27,8 +27,7 @@ from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as library_of
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
-from oed.noise.process import Laws
+from oed.noise import Laws, NoiseLaw
 from oed.result.gap import AnswerRecord, ClosureRecord
 from pkm_campaign import Row
 

@@ -8,9 +8,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
-from oed.noise.factor import Errors
-from oed.noise.law import NoiseLaw
-from oed.noise.structure import ReadingStructure
+from oed.noise import Errors, NoiseLaw, ReadingStructure
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

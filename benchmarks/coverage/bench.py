@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.coverage.noise import Layout
-from oed.estimation.coordinates import IdentifiableCoordinates, identifiable_coordinates
+from oed.estimation import IdentifiableCoordinates
 from oed.measurement import Measurement, Series
-from oed.noise.statement import NoiseStatement
+from oed.noise import NoiseStatement
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,7 +54,7 @@ class Bench:
         """Identifiable combinations: those of the readings at nominal parameters."""
         m = self.measurement
         noise = m.noise(self.series)
-        return identifiable_coordinates(m, self.series, m.nominal, noise)
+        return IdentifiableCoordinates.of(m, self.series, m.nominal, noise)
 
     @functools.cached_property
     def layout(self) -> Layout:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from benchmarks.coverage import a3, delta, hexapod, planar
 from benchmarks.coverage.bench import Bench
-from oed.noise.statement import NoiseStatement
+from oed.noise import NoiseStatement
 
 #: that the cup stays where it is: no law of the noise seats it anew
 STAYS, ABOUT = NoiseStatement(seating=0.0), "the study states `seating_um = 0`"

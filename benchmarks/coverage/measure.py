@@ -15,11 +15,9 @@ import numpy as np
 
 from benchmarks.coverage import noise
 from benchmarks.coverage.bench import Bench
+from oed import posterior
 from oed.accuracy.maps import driven_errors
-from oed.estimation.coordinates import coordinates_of_readings
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import identify
-from oed.posterior import laplace
+from oed.estimation import Estimate, identify
 
 #: posterior draws for intervals, those for bands, share that an interval holds
 DRAWS, BAND_DRAWS, LEVEL = 2000, 200, 0.95
@@ -75,9 +73,11 @@ def one_machine(
     estimate = identify(
         m, bench.series, y, stages=bench.stages, estimate_noise=estimate_noise
     )
-    z = laplace.draw_coordinates(estimate, rng, DRAWS)
+    z = posterior.draw_coordinates(estimate, rng, DRAWS)
     inside, nees = _combinations(bench, estimate, z, exact)
-    theta = laplace.draw_parameters(m, bench.series, y, estimate, z[:BAND_DRAWS], rng)
+    theta = posterior.draw_lost_directions(
+        m, bench.series, y, estimate, z[:BAND_DRAWS], rng
+    )
     return Outcome(inside, nees, _bands(bench, estimate, theta, truth))
 
 
@@ -98,8 +98,8 @@ def _combinations(
 
 def true_coordinates(bench: Bench, estimate: Estimate, exact: np.ndarray) -> np.ndarray:
     """Coordinates (r,) whose readings are the exact ones (N,)."""
-    return coordinates_of_readings(
-        bench.measurement, bench.series, estimate.coordinates, exact, estimate.z
+    return estimate.coordinates.of_readings(
+        bench.measurement, bench.series, exact, estimate.z
     )
 
 

@@ -20,12 +20,10 @@ from scipy import stats
 
 from benchmarks.coverage import measure
 from benchmarks.coverage.bench import Bench
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import identify
+from oed import posterior
+from oed.estimation import Estimate, identify
 from oed.measurement import reading_structure
-from oed.noise.prior import noise_prior
-from oed.noise.process import Whitening
-from oed.posterior import laplace, posterior
+from oed.noise_law import NoisePrior
 
 Sampler = Literal["laplace", "auto", "emcee"]
 #: draws that a rank is among
@@ -76,11 +74,11 @@ def one_machine(
     """Rank of each combination and of each coordinate of the noise law."""
     m = bench.measurement
     structure = reading_structure(m, bench.series, m.nominal)
-    prior = noise_prior(structure)
+    prior = NoisePrior.of(structure)
     rng = measure.generator(seed, "ranks", bench.name, number)
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     law = rng.standard_normal(prior.dimensions)
-    errors = Whitening(structure, prior.laws(law[None])).draw(rng)[0]
+    errors = prior.laws(law[None]).whitening(structure).draw(rng)[0]
     exact = bench.read(truth)
     y = exact + structure.restore(errors)
     estimate = identify(m, bench.series, y, stages=bench.stages, estimate_noise=True)
@@ -104,7 +102,7 @@ def _draws(
     fitted = estimate.noise_posterior
     assert fitted is not None
     if sampler == "laplace":
-        z = laplace.draw_coordinates(estimate, rng, DRAWS)
+        z = posterior.draw_coordinates(estimate, rng, DRAWS)
         number = rng.choice(len(fitted.weights), size=DRAWS, p=fitted.weights)
         return z, fitted.draws[number]
     sampled = posterior.sample(

@@ -23,9 +23,7 @@ from oed.accuracy import ErrorMaps
 from oed.base.arrays import Array
 from oed.compensate.effects.absorbed import absorbing_shift
 from oed.compensate.effects.expected_columns import ExpectedColumns, expected_columns
-from oed.estimation import identify
-from oed.estimation.discrepancy import LARGE, SMALL
-from oed.estimation.estimate import Estimate
+from oed.estimation import Discrepancy, Estimate, identify
 from oed.gap.data import problem as problems
 
 #: draws of an estimate that are judged
@@ -76,7 +74,9 @@ def one(machine: str, level: str, size: float, seed: int) -> dict[str, Any]:
         problem.series,
         bench.y,
         estimate_noise=True,
-        discrepancy=columns.of_sizes(np.concatenate([SMALL, LARGE])).discrepancy,
+        discrepancy=columns.of_sizes(
+            np.concatenate([Discrepancy.SMALL, Discrepancy.LARGE])
+        ).discrepancy,
         rng=rng,
     )
     record["seconds"] = time.process_time() - started

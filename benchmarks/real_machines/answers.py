@@ -22,6 +22,7 @@ import numpy as np
 
 from benchmarks.real_machines import world
 from benchmarks.real_machines.__main__ import judge, slopes, tool_shifts
+from oed import posterior
 from oed.base.arrays import Array
 from oed.compensate.effects.absorbed import absorbing_shift
 from oed.compensate.effects.answer_fits import AnswerFits, with_constants
@@ -37,7 +38,6 @@ from oed.gap import procedure
 from oed.gap.data import problem as problems
 from oed.gap.data.diagnosis import Diagnosis
 from oed.gap.data.problem import GapProblem
-from oed.posterior import laplace
 
 #: draws of what is known of a machine that are judged
 DRAWS = 400
@@ -123,7 +123,7 @@ def one(machine: str, size: float, seed: int) -> dict[str, Any]:
     record["seconds_mixture"] = time.process_time() - started
     record["verdict"], record["rest"] = diagnosis.verdict, mixture.rest
     record["answers"] = _named(mixture)
-    nothing = laplace.draw_approximation(
+    nothing = posterior.draw_approximation(
         bench.measurement, problem.series, bench.y, alone, rng, DRAWS
     )
     still = np.zeros((len(nothing.theta), *bench.shift.shape))
@@ -168,7 +168,7 @@ def _of_best(
     corrected: CorrectedEstimate,
     rng: np.random.Generator,
 ) -> Known:
-    drawn = laplace.draw_approximation(
+    drawn = posterior.draw_approximation(
         corrected.measurement, corrected.series, bench.y, corrected.estimate, rng, DRAWS
     )
     count = corrected.parameters

@@ -27,7 +27,7 @@ from oed.design import candidates
 from oed.design.blocks import information
 from oed.design.exchange import choose
 from oed.design.forms.variance import Variance
-from oed.estimation.discrepancy import HEALTHY
+from oed.estimation import Discrepancy
 from oed.identifiability import prior_information
 from pkm_studies.resolve import effects_of_planned, pose_error_slopes
 
@@ -124,7 +124,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             bench = world.draw(options.machine, 0, "healthy", seed, Path(folder))
         full = effects_of(bench, np.random.default_rng(seed))
-        sizes = (None, full.of_size(HEALTHY), full)
+        sizes = (None, full.of_size(Discrepancy.HEALTHY), full)
         worlds = [problem(bench, effects) for effects in sizes]
         plans = [
             one.plan(options.readings, np.random.default_rng(seed)) for one in worlds

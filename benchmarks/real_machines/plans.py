@@ -25,8 +25,7 @@ from benchmarks.real_machines.__main__ import judge
 from benchmarks.real_machines.attainable import MACHINES, effects_of, problem
 from oed.base.arrays import Array, Index
 from oed.compensate.effects.expected_columns import expected_columns
-from oed.estimation import identify
-from oed.estimation.discrepancy import HEALTHY
+from oed.estimation import Discrepancy, identify
 from oed.gap.data import problem as problems
 
 KINDS = ("rigid", "real")
@@ -71,7 +70,7 @@ def one(machine: str, level: str, count: int, seed: int) -> dict[str, Any]:
 def _chosen(bench: world.Bench, count: int, seed: int, real: bool) -> Index:
     """Readings of the session that a plan takes, by their number."""
     rng = np.random.default_rng(seed)
-    effects = effects_of(bench, rng).of_size(HEALTHY) if real else None
+    effects = effects_of(bench, rng).of_size(Discrepancy.HEALTHY) if real else None
     return problem(bench, effects).plan(count, rng)
 
 

@@ -41,7 +41,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as libraries
 from oed.model.effect import Column, Effect, State
 from oed.model.size_prior import EFFECT_SIZES
-from oed.noise.structure import KNOWN
+from oed.noise import SharedError
 
 #: sqrt(lambda) of the effects, and noises that a mean is over
 SIZE, NOISES = 10.0, 16
@@ -149,7 +149,7 @@ def _noise(problem: GapProblem) -> Array:
     shape = (len(problem), NOISES)
     noise = rng.standard_normal(shape)
     if (
-        problem.structure.kinds == KNOWN
+        problem.structure.kinds == SharedError.KNOWN
     ).any():  # half the variance is that of the reference
         keys = problem.rows["run"].astype(str) + problem.rows["channel"].astype(str)
         _, owner = np.unique(keys.to_numpy(dtype=str), return_inverse=True)

@@ -21,7 +21,7 @@ from scipy.stats import qmc
 from benchmarks.second.replay import Replay
 from oed.base.arrays import Array
 from oed.gap.data.evidence import RATE, SHAPE
-from oed.noise.prior import CARRIED, REACH, RUN, SPARSE, NoisePrior
+from oed.noise_law import NoisePrior
 
 #: nodes of quadrature of each law's parameters
 REPEAT_NODES, AR_NODES, MIX_NODES = 4, (3, 3), (3, 2, 2)
@@ -72,7 +72,9 @@ def laws() -> list[Law]:
 
 def usual_laws() -> list[Law]:
     """Gaussian laws by the toolkit's prior of the level, of run-to-run and carried parts."""
-    prior = NoisePrior(("level", CARRIED, REACH, RUN), 1, SPARSE)
+    prior = NoisePrior(
+        ("level", NoisePrior.CARRIED, NoisePrior.REACH, NoisePrior.RUN), 1
+    ).sparse()
     sobol = qmc.Sobol(3, seed=POINT_SEED)
     u = special.ndtri(sobol.random_base2(int(np.log2(POINTS))))
     drawn = prior.laws(np.column_stack([np.zeros(POINTS), u]))

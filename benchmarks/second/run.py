@@ -31,7 +31,7 @@ from benchmarks.second.cases import Case
 from oed.gap import procedure as diagnose
 from oed.gap.data.problem import GapProblem
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,7 +13,7 @@ import _draw
 import numpy as np
 
 from oed import compensate
-from oed.estimation.identification import identify
+from oed.estimation import identify
 from oed.measurement import Measurement, draw_parameters
 from oed.model.instrument import mount
 from pkm_models.instruments import camera, redundancy

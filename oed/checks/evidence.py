@@ -19,17 +19,8 @@ from oed.checks.fit import Fit
 from oed.checks.screening import log_density_by_scale, scales_of_noise
 from oed.checks.session import SessionReadings
 from oed.measurement import reading_structure
-from oed.noise.marginal import ResidualModel
-from oed.noise.prior import (
-    CARRIED,
-    COURSE,
-    REACH,
-    RUN,
-    log_prior_of_scale,
-    noise_prior,
-)
-from oed.noise.process import Laws, Whitening
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import NoisePrior, ResidualModel, log_prior_of_scale
 from oed.result.fit_limits import GUESS
 
 #: coordinates of the laws that are looked at: error of a run, carried share and reach
@@ -110,9 +101,13 @@ def _with_rival(
 def law_grid(structure: ReadingStructure) -> tuple[Laws, Array]:
     """Laws (L,) of unit scale, and log prior weights (L,)."""
     # What a course takes up is a finding of these checks, not their noise.
-    prior = noise_prior(structure).without(COURSE)
+    prior = NoisePrior.of(structure).without(NoisePrior.COURSE)
     axes: list[tuple[float, ...]] = [(0.0,)] * prior.dimensions
-    for name, values in ((RUN, LEVELS), (CARRIED, SHARES), (REACH, REACHES)):
+    for name, values in (
+        (NoisePrior.RUN, LEVELS),
+        (NoisePrior.CARRIED, SHARES),
+        (NoisePrior.REACH, REACHES),
+    ):
         if name in prior.names:
             axes[prior.names.index(name)] = values
     u = np.array(list(itertools.product(*axes)))
@@ -139,7 +134,7 @@ def _log_marginal(
 
     most  error of a run over the stated noise: beyond that is a mistake, and no noise
     """
-    whitening = Whitening(linear.structure, laws)
+    whitening = laws.whitening(linear.structure)
     gram = whitening.gram(np.column_stack([linear.residual, slopes]))
     values, vectors = np.linalg.eigh(gram[:, 1:, 1:])
     squares = np.einsum("lij,li->lj", vectors, gram[:, 1:, 0]) ** 2

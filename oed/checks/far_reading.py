@@ -22,7 +22,7 @@ from oed.checks.fit import CANNOT_BE, Fit
 from oed.checks.session import SessionReadings
 from oed.dataset.columns import column_name, parse_column
 from oed.measurement import Series
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
 #: neighbours of a run that are off the same way from which on they are no single errors;
 #: probability of signs as equal by chance, likewise

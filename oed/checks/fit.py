@@ -21,9 +21,9 @@ from scipy import linalg
 
 from oed.base.arrays import Array, Index
 from oed.checks.session import SessionReadings
-from oed.estimation.fitter import READINGS_ROUNDED, Minima, minimise
+from oed.estimation import Minima, minimise
 from oed.mechanism.kinematics import AssemblyError
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
 if TYPE_CHECKING:
     from oed.checks.mistakes.trial import MistakeTrial
@@ -212,7 +212,7 @@ class _Problem:
         )
         # whitening divides by what the other errors leave of each one
         root = np.sqrt(self._noise.precision_diagonal())
-        self.rounding = (READINGS_ROUNDED * size * root)[None]
+        self.magnitude = (size * root)[None]
 
     def fit(self, start: Array | None) -> Fit | None:
         """The fit from parameters `start` (n,), or from nominal."""

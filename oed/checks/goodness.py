@@ -10,7 +10,7 @@ from scipy import special
 
 from oed.base.arrays import Array, Mask
 from oed.checks.fit import Fit, residual_weights
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
 from oed.result.fit_limits import ALARM, GUESS, noise_ratio
 

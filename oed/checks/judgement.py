@@ -24,14 +24,16 @@ from oed.checks.goodness import (
 )
 from oed.checks.outliers import OutlierSearch, find_outliers
 from oed.checks.session import CheckedLaw, SessionReadings
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
-from oed.noise.law_noise import factor_of
-from oed.noise.marginal import ResidualModel, most_probable
-from oed.noise.outliers import robust_residuals
-from oed.noise.prior import KNOWN_TO, LEAST_FREEDOM, noise_prior
-from oed.noise.process import Laws, stated_laws
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import (
+    KNOWN_TO,
+    LEAST_FREEDOM,
+    NoisePrior,
+    ResidualModel,
+    robust_residuals,
+)
 from oed.result.fit_limits import ALARM, GUESS
 
 #: rounds of tails and law
@@ -135,13 +137,13 @@ def estimated_law(solution: Fit) -> tuple[CheckedLaw, ResidualModel]:
     """The most probable law of readings linear at a fit, and these without their tails."""
     linear = linear_readings(solution)
     structure = linear.structure
-    prior = noise_prior(structure, len(structure) - linear.slopes.shape[1])
-    laws: Laws = stated_laws(structure)
+    prior = NoisePrior.of(structure, len(structure) - linear.slopes.shape[1])
+    laws: Laws = Laws.stated(structure)
     z, mode = solution.departure, None
     for _ in range(ROUNDS):
         clean = robust_residuals(structure, laws, linear.residual, linear.slopes)
         model = ResidualModel(structure, clean - linear.slopes @ z, linear.slopes, z)
-        mode = most_probable(model, prior, mode)
+        mode = model.most_probable(prior, mode)
         laws = prior.laws(mode[None])
         z = model.solve(laws).mean[0]
     return _checked_law(structure, laws, solution.theta), model
@@ -204,6 +206,6 @@ def _under_scale(
     misfit = float(model.solve(laws).misfit[0])
     about_nominal = model.residual + model.slopes @ model.centre
     both = np.column_stack([about_nominal, model.slopes])
-    white = factor_of(structure, laws).whiten(both)
+    white = laws.factor(structure).whiten(both)
     p_strain = probability_of_strain(white[:, 1:], white[:, 0])
     return goodness_of(misfit, residual_weights(white[:, 1:])), p_strain

@@ -22,7 +22,7 @@ a gross error is detected, and cannot be located.
 Gross error or noise. Let x_i be the error of predicting value i from all others but S,
 in its standard deviation. Two accounts of the session compete: normal noise with gross
 errors, (1 - e) N(x / t) / t + e v(x), and Student t noise of TAILS degrees of freedom
-without any. Both have the prior of the noise's scale t (`oed.noise.prior`). The n errors
+without any. Both have the prior of the noise's scale t (`oed.noise_law`). The n errors
 of prediction are worth n - r independent ones, for r effectively determined directions,
 so their log likelihood counts by the share (n - r) / n: few degrees of freedom prove
 little. A reading is gross at odds of PROVEN. Where the readings outside S do not fit
@@ -46,8 +46,7 @@ from scipy import special
 
 from oed.base.arrays import Array, Index
 from oed.checks.far_reading import LeaveOneOut
-from oed.noise.outliers import NORMAL, ErrorDensity, StudentT
-from oed.noise.prior import SCALE_SD, heavy_scale
+from oed.noise_law import NORMAL, ErrorDensity, StudentT, scale_over_stated
 
 #: readings that are combined, and most in one set
 CANDIDATES, MOST = 60, 3
@@ -338,7 +337,7 @@ def _odds_beside_heavy_tails(
 
 def _noise_densities(x: Array, tails: Sequence[ErrorDensity]) -> tuple[Array, Array]:
     """Log densities (T, K, n) of errors (n,) for tails and scales; log prior (T, K)."""
-    scale = np.exp(SCALE_SD * heavy_scale(_SCALES))
+    scale = scale_over_stated(_SCALES)
     prior = -0.5 * _SCALES**2
     prior -= _log_sum(prior) + np.log(len(tails))
     scaled = x / scale[:, None]

@@ -20,8 +20,8 @@ from oed.base.arrays import Array, Index, Mask
 from oed.base.linear_algebra import explained_energy
 from oed.checks.mistakes.given import Given
 from oed.checks.mistakes.trial import MistakeTrial
-from oed.noise.covariance import Noise
-from oed.noise.prior import log_prior_of_scale
+from oed.noise import Noise
+from oed.noise_law import log_prior_of_scale
 
 #: least scale of the noise over the stated one, and factor between scales
 LEAST_SCALE, SCALE_STEP = 0.5, 1.5

@@ -26,10 +26,7 @@ from oed.dataset.columns import (
 from oed.dataset.data import consecutive
 from oed.dataset.file_rows import Row, named_rows
 from oed.measurement import Measurement, Series, reading_structure
-from oed.noise.covariance import Noise
-from oed.noise.law_noise import noise_under
-from oed.noise.process import Laws
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, Noise, ReadingStructure
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -51,7 +48,7 @@ class CheckedLaw:
         if len(theta) != len(measurement.nominal):
             theta = measurement.nominal
         structure = reading_structure(measurement, series, theta)
-        return noise_under(structure, self.laws(structure))
+        return self.laws(structure).noise(structure)
 
     def laws(self, structure: ReadingStructure) -> Laws:
         """The law for readings of a structure; groups it does not know are as stated."""

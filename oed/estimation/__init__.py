@@ -1,6 +1,35 @@
-"""Parameters and noise from readings, and how sessions of a machine differ."""
+"""Parameters and noise from readings, and what readings contradict.
 
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import IdentificationError, identify
+Discrepancy              what effects that the model lacks can do to the readings
+Estimate                 identified parameters, their covariance, residuals and noise
+IdentifiableCoordinates  directions that some reading determines, and the others
+IdentificationError      the readings cannot be fitted
+Minima                   least sums of squares of many machines
+RunPrediction            all runs, each predicted from the others
+contradicted_parameters  held parameters that readings contradict
+fit_machines             parameters of many machines with the same readings
+identify                 the parameters of one machine
+minimise                 least squares of many machines at once
+noise_numbers            the numbers of an estimated noise law
+predict_runs             predicts each run from the others
+tolerance_factor         a common factor on all tolerances, by its evidence
+with_warnings            an estimate with its sentences for the user
+"""
 
-__all__ = ["Estimate", "IdentificationError", "identify"]
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from oed.estimation.contradictions import contradicted_parameters, tolerance_factor
+    from oed.estimation.coordinates import IdentifiableCoordinates
+    from oed.estimation.discrepancy import Discrepancy
+    from oed.estimation.estimate import Estimate
+    from oed.estimation.fit_stages import IdentificationError
+    from oed.estimation.fit_warnings import with_warnings
+    from oed.estimation.fitter import Minima, minimise
+    from oed.estimation.identification import fit_machines, identify
+    from oed.estimation.noise_summary import noise_numbers
+    from oed.estimation.run_prediction import RunPrediction, predict_runs
+else:
+    __getattr__ = door(__name__)

@@ -19,10 +19,10 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import canonical_rows, right_singular
-from oed.estimation.fitter import READINGS_ROUNDED, minimise
-from oed.identifiability import analyse, whiten
+from oed.estimation.fitter import minimise
+from oed.identifiability import analyse, information
 from oed.measurement import Measurement, Series
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,6 +43,42 @@ class IdentifiableCoordinates:
     null_basis: Array
     dual: Array
 
+    @classmethod
+    def of(
+        cls,
+        measurement: Measurement,
+        series: Sequence[Series],
+        theta: Array,
+        noise: Noise | Array,
+        tolerance: Array | None = None,
+    ) -> IdentifiableCoordinates:
+        """Identifiable coordinates of readings, with H taken at theta (n,), SI.
+
+        noise      of the readings, or its standard deviations (N,)
+        tolerance  (n,) prior standard deviations, 0 for parameters that are held; the
+                   measurement's by default
+
+        The origin is nominal, where the tolerances hold, wherever H is taken; held
+        parameters stay at theta. Raises AssemblyError.
+        """
+        scale = measurement.tolerance if tolerance is None else tolerance
+        free = np.flatnonzero(scale > 0)
+        units = _PriorUnits(scale[free], measurement.correlation_root(free))
+        jacobian = measurement.jacobian(series, theta)
+        whitened = units.slopes(information.whiten(jacobian, noise)[:, free])
+        null_space = _null_space(measurement, series, jacobian, free)
+        lost, determined = _split_directions(units.changes(null_space))
+        # The right singular vectors of H, strongest first, decouple the sampler's
+        # coordinates.
+        _, vectors = right_singular(whitened @ determined)
+        directions = determined @ vectors.T
+        return cls(
+            origin=np.where(scale > 0, measurement.nominal, theta),
+            basis=_at_rows(free, units.directions(directions), len(scale)),
+            null_basis=_at_rows(free, units.directions(lost), len(scale)),
+            dual=_at_rows(free, units.duals(directions), len(scale)).T,
+        )
+
     def from_theta(self, theta: Array) -> Array:
         """Coordinates z (r,) of parameters (n,); null directions are dropped."""
         return self.dual @ (theta - self.origin)
@@ -51,45 +87,34 @@ class IdentifiableCoordinates:
         """Parameters (n,) or (m, n) at coordinates (r,) or (m, r)."""
         return self.origin + z @ self.basis.T
 
+    def of_readings(
+        self,
+        measurement: Measurement,
+        series: Sequence[Series],
+        exact: Array,
+        start: Array,
+    ) -> Array:
+        """Coordinates z (r,) whose readings are exact ones (N,), SI, from a start (r,).
+
+        It is what readings can say of a machine: a lost direction of a millimetre moves
+        the machine's own coordinates by micrometres, to second order, and its readings not
+        at all. A fit in units of the stated noise, without a prior.
+        """
+        noise = Noise(measurement.sigma(series))
+        problem = ReadingsProblem(
+            measurement,
+            series,
+            noise,
+            exact[None],
+            self.origin[None],
+            self.basis,
+        )
+        return np.asarray(minimise(problem, start[None], weight=0.0).z[0])
+
     def widened(self, factor: float) -> IdentifiableCoordinates:
         """The same with tolerances a factor as large, null directions apart."""
         basis, dual = factor * self.basis, self.dual / factor
         return dataclasses.replace(self, basis=basis, dual=dual)
-
-
-def identifiable_coordinates(
-    measurement: Measurement,
-    series: Sequence[Series],
-    theta: Array,
-    noise: Noise | Array,
-    tolerance: Array | None = None,
-) -> IdentifiableCoordinates:
-    """Identifiable coordinates of readings, with H taken at theta (n,), SI.
-
-    noise      of the readings, or its standard deviations (N,)
-    tolerance  (n,) prior standard deviations, 0 for parameters that are held; the
-               measurement's by default
-
-    The origin is nominal, where the tolerances hold, wherever H is taken; held
-    parameters stay at theta. Raises AssemblyError.
-    """
-    scale = measurement.tolerance if tolerance is None else tolerance
-    free = np.flatnonzero(scale > 0)
-    units = _PriorUnits(scale[free], measurement.correlation_root(free))
-    jacobian = measurement.jacobian(series, theta)
-    whitened = units.slopes(whiten(jacobian, noise)[:, free])
-    null_space = _null_space(measurement, series, jacobian, free)
-    lost, determined = _split_directions(units.changes(null_space))
-    # The right singular vectors of H, strongest first, decouple the sampler's
-    # coordinates.
-    _, vectors = right_singular(whitened @ determined)
-    directions = determined @ vectors.T
-    return IdentifiableCoordinates(
-        origin=np.where(scale > 0, measurement.nominal, theta),
-        basis=_at_rows(free, units.directions(directions), len(scale)),
-        null_basis=_at_rows(free, units.directions(lost), len(scale)),
-        dual=_at_rows(free, units.duals(directions), len(scale)).T,
-    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,31 +150,6 @@ class _PriorUnits:
         if self.shape is not None:
             columns = np.asarray(np.linalg.solve(self.shape, columns), dtype=float)
         return columns / self.scale[:, None]
-
-
-def coordinates_of_readings(
-    measurement: Measurement,
-    series: Sequence[Series],
-    coordinates: IdentifiableCoordinates,
-    exact: Array,
-    start: Array,
-) -> Array:
-    """Coordinates z (r,) whose readings are exact ones (N,), SI, from a start (r,).
-
-    It is what readings can say of a machine: a lost direction of a millimetre moves
-    the machine's own coordinates by micrometres, to second order, and its readings not
-    at all. A fit in units of the stated noise, without a prior.
-    """
-    noise = Noise(measurement.sigma(series))
-    problem = ReadingsProblem(
-        measurement,
-        series,
-        noise,
-        exact[None],
-        coordinates.origin[None],
-        coordinates.basis,
-    )
-    return np.asarray(minimise(problem, start[None], weight=0.0).z[0])
 
 
 def _null_space(
@@ -204,13 +204,13 @@ class ReadingsProblem:
     basis: Array
 
     @functools.cached_property
-    def rounding(self) -> Array:
-        """Rounding errors (m, N) of the whitened residuals."""
+    def magnitude(self) -> Array:
+        """Sizes (m, N) of the whitened lengths whose difference a residual is."""
         # a small reading may be the difference of lengths as large as the machine
         factors = self.measurement.reading_length_factors(self.series)
         size = np.maximum(np.abs(self.y), self.measurement.machine.lever / factors)
         # whitening divides by what the other errors leave of each one
-        return READINGS_ROUNDED * size * np.sqrt(self.noise.precision_diagonal())
+        return np.asarray(size * np.sqrt(self.noise.precision_diagonal()))
 
     def theta(self, machines: Index, z: Array) -> Array:
         """Parameters (s, n), SI, of some machines at z (s, k)."""

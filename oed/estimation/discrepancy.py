@@ -17,23 +17,17 @@ Effects that stand out are hypotheses of a diagnosis (`oed.gap`), and no part of
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array, Index, Mask
 from oed.base.linear_algebra import explained_energy
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
-#: typical size of a healthy machine's effects, in expected sizes, which are those of
-#: catalogues: a machine in order has 0.07 of them
-HEALTHY = 10.0**-1.15
-#: sizes of a healthy machine's effects: two a decade, alike probable
-SMALL = HEALTHY * 10.0 ** (np.arange(-3, 4) / 2.0)
-#: sizes of what stands out, of unknown form
-LARGE = 10.0 ** (np.arange(-2, 9) / 2.0)
-#: energy of a direction over the largest that is rounding
-ROUNDING = 1e-12
+#: energy of a direction, over the largest, below which it is rounding
+ENERGY_TOLERANCE = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,7 +58,7 @@ def sample_effects(
     sizes        (t,) that are possible, alike probable
     """
     energy, axes = np.linalg.eigh(information)
-    energy = np.where(energy > ROUNDING * energy.max(initial=0.0), energy, 0.0)
+    energy = np.where(energy > ENERGY_TOLERANCE * energy.max(initial=0.0), energy, 0.0)
     along = np.where(energy > 0.0, score @ axes, 0.0)
     gain, log_determinant = explained_energy(energy, along**2, sizes**2)
     log_weights = 0.5 * (gain - log_determinant)
@@ -90,16 +84,24 @@ class Discrepancy:
     sizes    (t,) common sizes that are possible, in expected sizes
     """
 
+    #: typical size of a healthy machine's effects, in expected sizes, which are those of
+    #: catalogues: a machine in order has 0.07 of them
+    HEALTHY: ClassVar = 10.0**-1.15
+    #: sizes of a healthy machine's effects: two a decade, alike probable
+    SMALL: ClassVar[Array] = HEALTHY * 10.0 ** (np.arange(-3, 4) / 2.0)
+    #: sizes of what stands out, of unknown form
+    LARGE: ClassVar[Array] = 10.0 ** (np.arange(-2, 9) / 2.0)
+
     columns: Array
     group: Index
     names: tuple[str, ...]
     unknown: Mask
-    sizes: Array = dataclasses.field(default_factory=lambda: SMALL)
+    sizes: Array = dataclasses.field(default_factory=lambda: Discrepancy.SMALL)
 
     @property
     def is_small(self) -> bool:
         """Whether the effects are those of a machine in order."""
-        return bool(self.sizes.max() <= SMALL[-1])
+        return bool(self.sizes.max() <= self.SMALL[-1])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -24,11 +24,8 @@ from oed.estimation.discrepancy import (
     SampledEffects,
     sample_effects,
 )
-from oed.noise.marginal import ResidualModel, most_probable
-from oed.noise.outliers import robust_residuals
-from oed.noise.prior import NoisePrior
-from oed.noise.process import Laws, Whitening
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import NoisePrior, ResidualModel, robust_residuals
 
 #: rounds of effects and law; draws in each, and at the end
 ROUNDS, PARTICLES, DRAWS = 3, 150, 400
@@ -216,7 +213,7 @@ class _Alternation:
     def _gram(self, law: Laws, linear: ReadingsAbout, clean: Array) -> Array:
         """Products, under a law, of the r slopes, clean residuals and effects' columns."""
         values = np.column_stack([linear.slopes, clean, self.columns])
-        return np.asarray(Whitening(self.structure, law).gram(values)[0])
+        return np.asarray(law.whitening(self.structure).gram(values)[0])
 
     def _draw(self, gram: Array, count: int) -> EffectDraws:
         """Draws of the effects, with the parameters integrated out."""
@@ -233,7 +230,7 @@ class _Alternation:
 
     def _most_probable_law(self, slopes: Array, clean: Array, near: Array) -> Array:
         """Coordinates (d,) of the most probable law, unknowns of slopes integrated out."""
-        return most_probable(self._model(slopes, clean, near), self.prior, near)
+        return self._model(slopes, clean, near).most_probable(self.prior, near)
 
     def _log_evidence(self, linear: ReadingsAbout, clean: Array, mode: Array) -> float:
         """Log evidence without effects under a law at coordinates (d,), with their prior."""

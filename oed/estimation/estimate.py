@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.estimation.coordinates import IdentifiableCoordinates
-from oed.estimation.discrepancy import SampledEffects
-from oed.estimation.law_check import LawCheck
-from oed.noise.covariance import Noise
-from oed.noise.marginal import NoisePosterior
 
-#: posterior over prior standard deviation above which a parameter is weakly identified,
-#: and above which it stays at its prior
-WEAK, AT_PRIOR = 0.3, 0.7
+if TYPE_CHECKING:
+    from oed.estimation.coordinates import IdentifiableCoordinates
+    from oed.estimation.discrepancy import SampledEffects
+    from oed.estimation.law_stage import LawCheck
+    from oed.noise import Noise
+    from oed.noise_law import NoisePosterior
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +78,11 @@ class Estimate:
     >>> bool(estimate.chi2 / estimate.dof < 2.0)
     True
     """
+
+    #: shrinkage above which a parameter is weakly identified
+    WEAK: ClassVar = 0.3
+    #: shrinkage above which it stays at its prior
+    AT_PRIOR: ClassVar = 0.7
 
     theta: Array
     covariance: Array

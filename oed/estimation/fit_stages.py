@@ -8,16 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.estimation.coordinates import (
-    IdentifiableCoordinates,
-    ReadingsProblem,
-    identifiable_coordinates,
-)
+from oed.estimation.coordinates import IdentifiableCoordinates, ReadingsProblem
 from oed.estimation.estimate import Estimate, FitStage
 from oed.estimation.fitter import TRIALS, minimise
 from oed.identifiability import posterior_covariance
 from oed.measurement import Measurement, Series
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
 
 class IdentificationError(RuntimeError):
@@ -60,7 +56,7 @@ class ReadingsFit:
         self, theta: Array, noise: Noise, tolerance: Array
     ) -> IdentifiableCoordinates:
         """Identifiable coordinates with H taken at theta (n,)."""
-        return identifiable_coordinates(
+        return IdentifiableCoordinates.of(
             self.measurement, self.series, theta, noise, tolerance
         )
 

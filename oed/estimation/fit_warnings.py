@@ -8,14 +8,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from oed.base import text, units
-from oed.estimation.estimate import AT_PRIOR, WEAK, Estimate
+from oed.estimation.estimate import Estimate
 from oed.measurement import Measurement
 from oed.result.fit_limits import FAR, GUESS, chi2_is_large
 
-#: standard deviations from a bound within which an estimate is near it
-NEAR = 2.0
+#: distance from a bound, standard deviations, within which an estimate is near it
+BOUND_MARGIN = 2.0
 #: parameters that a warning names, the widest first
-MOST_NAMED = 6
+MAX_NAMED = 6
 
 
 def with_warnings(measurement: Measurement, estimate: Estimate) -> Estimate:
@@ -27,13 +27,13 @@ def with_warnings(measurement: Measurement, estimate: Estimate) -> Estimate:
 def warnings(measurement: Measurement, estimate: Estimate) -> list[str]:
     """Sentences that a user must read; none where the fit is sound."""
     sentences = []
-    unchanged = _wide_parameters(measurement, estimate, AT_PRIOR, np.inf)
+    unchanged = _wide_parameters(measurement, estimate, Estimate.AT_PRIOR, np.inf)
     if unchanged:
         sentences.append(
             "these stay near their tolerance, the readings hardly determine them: "
             + ", ".join(unchanged)
         )
-    weak = _wide_parameters(measurement, estimate, WEAK, AT_PRIOR)
+    weak = _wide_parameters(measurement, estimate, Estimate.WEAK, Estimate.AT_PRIOR)
     if weak:
         sentences.append(
             "these are weakly identified, their posterior stays wide: "
@@ -121,9 +121,9 @@ def _wide_parameters(
 
 def _widest(phrases: Mapping[str, float]) -> list[str]:
     """The phrases as they stand; of many, those of the largest values, and their number."""
-    if len(phrases) <= MOST_NAMED + 1:
+    if len(phrases) <= MAX_NAMED + 1:
         return list(phrases)
-    widest = sorted(phrases, key=lambda phrase: -phrases[phrase])[:MOST_NAMED]
+    widest = sorted(phrases, key=lambda phrase: -phrases[phrase])[:MAX_NAMED]
     more = len(phrases) - len(widest)
     return [*widest, f"and {more} more, which the table of parameters marks"]
 
@@ -137,7 +137,7 @@ def _far_parameters(measurement: Measurement, estimate: Estimate) -> list[str]:
 
 def _near_bounds(measurement: Measurement, estimate: Estimate) -> list[str]:
     """Parameters whose bound is within two standard deviations, or was passed."""
-    margin = NEAR * estimate.sd
+    margin = BOUND_MARGIN * estimate.sd
     bounds = measurement.bounds
     near = (estimate.theta - margin < bounds[:, 0]) | (
         estimate.theta + margin > bounds[:, 1]

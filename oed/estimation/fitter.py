@@ -52,8 +52,8 @@ class LeastSquares(Protocol):
     """What is minimised, machine by machine; unknowns z (k,), readings N."""
 
     @property
-    def rounding(self) -> Array:
-        """Rounding errors (m, N) of the whitened residuals."""
+    def magnitude(self) -> Array:
+        """Sizes (m, N) of the whitened lengths whose difference a residual is."""
 
     def residuals(self, machines: Index, z: Array) -> Array:
         """Whitened residuals (s, N) of s machines at z (s, k).
@@ -128,7 +128,8 @@ class _Steps:
         self._curvature = np.zeros(count)
         self._overshot = np.zeros(count, dtype=bool)
         self._longest = np.full(count, LONGEST * np.sqrt(max(start.shape[1], 1)))
-        self._precision = np.linalg.norm(problem.rounding, axis=1)
+        self._rounding = READINGS_ROUNDED * problem.magnitude
+        self._precision = np.linalg.norm(self._rounding, axis=1)
         self.cost = self._costs(self._z, self._residual)
 
     def minima(self) -> Minima:
@@ -245,7 +246,9 @@ class _Steps:
         z = self._z[machines] + step
         residual = self._problem.residuals(machines, z)
         cost = self._costs(z, residual)
-        lower = np.asarray(cost <= self.cost[machines] + self._rounding(machines))
+        lower = np.asarray(
+            cost <= self.cost[machines] + self._rounding_of_sums(machines)
+        )
         moved = machines[lower]
         self._z[moved], self._residual[moved] = z[lower], residual[lower]
         self.cost[moved] = cost[lower]
@@ -258,11 +261,9 @@ class _Steps:
         cost = (residual**2).sum(axis=1) + of_prior
         return np.where(np.isfinite(cost), cost, np.inf)
 
-    def _rounding(self, machines: Index) -> Array:
+    def _rounding_of_sums(self, machines: Index) -> Array:
         """Changes (s,) of the sums that rounding alone may cause."""
-        of_readings = (
-            np.abs(self._residual[machines]) * self._problem.rounding[machines]
-        )
+        of_readings = np.abs(self._residual[machines]) * self._rounding[machines]
         return np.asarray(
             2.0 * of_readings.sum(axis=1) + SUM_ROUNDED * self.cost[machines]
         )

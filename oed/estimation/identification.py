@@ -2,7 +2,7 @@
 
 Minimised is |W (y - f(theta))|^2 + |z|^2 over the identifiable coordinates z (see
 `oed.estimation.coordinates`), where W whitens the noise. Where asked for, the noise law is
-estimated from the readings too and integrated over (`oed.noise.marginal`): theta is the
+estimated from the readings too and integrated over (`oed.noise_law.marginal`): theta is the
 mean over laws, its covariance holds what is not known of the noise.
 
 Many machines at once, with known noise, are fitted over u, theta = nominal + T u, T the
@@ -39,11 +39,7 @@ from oed.estimation.law_stage import (
 )
 from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
-from oed.noise.covariance import Noise, as_noise
-from oed.noise.law_noise import noise_under
-from oed.noise.process import stated_laws
-
-__all__ = ["Estimate", "IdentificationError", "fit_machines", "identify"]
+from oed.noise import Laws, Noise
 
 
 def identify(
@@ -98,7 +94,7 @@ def identify(
     """
     fit = ReadingsFit(measurement, series, y, max_iterations)
     fit.check_readings()
-    stated = measurement.noise(series) if noise is None else as_noise(noise)
+    stated = measurement.noise(series) if noise is None else Noise.of(noise)
     theta = measurement.start if start is None else start
     residuals_before = residuals = fit.residuals(theta)
     try:
@@ -171,7 +167,7 @@ def _stage_with_effects(
         linearise,
         structure,
         prior,
-        stated_laws(structure),
+        Laws.stated(structure),
         discrepancy,
         starts,
         rng,
@@ -183,7 +179,7 @@ def _stage_with_effects(
     null = estimate.coordinates.null_basis
     residuals = fit.residuals(theta)
     white = stated.whiten(residuals - fitted.sampled.changes)
-    law_alone = noise_under(structure, prior.laws(fitted.mode[None]))
+    law_alone = prior.laws(fitted.mode[None]).noise(structure)
     jacobian = fit.measurement.jacobian(fit.series, theta)
     return dataclasses.replace(
         estimate,

@@ -1,4 +1,24 @@
-"""The last stage of a fit with the noise law estimated and integrated over."""
+"""The last stage of a fit with the noise law estimated, and whether it is noise.
+
+Hausman's test asks whether a law's weights suit the readings. In units of the stated noise,
+readings about nominal are r = H z + e, with z ~ N(0, 1) and e of the law's covariance C.
+Without correlated noise and levels of runs it is D. Two estimates of z are unbiased if the law is true:
+
+    by the law        G H^T C^-1 r,      G = (1 + H^T C^-1 H)^-1,
+    by D alone        A^-1 H^T D^-1 r,   A = 1 + H^T D^-1 H,
+
+and their difference d has the covariance V = S - G (Hausman 1978, Econometrica 46:1251),
+S = A^-1 (1 + H^T D^-1 C D^-1 H) A^-1. What the model lacks is no noise: the law then favours
+channels that parameters can be bent to, and differences of neighbouring readings, and d is
+too large. Tested is the sum of squares that the law's estimate adds, d^T H^T D^-1 H d.
+
+Where it is too large, or the law carries along more than a stated noise can be wrong by,
+readings have their stated weights, as in least squares. Noise and tolerances are the stated
+ones, T, times a factor w that makes the variances of the estimate what they are under the
+law, on average over its r directions (Pauli, Racugno and Ventura 2011):
+
+    w^2 = tr[(H^T T^-1 H)^-1 H^T T^-1 C T^-1 H] / r.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +26,34 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import special
 
 from oed.base.arrays import Array
 from oed.estimation.coordinates import IdentifiableCoordinates
 from oed.estimation.estimate import Estimate
 from oed.estimation.fit_stages import ReadingsFit, last_stage
-from oed.estimation.law_check import LawCheck, check_law
 from oed.measurement import reading_structure
-from oed.noise.covariance import Noise
-from oed.noise.law_noise import noise_under
-from oed.noise.marginal import ResidualModel, integrate, most_probable
-from oed.noise.outliers import robust_residuals
-from oed.noise.prior import (
-    COURSE,
+from oed.noise import Errors, Laws, LinearFactor, Noise, ReadingStructure
+from oed.noise_law import (
     KNOWN_TO,
     LEAST_FREEDOM,
     NoisePrior,
-    noise_prior,
+    ResidualModel,
+    robust_residuals,
 )
-from oed.noise.process import Laws, stated_laws
-from oed.noise.structure import ReadingStructure
 
-#: rounds of fit and noise law, and change of a law's coordinates, in prior standard
-#: deviations, below which they have settled
-NOISE_ROUNDS, SETTLED = 6, 0.03
+#: rounds of fit and noise law
+MAX_ROUNDS = 6
+#: change of a law's coordinates, prior standard deviations, at which the rounds end
+LAW_TOLERANCE = 0.03
+#: probability of a larger difference below which the law's weights are not used: the
+#: usual level of a test, as a wrong law costs far more than plain weights
+P_CONTRADICTED = 0.05
+#: correlated noise of a run, over the stated noise, from which it is none of the
+#: instrument's: two standard deviations of what a statement is good for
+MAX_CORRELATED = KNOWN_TO**2
+#: share of a variance below which it is rounding
+VARIANCE_TOLERANCE = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,7 +90,7 @@ def integrated_stage(
 
     near  an estimate from these readings, whose law is where the law is sought from
 
-    Where the readings speak against the law's weights (`oed.estimation.law_check`), they
+    Where the readings speak against the law's weights (`check_law`), they
     have the stated ones, and the parameters the covariance that the law then gives them.
     What the model lacks passes for a course through the session where poses change
     smoothly. So the law has a course where it is not contradicted without one, or where
@@ -74,19 +98,19 @@ def integrated_stage(
     """
     first = last_stage(fit, stated, theta, start_residuals, patterns)
     structure, with_course = structure_and_prior(fit, first)
-    prior = with_course.without(COURSE)
+    prior = with_course.without(NoisePrior.COURSE)
     settled = settle_law(fit, stated, first, structure, prior, mode_of(near, prior))
     model = settled.model
     about_nominal = model.residual + model.slopes @ model.centre
     check = check_law(structure, settled.law, about_nominal, model.slopes)
     robust = settled.robust
-    if COURSE in with_course.names:
+    if NoisePrior.COURSE in with_course.names:
         mode = mode_of(near, with_course)
         settled = settle_law(fit, stated, first, structure, with_course, mode)
     if not check.is_contradicted:
         estimate = integrate_settled(fit, first, settled)
         return dataclasses.replace(estimate, law_check=check)
-    if COURSE in with_course.names and _scatters_as_stated(settled.law):
+    if NoisePrior.COURSE in with_course.names and _scatters_as_stated(settled.law):
         return integrate_settled(fit, first, settled)
     return _by_stated_weights(robust, fit, stated, first, check)
 
@@ -135,9 +159,9 @@ def structure_and_prior(
     """
     structure = reading_structure(fit.measurement, fit.series, first.theta)
     freedom = len(structure) - first.coordinates.basis.shape[1] - effects
-    prior = noise_prior(structure, freedom)
+    prior = NoisePrior.of(structure, freedom)
     if effects:  # which have courses of their own
-        prior = prior.without(COURSE)
+        prior = prior.without(NoisePrior.COURSE)
     if effects and freedom < LEAST_FREEDOM:
         statement = dataclasses.replace(structure.statement, is_assumed=False)
         prior = dataclasses.replace(prior, statement=statement)
@@ -167,13 +191,13 @@ def settle_law(
 
     near  (d,) coordinates of the law where they begin; the stated law by default
     """
-    theta, noise, law = first.theta, stated, stated_laws(structure)
+    theta, noise, law = first.theta, stated, Laws.stated(structure)
     if near is not None:
         law = prior.laws(near[None])
-        noise = noise_under(structure, law)
+        noise = law.noise(structure)
     robust = fit
     mode = near
-    for _ in range(NOISE_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         coordinates = fit.coordinates(theta, stated, first.prior_sd)
         z, iterations = robust.solve(noise, coordinates, theta)
         theta = coordinates.to_theta(z)
@@ -186,11 +210,11 @@ def settle_law(
         change = structure.restore(replaced - residual)
         robust = dataclasses.replace(fit, y=fit.y + change)
         model = ResidualModel(structure, replaced, slopes, z)
-        before, probable = mode, most_probable(model, prior, mode)
+        before, probable = mode, model.most_probable(prior, mode)
         mode = probable
         law = prior.laws(probable[None])
-        noise = noise_under(structure, law)
-        if before is not None and np.abs(probable - before).max() < SETTLED:
+        noise = law.noise(structure)
+        if before is not None and np.abs(probable - before).max() < LAW_TOLERANCE:
             break
     return SettledLaw(
         model, law, prior, probable, noise, coordinates, robust, iterations
@@ -205,7 +229,7 @@ def integrate_settled(
     first  estimate with the stated noise
     """
     coordinates = settled.coordinates
-    posterior = integrate(settled.model, settled.prior, settled.mode)
+    posterior = settled.model.integrate(settled.prior, settled.mode)
     theta = coordinates.to_theta(settled.model.centre)
     theta = fit.closing(theta, coordinates.to_theta(posterior.mean))
     residuals = fit.residuals(theta)
@@ -225,3 +249,97 @@ def integrate_settled(
         noise_posterior=posterior,
         robust_readings=settled.robust.y,
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class LawCheck:
+    """How far the estimate by a law is from the one by its variances alone.
+
+    ratio        of the sum of squares between them to what the law lets expect
+    probability  of a larger one if what the law describes is noise
+    widening     w: sd of an estimate by stated weights under the law, over the stated one
+    carried      standard deviation of what readings have in common with their neighbours,
+                 over the stated noise; 0 where that is an assumption
+    """
+
+    ratio: float
+    probability: float
+    widening: float
+    carried: float = 0.0
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether neighbouring readings have no more in common than noise can."""
+        return self.carried <= MAX_CORRELATED
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether the readings speak against the law's weights."""
+        return self.probability < P_CONTRADICTED or not self.is_noise
+
+
+def check_law(
+    structure: ReadingStructure, law: Laws, residual: Array, slopes: Array
+) -> LawCheck:
+    """The test for standardised readings about nominal.
+
+    law       the first of them is tested
+    residual  (N,) readings less those of nominal parameters
+    slopes    (N, r) over z
+    """
+    errors = law.errors(structure)
+    one = np.eye(slopes.shape[1])
+    weighted = _uncorrelated(law).factor(structure).precision(slopes)
+    information = slopes.T @ weighted
+    by_variances = np.linalg.inv(one + information)
+    between = one + errors.covariance_of(weighted)
+    white = law.factor(structure).whiten(np.column_stack([residual, slopes]))
+    gram = white[:, 1:].T @ white
+    by_law = np.linalg.inv(one + gram[:, 1:])
+    difference = by_variances @ (weighted.T @ residual) - by_law @ gram[:, 0]
+    expected = information @ (by_variances @ between @ by_variances - by_law)
+    total = float(difference @ information @ difference)
+    ratio, probability = _of_sum(total, expected)
+    stated = Laws.stated(structure).factor(structure)
+    widening = _widening(slopes, stated, errors)
+    return LawCheck(ratio, probability, widening, _carried(structure, law))
+
+
+def _carried(structure: ReadingStructure, law: Laws) -> float:
+    """What the first law carries along, of the group in which it is largest."""
+    if structure.statement.is_assumed:
+        return 0.0
+    return float(law.scale[0].max() * np.sqrt(law.carried[0]))
+
+
+def _uncorrelated(law: Laws) -> Laws:
+    """A law of the same variances, with nothing carried along and no level of runs."""
+    none = np.zeros(len(law))
+    scale = law.scale * np.sqrt(1.0 + law.level**2)[:, None]
+    return dataclasses.replace(law, scale=scale, carried=none, level=none)
+
+
+def _widening(slopes: Array, stated: LinearFactor, errors: Errors) -> float:
+    """w, over the directions that slopes (N, r) determine."""
+    weighted = stated.precision(slopes)
+    values, vectors = np.linalg.eigh(slopes.T @ weighted)
+    determined = values > VARIANCE_TOLERANCE * values.max(initial=0.0)
+    if not determined.any():
+        return 1.0
+    root = vectors[:, determined] / np.sqrt(values[determined])
+    variances = np.diag(errors.covariance_of(weighted @ root))
+    return float(np.sqrt(np.mean(variances)))
+
+
+def _of_sum(total: float, expected: Array) -> tuple[float, float]:
+    """Ratio to its mean, and probability of more, of a weighted sum of squares.
+
+    Its first two moments are those of a scaled chi-square (Satterthwaite 1946).
+    """
+    mean = float(np.trace(expected))
+    spread = 2.0 * float(np.trace(expected @ expected))
+    if mean <= VARIANCE_TOLERANCE * len(expected) or spread <= 0.0:
+        return 0.0, 1.0
+    dof = 2.0 * mean**2 / spread
+    ratio = total / mean
+    return ratio, float(special.chdtrc(dof, ratio * dof))

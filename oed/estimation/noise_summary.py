@@ -1,7 +1,7 @@
 """The noise law as estimated: its numbers with standard deviations, over all laws.
 
 A number departs from the stated noise where a difference that matters has the
-probability `SURE`: single readings that scatter by a fifth more or less, an error of a
+probability `P_DEPARTURE`: single readings that scatter by a fifth more or less, an error of a
 run or of a seat that is half the stated noise, a quarter of the variance carried along.
 """
 
@@ -15,18 +15,20 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Mask
 from oed.model.instrument import Setup
-from oed.noise.marginal import NoisePosterior
-from oed.noise.prior import CARRIED, COURSE, RUN
-from oed.noise.process import Laws
+from oed.noise import Laws
+from oed.noise_law import NoisePosterior
 from oed.result.goodness import NoiseRecord
 
-#: probability from which on a departure is reported
-SURE = 0.95
+#: probability from which on a departure from the stated noise is reported
+P_DEPARTURE = 0.95
 #: kinds of numbers that are standard deviations
 ERRORS = ("reading", "run", "seat", "course")
-#: factor on the stated noise, share of it that a run shares, and share of the variance
-#: carried along, beyond which a law is another than the stated one
-SCATTER, SHARED, MOST_CARRIED = 1.2, 0.5, 0.25
+#: factor on the stated noise beyond which single readings depart
+SCATTER = 1.2
+#: size, over the stated noise, beyond which an error that a run shares departs
+SHARED_SIZE = 0.5
+#: share of the variance that is correlated beyond which it departs from the stated one
+CORRELATED_SHARE = 0.25
 
 
 def noise_numbers(
@@ -36,66 +38,93 @@ def noise_numbers(
 
     The reach is at most as long as the longest run.
     """
-    return list(_numbers(posterior, setups))
-
-
-def _numbers(
-    posterior: NoisePosterior, setups: Mapping[str, Setup]
-) -> Iterator[NoiseRecord]:
-    laws, weights = posterior.prior.laws(posterior.draws), posterior.weights
-    structure = posterior.structure
+    prior, structure, weights = posterior.prior, posterior.structure, posterior.weights
+    laws = prior.laws(posterior.draws)
     # channels with common sources have part of the noise of each
     variances = structure.variances.sum(axis=1)
     of_channels = structure.variances.T / variances
     scales = np.sqrt(laws.scale**2 @ of_channels)
     within = laws.scale * _scatter_within_run(laws, structure.longest)[:, None]
     scatter = np.sqrt(within**2 @ of_channels)
-
-    def number(
-        kind: str, of: str, unit: str, values: Array, stated: float | None, far: Mask
-    ) -> NoiseRecord:
-        fine = units.FINE.get(unit, unit) if kind in ERRORS else unit
-        factor = units.factor(fine) if kind in ERRORS else 1.0
-        mean = float(weights @ values)
-        sd = float(np.sqrt(weights @ (values - mean) ** 2))
-        # roots of mean squares are as stated but for their rounding
-        known = None if stated is None else float(f"{stated / factor:.12g}")
-        departs = bool(weights @ far > SURE)
-        return NoiseRecord(kind, of, mean / factor, sd / factor, fine, known, departs)
-
+    records: list[NoiseRecord] = []
     seated: dict[str, NoiseRecord] = {}
     for g, name in enumerate(structure.names):
         setup_name, _, channel = name.rpartition(".")
         setup = setups[setup_name]
         stated = _stated(setup, channel, float(np.sqrt(variances[g])))
-        sigma, unit = stated.sigma, stated.unit
-        scale, alone = scales[:, g], scatter[:, g]
-        far = (alone > SCATTER) if weights @ alone > 1.0 else (alone < 1.0 / SCATTER)
-        yield number("reading", name, unit, sigma * alone, sigma, far)
-        level, known = _run_errors(stated, scale, laws)
-        if stated.shared > 0.0 if stated.is_level else RUN in posterior.prior.names:
-            whole = sigma * np.hypot(level, known)
-            grown = known - stated.shared if stated.is_level else level
-            expected = sigma * stated.shared
-            yield number("run", name, unit, whole, expected, grown > SHARED)
-        if COURSE in posterior.prior.names:
-            course = scale * laws.course
-            far = course > SHARED
-            yield number("course", name, unit, sigma * course, 0.0, far)
+        records += _channel_numbers(
+            name, stated, scales[:, g], scatter[:, g], laws, posterior
+        )
         if setup.instrument.renewed and setup.statement.seating != 0.0:
-            seat, expected = _seating(setup, sigma, scale, laws)
-            far = seat - expected > SHARED * sigma
-            seated[setup.name] = number("seat", setup.name, unit, seat, expected, far)
-    yield from seated.values()
-    if CARRIED in posterior.prior.names:
+            seat, expected = _seating(setup, stated.sigma, scales[:, g], laws)
+            far = seat - expected > SHARED_SIZE * stated.sigma
+            seated[setup.name] = _record(
+                weights, "seat", setup.name, stated.unit, seat, expected, far
+            )
+    records += seated.values()
+    if prior.CARRIED in prior.names:
         statement = structure.statement
-        share, values = statement.carried_share, laws.carried
-        far = values - share > MOST_CARRIED
-        yield number("carried", "", "1", values, share, far)
+        far = laws.carried - statement.carried_share > CORRELATED_SHARE
+        records.append(
+            _record(
+                weights, "carried", "", "1", laws.carried, statement.carried_share, far
+            )
+        )
         never = np.zeros(len(laws), dtype=bool)
         # beyond the longest run, readings cannot tell how far it goes
         reach = np.minimum(laws.reach, structure.longest)
-        yield number("reach", "", "readings", reach, statement.reach, never)
+        records.append(
+            _record(weights, "reach", "", "readings", reach, statement.reach, never)
+        )
+    return records
+
+
+def _record(
+    weights: Array,
+    kind: str,
+    of: str,
+    unit: str,
+    values: Array,
+    stated: float | None,
+    far: Mask,
+) -> NoiseRecord:
+    """A number with its values (L,) by the weights of laws, and where they depart."""
+    fine = units.FINE.get(unit, unit) if kind in ERRORS else unit
+    factor = units.factor(fine) if kind in ERRORS else 1.0
+    mean = float(weights @ values)
+    sd = float(np.sqrt(weights @ (values - mean) ** 2))
+    # roots of mean squares are as stated but for their rounding
+    rounded = None if stated is None else float(f"{stated / factor:.12g}")
+    departs = bool(weights @ far > P_DEPARTURE)
+    return NoiseRecord(kind, of, mean / factor, sd / factor, fine, rounded, departs)
+
+
+def _channel_numbers(
+    name: str,
+    stated: _StatedChannel,
+    scale: Array,
+    scatter: Array,
+    laws: Laws,
+    posterior: NoisePosterior,
+) -> Iterator[NoiseRecord]:
+    """Scatter of single readings, error of a run and course of a channel."""
+    prior, weights = posterior.prior, posterior.weights
+    sigma, unit = stated.sigma, stated.unit
+    is_larger = weights @ scatter > 1.0
+    far = (scatter > SCATTER) if is_larger else (scatter < 1.0 / SCATTER)
+    yield _record(weights, "reading", name, unit, sigma * scatter, sigma, far)
+    level, known = _run_errors(stated, scale, laws)
+    has_level = stated.shared > 0.0 if stated.is_level else prior.RUN in prior.names
+    if has_level:
+        whole = sigma * np.hypot(level, known)
+        excess = known - stated.shared if stated.is_level else level
+        expected = sigma * stated.shared
+        far = excess > SHARED_SIZE
+        yield _record(weights, "run", name, unit, whole, expected, far)
+    if prior.COURSE in prior.names:
+        course = scale * laws.course
+        far = course > SHARED_SIZE
+        yield _record(weights, "course", name, unit, sigma * course, 0.0, far)
 
 
 def _scatter_within_run(laws: Laws, longest: int) -> Array:

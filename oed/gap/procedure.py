@@ -27,7 +27,7 @@ from oed.gap.forms.library import Library
 from oed.gap.places import place
 from oed.gap.places.draws import LikelyForms, ReversedForms
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw, describe
+from oed.noise import NoiseLaw
 from oed.result.gap import PlaceRecord
 
 #: forms that an unknown remainder is reported to be like, at most, and the least
@@ -163,7 +163,7 @@ def conclude(
             for name in (*search.library.effects, UNKNOWN)
         },
         law=law,
-        noise_words=describe(law, problem.structure.longest),
+        noise_words=law.describe(problem.structure.longest),
         likeness=_likeness(search, best),
         nearest=nearest_effects(search, best),
         where=(),

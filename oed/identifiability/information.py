@@ -19,7 +19,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.measurement import Measurement, Series
-from oed.noise.covariance import Noise, as_noise
+from oed.noise import Noise
 
 Scaling = Literal["si", "length", "tolerance"]
 
@@ -40,7 +40,7 @@ def whiten(rows: Array, noise: Noise | Array) -> Array:
 
     `noise` is a Noise, or standard deviations (N,) of independent readings.
     """
-    return as_noise(noise).whiten(rows)
+    return Noise.of(noise).whiten(rows)
 
 
 def scaled(

@@ -18,7 +18,7 @@ from oed.model.instrument import Setup
 from oed.model.machine import Machine
 from oed.model.parameter_vector import ParameterVector
 from oed.model.series import Series, TakenReadings, index_poses, run_labels
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
 __all__ = ["Measurement", "Response", "Series"]
 

@@ -21,15 +21,7 @@ from scipy import sparse
 from oed.base.arrays import Array, Index, Mask
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.reading_noise import decoupling, reading_covariances
-from oed.noise.statement import NOTHING_STATED, NoiseStatement
-from oed.noise.structure import (
-    KNOWN,
-    LEVEL,
-    RENEWED,
-    STATED_LEVEL,
-    STATED_SEAT,
-    ReadingStructure,
-)
+from oed.noise import NOTHING_STATED, NoiseStatement, ReadingStructure, SharedError
 
 
 def reading_structure(
@@ -244,12 +236,12 @@ class _RunErrors:
         stated = self.stated[:, None]
         level = of_channel * self.shared[:, None]
         errors = (
-            (KNOWN, level * ~stated),
-            (RENEWED, self.renewed),
-            (STATED_LEVEL, level * stated),
-            (STATED_SEAT, self.seated),
+            (SharedError.KNOWN, level * ~stated),
+            (SharedError.RENEWED, self.renewed),
+            (SharedError.STATED_LEVEL, level * stated),
+            (SharedError.STATED_SEAT, self.seated),
         )
-        blocks = [(of_channel * ~stated, LEVEL)]
+        blocks = [(of_channel * ~stated, SharedError.LEVEL)]
         for kind, values in errors:
             if values.any():
                 blocks.append((self.decouple @ values, kind))

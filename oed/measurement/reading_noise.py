@@ -11,8 +11,7 @@ from oed.base.arrays import Array
 from oed.measurement.setup_readings import SetupReadings
 from oed.model.instrument import Setup
 from oed.model.series import Series
-from oed.noise.covariance import FactoredNoise, Noise
-from oed.noise.factor import Errors, LinearFactor, joined
+from oed.noise import Errors, FactoredNoise, Noise
 
 
 def reading_sigma(setup: Setup, series: Series) -> Array:
@@ -33,10 +32,10 @@ def stated_noise(several: Sequence[tuple[SetupReadings, Series]]) -> Noise:
     if all(_is_independent(readings, series) for readings, series in several):
         sigmas = [reading_sigma(readings.setup, series) for readings, series in several]
         return Noise(np.concatenate([sigma.ravel() for sigma in sigmas]))
-    errors = joined([_errors(readings, series) for readings, series in several])
+    errors = [_errors(readings, series) for readings, series in several]
     variances = [_variances(readings, series) for readings, series in several]
     sigma = np.sqrt(np.concatenate(variances))
-    return FactoredNoise(sigma, factor=LinearFactor(errors))
+    return FactoredNoise.of_errors(sigma, errors)
 
 
 def _is_independent(readings: SetupReadings, series: Series) -> bool:

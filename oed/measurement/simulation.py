@@ -14,7 +14,7 @@ import numpy as np
 from oed.base.arrays import Array
 from oed.measurement.measurement import Measurement, Series
 from oed.measurement.noise_structure import common_statement, reading_structure
-from oed.noise.process import Whitening, stated_laws
+from oed.noise import Laws
 
 #: draws of a machine at most, until it keeps to the bounds of its parameters
 MOST_DRAWS = 1000
@@ -115,6 +115,6 @@ def draw_errors(
     if tails.student_dof is None and not tails.outlier_share:
         return measurement.noise(series).draw(rng, shape)
     structure = reading_structure(measurement, series, measurement.nominal)
-    laws = stated_laws(structure, int(np.prod(shape[:-1])))
-    errors = Whitening(structure, laws).draw(rng, tails)
+    laws = Laws.stated(structure, int(np.prod(shape[:-1])))
+    errors = laws.whitening(structure).draw(rng, tails)
     return structure.restore(errors).reshape(shape)

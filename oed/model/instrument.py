@@ -8,7 +8,7 @@ from typing import Literal
 
 from oed.base.orientation import Orientation
 from oed.model.machine import Expr, Machine, Parameter, Values
-from oed.noise.statement import NOTHING_STATED, NoiseStatement
+from oed.noise import NOTHING_STATED, NoiseStatement
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

@@ -1,13 +1,18 @@
-"""One noise model: covariance of readings, noise law, outliers, their estimation.
+"""The noise of readings: what is stated of it, noise laws, covariance in linear time.
 
-LEVEL             a level of unknown size that a run shares
+NOTHING_STATED    the statement of an instrument that states single readings alone
+Errors            errors of readings in order: white, correlated along a run, shared
+FactoredNoise     noise that is related within runs, by the root of its covariance
+LawNoise          noise of readings under a noise law
 Laws              many noise laws, in units of the stated noise
+LinearFactor      root of a covariance in time linear in the number of readings
 Noise             the noise of readings, independent or related
-NoiseLaw          standard deviations, tails and correlation of noise
+NoiseLaw          one law with its level and the tails of single readings
+NoiseStatement    what a data sheet or a test states beyond the scatter of readings
 ReadingStructure  readings in chains of runs
-Whitening         readings of a structure under noise laws
-noise_prior       the prior of noise laws, given what is stated
-stated_laws       the stated noise, as laws
+SharedError       kinds of errors that a run shares
+SharedFactor      root of I + U U^T, for errors U that readings share
+reach_phrase      how far an error is carried along a run, in words
 """
 
 from typing import TYPE_CHECKING
@@ -15,11 +20,12 @@ from typing import TYPE_CHECKING
 from oed.base.lazy import door
 
 if TYPE_CHECKING:
-    from oed.noise.covariance import Noise
-    from oed.noise.law import NoiseLaw
-    from oed.noise.prior import noise_prior
-    from oed.noise.process import Laws, Whitening, stated_laws
-    from oed.noise.structure import LEVEL, ReadingStructure
+    from oed.noise.banded import SharedFactor
+    from oed.noise.covariance import FactoredNoise, Noise
+    from oed.noise.factor import Errors, LinearFactor
+    from oed.noise.laws import LawNoise, Laws, NoiseLaw, reach_phrase
+    from oed.noise.statement import NOTHING_STATED, NoiseStatement
+    from oed.noise.structure import ReadingStructure, SharedError
 else:
-    # imported when first used: a module of the room may need little of it
+    # imported when first used: a model needs the statement alone
     __getattr__ = door(__name__)

@@ -9,11 +9,12 @@ all of them are differences from). Then the covariance has a root in linear time
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.noise.factor import LinearFactor, WideFactor
+from oed.noise.factor import Errors, LinearFactor, WideFactor, joined
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,6 +25,13 @@ class Noise:
     """
 
     sigma: Array
+
+    @staticmethod
+    def of(noise: Noise | Array) -> Noise:
+        """Standard deviations (N,) as independent noise; a Noise as it is."""
+        if isinstance(noise, Noise):
+            return noise
+        return Noise(np.asarray(noise, dtype=float))
 
     @property
     def is_independent(self) -> bool:
@@ -71,11 +79,6 @@ class Noise:
         return self.sigma * white
 
 
-def as_noise(noise: Noise | Array) -> Noise:
-    """Standard deviations (N,) as independent noise; a Noise as it is."""
-    return noise if isinstance(noise, Noise) else Noise(np.asarray(noise, dtype=float))
-
-
 @dataclasses.dataclass(frozen=True)
 class FactoredNoise(Noise):
     """Noise of readings that are related within runs; SI.
@@ -84,6 +87,11 @@ class FactoredNoise(Noise):
     """
 
     factor: LinearFactor | WideFactor = dataclasses.field(kw_only=True)
+
+    @classmethod
+    def of_errors(cls, sigma: Array, parts: Sequence[Errors]) -> FactoredNoise:
+        """Noise of readings whose errors follow one another, sets apart independent."""
+        return cls(sigma, factor=LinearFactor(joined(parts)))
 
     def whiten(self, values: Array) -> Array:
         """Whitened values: (N,), (N, n), with readings first."""

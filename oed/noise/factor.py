@@ -38,8 +38,8 @@ from oed.noise.banded import (
     sums_along_chains,
 )
 
-#: share of a reading's precision that is rounding, where columns take the rest
-ROUNDING = 1e-12
+#: share of a precision below which it is rounding
+PRECISION_TOLERANCE = 1e-12
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -181,6 +181,18 @@ class LinearFactor:
         errors = self.errors
         return LinearFactor(dataclasses.replace(errors, scale=factor * errors.scale))
 
+    def widened(self, columns: Array) -> WideFactor:
+        """Root of the covariance and G G^T, for columns G (N, k) that all readings share."""
+        return WideFactor(self, columns)
+
+    def hold_out(self, numbers: Index) -> Innovations:
+        """Innovations of readings (h,), by number, given all others."""
+        return Innovations(self, self._chains, numbers)
+
+    @functools.cached_property
+    def _chains(self) -> Chains:
+        return Chains(self.errors)
+
 
 class WideFactor:
     """Root of C + G G^T, for the factor of C and columns G (N, k) that all readings share.
@@ -231,7 +243,7 @@ class WideFactor:
         alone = self.alone.precision_diagonal()
         share = self.sizes / np.hypot(1.0, self.sizes)
         absorbed: Array = (self.alone.whiten_back(self.axes * share) ** 2).sum(axis=1)
-        return np.maximum(alone - absorbed, ROUNDING * alone)
+        return np.maximum(alone - absorbed, PRECISION_TOLERANCE * alone)
 
     def scaled(self, factor: float) -> WideFactor:
         """The root of errors times a factor."""
@@ -281,16 +293,16 @@ def _in_place(order: Index, ordered: Array) -> Array:
 class Innovations:
     """Innovations of held-out readings among all, of a factor of their covariance."""
 
-    def __init__(self, factor: LinearFactor, chains: Chains, held: Index) -> None:
-        """Factor the precision of the readings `held` (h,)."""
+    def __init__(self, factor: LinearFactor, chains: Chains, numbers: Index) -> None:
+        """Factor the precision of the readings with these numbers (h,)."""
         errors = factor.errors
-        place = np.empty(len(errors.order), dtype=np.intp)
-        place[errors.order] = np.arange(len(place))
-        self._at = np.sort(place[held])
-        self._rank = np.argsort(np.argsort(place[held]))
-        self._banded = chains.precision_of(self._at)
-        shared = self._banded.whiten(factor.scored_root()[self._at])
-        segment = np.searchsorted(errors.starts, self._at, side="right")
+        row_of = np.empty(len(errors.order), dtype=np.intp)
+        row_of[errors.order] = np.arange(len(row_of))
+        self._rows = np.sort(row_of[numbers])
+        self._rank = np.argsort(np.argsort(row_of[numbers]))
+        self._banded = chains.precision_of(self._rows)
+        shared = self._banded.whiten(factor.scored_root()[self._rows])
+        segment = np.searchsorted(errors.starts, self._rows, side="right")
         starts = np.flatnonzero(np.diff(segment, prepend=-1) > 0)
         self._shared = SharedFactor(shared, starts, sign=-1.0)
 
@@ -299,7 +311,7 @@ class Innovations:
 
         scored  (k, m) precision times standardised values, of all readings in order
         """
-        white = self._shared.whiten(self._banded.whiten(scored[self._at]))
+        white = self._shared.whiten(self._banded.whiten(scored[self._rows]))
         return white[self._rank]
 
 
@@ -314,8 +326,8 @@ class Chains:
         """Condition on all readings; no single error may be exact."""
         self._precision = 1.0 / errors.single
         self._chain = np.cumsum(errors.decay == 0.0)
-        self._carried = bool(errors.carried.any())
-        if self._carried:
+        self._has_correlation = bool(errors.carried.any())
+        if self._has_correlation:
             self._condition(errors.decay, errors.fresh)
 
     def _condition(self, decay: Array, fresh: Array) -> None:
@@ -331,16 +343,16 @@ class Chains:
         self._log_steps = np.cumsum(np.log(np.where(step > 0.0, step, 1.0)))
         self._marginal = along_chains(step**2, variance)
 
-    def precision_of(self, at: Index) -> ChainFactor:
-        """Factor of E^-1 - E^-1 K E^-1 for the readings at places `at` (h,), in order."""
-        single = self._precision[at]
-        if not self._carried:
-            nothing = np.zeros(len(at))
-            return ChainFactor(nothing, single, nothing)
-        same = np.diff(self._chain[at], prepend=0) == 0
-        log_step = np.diff(self._log_steps[at], prepend=0.0)
+    def precision_of(self, rows: Index) -> ChainFactor:
+        """Factor of E^-1 - E^-1 K E^-1 for rows (h,) of the readings in order."""
+        single = self._precision[rows]
+        if not self._has_correlation:
+            zeros = np.zeros(len(rows))
+            return ChainFactor(zeros, single, zeros)
+        same = np.diff(self._chain[rows], prepend=0) == 0
+        log_step = np.diff(self._log_steps[rows], prepend=0.0)
         step = np.exp(np.where(same, log_step, -np.inf))
-        decay, fresh = step * single, self._marginal[at]
+        decay, fresh = step * single, self._marginal[rows]
         decay[1:] /= single[:-1]
-        fresh[1:] -= step[1:] ** 2 * self._marginal[at[:-1]]
+        fresh[1:] -= step[1:] ** 2 * self._marginal[rows[:-1]]
         return ChainFactor(decay, single, -fresh * single**2)

@@ -13,7 +13,7 @@ class NoiseStatement:
     """Stated parts of the noise; None (or absent) for a part that nothing is known of.
 
     A stated amount is the middle of a narrow prior, exactly 0 takes the part out of the
-    model, and what is not stated has a wide prior (`oed.noise.prior`).
+    model, and what is not stated has a wide prior (`oed.noise_law.prior`).
 
     levels         names of the channels whose `Channel.shared` is all that the level of
                    a run moves by

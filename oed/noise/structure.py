@@ -8,6 +8,7 @@ from a set-up unknown that a run seats anew (a magnetic cup, ISO 230-4).
 from __future__ import annotations
 
 import dataclasses
+import enum
 import functools
 
 import numpy as np
@@ -17,9 +18,21 @@ from scipy.sparse.linalg import inv, spsolve
 from oed.base.arrays import Array, Index, Mask
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 
-#: kinds of errors that a run shares: level of unknown size, known level (that of a
-#: reference reading), renewed unknown of unknown size; stated level, stated seating
-LEVEL, KNOWN, RENEWED, STATED_LEVEL, STATED_SEAT = range(5)
+
+class SharedError(enum.IntEnum):
+    """Kinds of errors that a run shares.
+
+    LEVEL                      level of unknown size
+    KNOWN                      level of known size, that of a reference reading
+    RENEWED                    unknown of unknown size that each run seats anew
+    STATED_LEVEL, STATED_SEAT  level and seating whose sizes are stated
+    """
+
+    LEVEL = 0
+    KNOWN = 1
+    RENEWED = 2
+    STATED_LEVEL = 3
+    STATED_SEAT = 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -30,12 +43,12 @@ class ReadingStructure:
     group      (N,) group of each reading
     chain      (N,) chain of each reading
     run        (C,) run of each chain
-    position   (N,) place along the chain, in readings
+    position   (N,) along the chain, in readings
     unit       (N,) standard deviation of the stated noise that is not shared, SI
     decouple   (N, N) sparse: readings whose channels have common sources, made
                independent and of unit noise; None where division by `unit` does it
     columns    (N, K) errors that a run shares, in units of the stated noise
-    kinds      (K,) LEVEL, KNOWN, RENEWED, STATED_LEVEL or STATED_SEAT
+    kinds      (K,) of these errors, as numbers of `SharedError`
     statement  of the parts that all readings have: what is carried along, tails
     course     (N, c) modes of what each group's readings share through the session, of
                unit standard deviation at its end (`oed.measurement.noise_structure`)
@@ -66,12 +79,12 @@ class ReadingStructure:
 
     @functools.cached_property
     def slot(self) -> tuple[Index, Index]:
-        """Chain and place within it of each reading, for arrays (C, T, ...)."""
+        """Chain and number within it of each reading, for arrays (C, T, ...)."""
         order = np.lexsort((self.position, self.chain))
         first = np.searchsorted(self.chain[order], np.arange(len(self.run)))
-        place = np.empty(len(self), dtype=np.intp)
-        place[order] = np.arange(len(self)) - first[self.chain[order]]
-        return self.chain, place
+        number = np.empty(len(self), dtype=np.intp)
+        number[order] = np.arange(len(self)) - first[self.chain[order]]
+        return self.chain, number
 
     @functools.cached_property
     def shape(self) -> tuple[int, int]:
@@ -128,8 +141,8 @@ class ReadingStructure:
         mixing = sparse.csr_array(sparse.diags_array(self.unit))
         if self.decouple is not None:
             mixing = sparse.csr_array(inv(self.decouple.tocsc()))
-        place = (np.arange(len(self)), self.group)
-        members = sparse.csr_array((np.ones(len(self)), place))
+        entries = (np.arange(len(self)), self.group)
+        members = sparse.csr_array((np.ones(len(self)), entries))
         squares = (members.T @ mixing.power(2) @ members).toarray()
         return np.asarray(squares / np.bincount(self.group)[:, None])
 

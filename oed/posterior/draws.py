@@ -26,7 +26,7 @@ class Posterior:
                      walker where there is one ensemble alone
     z                (chains, draws, r) identifiable coordinates
     noise_law        (chains, draws, d) coordinates of the noise law, standard normal a
-                     priori (`oed.noise.prior`)
+                     priori (`oed.noise_law.prior`)
     noise_names      of these coordinates
     ess              (n,) effective sample size; NaN for held parameters. Of independent
                      draws: less than their number where some are repeated; of emcee: of

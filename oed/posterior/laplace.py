@@ -15,7 +15,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.base.linear_algebra import covariance_root
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
 from oed.posterior.log_density import LogDensity, OutOfBoundsError
 
@@ -62,7 +62,7 @@ def draw_approximation(
     for _ in range(MOST_ROUNDS):
         points = _draw_points(estimate, rng, count)
         z, law = points.z, points.law
-        theta = draw_parameters(measurement, series, y, estimate, z, rng)
+        theta = draw_lost_directions(measurement, series, y, estimate, z, rng)
         assembled = np.isfinite(theta).all(axis=1)
         inside = assembled & measurement.in_bounds(theta)
         parts.append(theta[inside][:missing])
@@ -110,7 +110,7 @@ def _draw_points(estimate: Estimate, rng: np.random.Generator, count: int) -> _P
     return _Points(estimate.z + normal @ root.T, none, none)
 
 
-def draw_parameters(
+def draw_lost_directions(
     measurement: Measurement,
     series: Sequence[Series],
     y: Array,

@@ -4,7 +4,7 @@
     r = y - f(theta(z)).
 
 z are the identifiable coordinates (`oed.estimation.coordinates`), u those of the noise law
-(`oed.noise.prior`), sampled where the law is estimated, so that few readings give wide
+(`oed.noise_law.prior`), sampled where the law is estimated, so that few readings give wide
 tails.
 """
 
@@ -16,11 +16,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
 from oed.model.series import take_values
-from oed.noise.marginal import NoisePosterior, ResidualModel
-from oed.noise.process import Whitening
+from oed.noise_law import NoisePosterior, ResidualModel
 from oed.posterior.interpolated_readings import (
     CHECKS,
     LEAST_READINGS,
@@ -224,7 +223,7 @@ class LogDensity:
         misfit = np.full(len(residual), np.inf)
         good = np.flatnonzero(np.isfinite(residual).all(axis=1))
         if good.size:
-            whitening = Whitening(structure, self._posterior.prior.laws(u[good]))
+            whitening = self._posterior.prior.laws(u[good]).whitening(structure)
             standard = structure.standardise(residual[good].T).T
             square = whitening.gram(standard[:, :, None])[:, 0, 0]
             misfit[good] = square + whitening.log_determinant

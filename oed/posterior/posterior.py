@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.measurement import Measurement, Series
 from oed.posterior import chains, importance
 from oed.posterior.chains import MIXED_RHAT

@@ -13,10 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.measurement import Measurement, Series, reading_structure
-from oed.noise.process import Whitening, stated_laws
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
 from oed.posterior.posterior import Posterior
 from oed.result.fit import PredictiveCheckRecord
 
@@ -38,12 +37,12 @@ def predictive_checks(
     chosen = rng.choice(len(theta), min(DRAWS, len(theta)), replace=False)
     predicted = measurement.readings_near(series, estimate.theta)(theta[chosen])
     residuals = structure.standardise((y - predicted).T).T
-    laws = stated_laws(structure, len(chosen), estimate.scatter)
+    laws = Laws.stated(structure, len(chosen), estimate.scatter)
     estimated = estimate.noise_posterior is not None
     if estimate.noise_posterior is not None:
         flat = posterior.noise_law.reshape(-1, posterior.noise_law.shape[2])
         laws = estimate.noise_posterior.prior.laws(flat[chosen])
-    noise = Whitening(structure, laws).draw(
+    noise = laws.whitening(structure).draw(
         rng, structure.statement, estimated=estimated
     )
     checks = {}

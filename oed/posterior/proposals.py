@@ -2,7 +2,7 @@
 
 With known noise the posterior is close to one normal, and one Student t is as wide in
 every direction. With an estimated noise law it is wide where the noise is large: the
-law is drawn first, from kernels at laws that are probable (`oed.noise.proposal`), and
+law is drawn first, from kernels at laws that are probable (`oed.noise_law.proposal`), and
 the parameters from the Student t that the linear model has under this law.
 """
 
@@ -14,13 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.noise.marginal import FARTHEST, NoisePosterior, ResidualModel
-from oed.noise.proposal import KernelMixture, kernels_at
+from oed.noise_law import KernelMixture, NoisePosterior, ResidualModel
 from oed.posterior.log_density import PROPOSAL_DOF, LogDensity
-
-#: rounds in which kernels are placed anew, laws drawn in each, and what widens kernels:
-#: tails that a proposal lacks give large weights
-PLACINGS, PLACING_LAWS, WIDENING = 2, 640, 1.3
 
 
 class Proposal(Protocol):
@@ -41,7 +36,8 @@ def proposal_of(target: LogDensity, rng: np.random.Generator) -> Proposal:
     """The proposal for a density; an estimated law takes some draws to place it."""
     if target.noise_posterior is None:
         return StudentProposal(target.centre, target.root)
-    return law_proposal(target.linear_model(), target.noise_posterior, rng)
+    model, fitted = target.linear_model(), target.noise_posterior
+    return LawProposal(model, fitted, fitted.kernels(model, rng))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -78,37 +74,13 @@ class LawProposal:
 
     def draw(self, rng: np.random.Generator, count: int) -> tuple[Array, Array]:
         """Points (m, r + d) and log densities (m,), up to a constant."""
-        laws = draw_laws(self.kernels, rng, count)
+        laws = self.kernels.draw(rng, count)
         solutions = self.model.solve(self.fitted.prior.laws(laws))
         white = draw_student(rng, solutions.mean.shape)
         z = solutions.mean + np.einsum("mij,mj->mi", solutions.root, white)
         log_size = np.log(np.einsum("mii->mi", solutions.root)).sum(axis=1)
         log_density = self.kernels.log_density(laws) + log_student(white) - log_size
         return np.hstack([z, laws]), log_density
-
-
-def law_proposal(
-    model: ResidualModel, fitted: NoisePosterior, rng: np.random.Generator
-) -> LawProposal:
-    """The proposal whose kernels are at laws that are drawn anew.
-
-    The few laws of the fit leave gaps between them in five dimensions.
-    """
-    with np.errstate(divide="ignore"):
-        kernels = kernels_at(fitted.draws, np.log(fitted.weights))
-    for _ in range(PLACINGS):
-        laws = draw_laws(kernels, rng, PLACING_LAWS)
-        log_marginal = model.solve(fitted.prior.laws(laws)).log_marginal
-        log_target = log_marginal - 0.5 * (laws**2).sum(axis=1)
-        log_weights = log_target - kernels.log_density(laws)
-        kernels = kernels_at(laws, log_weights, WIDENING)
-    return LawProposal(model, fitted, kernels)
-
-
-def draw_laws(kernels: KernelMixture, rng: np.random.Generator, count: int) -> Array:
-    """Coordinates (m, d) of laws that are not too far to be looked at."""
-    laws = kernels.draw(rng, count)
-    return np.asarray(laws[np.abs(laws).max(axis=1) < FARTHEST])
 
 
 def draw_student(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:

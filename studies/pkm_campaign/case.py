@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from oed.estimation.identification import IdentificationError
+from oed.estimation import IdentificationError
 from oed.mechanism.kinematics import AssemblyError
 
 #: columns of every case: what a case function returns has other names

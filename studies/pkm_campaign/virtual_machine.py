@@ -13,7 +13,6 @@ import numpy as np
 from oed.accuracy.maps import driven_errors, error_maps
 from oed.base import units
 from oed.base.arrays import Array
-from oed.estimation.coordinates import coordinates_of_readings
 from oed.identifiability import assess
 from oed.mechanism.batch import begin_job
 from oed.result import trust
@@ -102,7 +101,7 @@ def _interval_figures(state: Fitted, truth: Array) -> tuple[float, float, int]:
     estimate = state.estimate
     coordinates = estimate.coordinates
     exact = measurement.readings(series, truth)
-    true = coordinates_of_readings(measurement, series, coordinates, exact, estimate.z)
+    true = coordinates.of_readings(measurement, series, exact, estimate.z)
     error = estimate.z - true
     covariance = coordinates.dual @ estimate.covariance @ coordinates.dual.T
     rank = len(error)

@@ -11,7 +11,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.design import candidates
-from oed.estimation.estimate import AT_PRIOR
+from oed.estimation import Estimate
 from pkm_page.session import MachineSession, SessionState
 from pkm_reports import text
 from pkm_studies import describe
@@ -167,7 +167,7 @@ def open_combinations(state: SessionState) -> tuple[int, int, list[str]]:
     scale = measurement.tolerance[free]
     covariance = estimate.covariance[np.ix_(free, free)] / np.outer(scale, scale)
     variances, vectors = np.linalg.eigh(covariance)
-    count = int((np.sqrt(np.maximum(variances, 0.0)) < AT_PRIOR).sum())
+    count = int((np.sqrt(np.maximum(variances, 0.0)) < Estimate.AT_PRIOR).sum())
     names = [measurement.names[k] for k in free]
     least = range(len(names) - 1, max(count, len(names) - SHOWN) - 1, -1)
     phrases = []

@@ -19,7 +19,7 @@ import numpy as np
 
 from oed.base.arrays import Array
 from oed.dataset.columns import column_name, parse_column
-from oed.estimation.identification import IdentificationError
+from oed.estimation import IdentificationError
 from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from pkm_page import approach, doubts, rows, typed

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from oed import posterior
 from oed.accuracy import driven_errors, error_maps, predict
 from oed.estimation import identify
 from oed.measurement import reading_structure
-from oed.noise import noise_prior
-from oed.posterior import laplace
+from oed.noise_law import NoisePrior
 from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,13 +83,13 @@ def test_draws_follow_the_lost_directions() -> None:
     truth = m.nominal + m.tolerance * rng.standard_normal(len(m.nominal))
     y = bench.read(truth) + 0.5e-6 * rng.standard_normal(30)
     estimate = identify(m, bench.series, y, estimate_noise=True)
-    z = laplace.draw_coordinates(estimate, rng, 40_000)
-    posterior = estimate.noise_posterior
-    assert posterior is not None
-    sd = np.sqrt(np.diag(posterior.covariance))
-    assert np.abs((z.mean(axis=0) - posterior.mean) / sd).max() < 0.1
+    z = posterior.draw_coordinates(estimate, rng, 40_000)
+    of_law = estimate.noise_posterior
+    assert of_law is not None
+    sd = np.sqrt(np.diag(of_law.covariance))
+    assert np.abs((z.mean(axis=0) - of_law.mean) / sd).max() < 0.1
     assert z.std(axis=0) == pytest.approx(sd, rel=0.15)
-    theta = laplace.draw_parameters(m, bench.series, y, estimate, z[:50], rng)
+    theta = posterior.draw_lost_directions(m, bench.series, y, estimate, z[:50], rng)
     straight = m.readings(bench.series, estimate.coordinates.to_theta(z[:50]))
     moved = np.abs(theta - estimate.coordinates.to_theta(z[:50])).max(axis=0)
     assert moved.max() > 1e-3
@@ -121,7 +121,7 @@ def test_a_stated_seat_is_of_the_same_machines_and_no_part_of_the_law() -> None:
     assert stated.name == free.name
     m = stated.measurement
     structure = reading_structure(m, stated.series, m.nominal)
-    assert "seating" not in noise_prior(structure).names
+    assert "seating" not in NoisePrior.of(structure).names
     outcomes = [one_machine(bench, "white", 0, 1) for bench in (stated, free)]
     assert outcomes[0].nees > outcomes[1].nees
 

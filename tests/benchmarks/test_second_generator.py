@@ -10,8 +10,7 @@ import pytest
 
 from benchmarks.second import __main__ as command
 from benchmarks.second import adapter, cases, run, score
-from oed.noise.law import NoiseLaw
-from oed.noise.process import Laws
+from oed.noise import Laws, NoiseLaw
 from pkm_studies.commands import main
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ import pytest
 import sample
 from scipy import stats
 
-from oed.noise.law import reach_words
+from oed.noise import reach_phrase
 from pkm_studies.commands import main
 
 ESTIMATE = ("length_um = 0.5", "length_um = 0.5\nestimate = true")
@@ -123,4 +123,4 @@ def test_a_virtual_machine_has_a_goodness_of_fit(tmp_path: Path) -> None:
 def test_a_reach_is_what_the_runs_can_show(
     reach: float, longest: float, words: str
 ) -> None:
-    assert reach_words(reach, longest) == words
+    assert reach_phrase(reach, longest) == words

@@ -22,17 +22,16 @@ from typing import Literal
 
 import numpy as np
 
-from oed.base.arrays import Array, Index, Mask
-from oed.measurement import Measurement, Series, reading_structure
-from oed.noise.law_noise import (
+from oed.accuracy.budget.reading_errors import (
     BEYOND,
     COURSE,
     ReadingErrors,
     errors_of_readings,
     instrument_source,
 )
-from oed.noise.process import Laws, stated_laws
-from oed.noise.structure import ReadingStructure
+from oed.base.arrays import Array, Index, Mask
+from oed.measurement import Measurement, Series, reading_structure
+from oed.noise import Laws, ReadingStructure
 
 Kind = Literal["instrument", "run", "course", "noise law", "set-up", "effects", "prior"]
 #: errors that are taken away in turn
@@ -209,7 +208,7 @@ def budget_model(
     coefficients  number of coefficients of effects at the end of theta
     """
     structure = reading_structure(measurement, series, theta)
-    laws = stated_laws(structure) if laws is None else laws
+    laws = Laws.stated(structure) if laws is None else laws
     setups = measurement.setup_of_readings(series)
     instruments = [measurement.setups[s].instrument.name for s in setups]
     standard = structure.standardise(measurement.jacobian(series, theta))

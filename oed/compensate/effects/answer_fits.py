@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from scipy import special
 
+from oed import posterior
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.compensate.effects.fit import (
     CorrectedEstimate,
@@ -22,17 +23,13 @@ from oed.compensate.effects.mixture import (
     columns_of_forms,
     side_by_side,
 )
-from oed.estimation import identification
-from oed.estimation.discrepancy import LARGE, SMALL
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import IdentificationError
+from oed.estimation import Discrepancy, Estimate, IdentificationError, identify
 from oed.gap.cause.hypothesis import PRIOR
 from oed.gap.data.diagnosis import AnswerContent
 from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.effect import Effect
-from oed.posterior import laplace
-from oed.posterior.log_density import OutOfBoundsError
+from oed.posterior import OutOfBoundsError
 from oed.result.gap import AnswerRecord
 
 #: probability from which an answer is fitted
@@ -174,7 +171,7 @@ class AnswerFits:
         series = fit.series
         if fit.columns is None:  # with named effects they are apart
             series = tuple(s.separate_poses() for s in series)
-        estimate = identification.identify(
+        estimate = identify(
             fit.measurement,
             series,
             self.readings.y,
@@ -219,11 +216,11 @@ class AnswerFits:
         group = allowed.discrepancy.group
         if candidate.unknown:
             chosen = allowed.discrepancy.unknown[group]
-            sizes = LARGE
+            sizes = Discrepancy.LARGE
         else:
             owners = [name.split(":")[0] for name in allowed.discrepancy.names]
             chosen = ~np.isin(owners, list(candidate.constants))[group]
-            sizes = SMALL
+            sizes = Discrepancy.SMALL
         return allowed.take(chosen).of_sizes(sizes) if chosen.any() else None
 
     def _drawn(
@@ -232,7 +229,7 @@ class AnswerFits:
         """The posterior of a fit."""
         estimate, count = fit.estimate, fit.parameters
         draws = max(round(DRAWS * candidate.probability), LEAST_DRAWS)
-        drawn = laplace.draw_approximation(
+        drawn = posterior.draw_approximation(
             fit.measurement, fit.series, self.readings.y, estimate, self.rng, draws
         )
         return AnswerPosterior(

@@ -22,7 +22,7 @@ from oed.compensate.effects.effect_maps import (
     in_session,
     workspace_state,
 )
-from oed.estimation.discrepancy import Discrepancy
+from oed.estimation import Discrepancy
 from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import Signature
 from oed.gap.forms.unknown import unknown_effects

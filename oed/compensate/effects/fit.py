@@ -17,8 +17,7 @@ from oed.compensate.effects.forms import (
     groups_by_effect,
     updated_sizes,
 )
-from oed.estimation import identification
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate, identify
 from oed.gap.data import problem as problems
 from oed.gap.data import signature as signatures
 from oed.gap.data.linearisation import ActingEffectForm, settle
@@ -198,7 +197,7 @@ class _JointFit:
         for _ in range(ROUNDS):
             problem = self.readings.problem(theta)
             measurement = _linearised(self.readings, problem, forms, sizes, beta)
-            estimate = identification.identify(
+            estimate = identify(
                 measurement,
                 problem.series,
                 self.readings.y,

@@ -25,8 +25,7 @@ from oed.base.arrays import Array, Index
 from oed.compensate.effects.effect_maps import ActingForm
 from oed.compensate.effects.expected_columns import ExpectedColumns
 from oed.compensate.effects.forms import ChosenForm
-from oed.estimation.discrepancy import Discrepancy
-from oed.estimation.estimate import Estimate
+from oed.estimation import Discrepancy, Estimate
 
 #: draws of the mixture: each answer has as many as its share of them
 DRAWS = 2000

@@ -26,7 +26,7 @@ from oed.accuracy.prediction import Prediction, Spread
 from oed.base.arrays import Array, Index
 from oed.compensate.effects.fit import CorrectedEstimate
 from oed.compensate.effects.mixture import columns_of_forms
-from oed.noise.law_noise import LawNoise
+from oed.noise import LawNoise
 
 
 @dataclasses.dataclass(frozen=True)

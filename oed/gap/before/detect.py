@@ -30,7 +30,7 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.measurement import Measurement
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 from oed.result.gap_before import DetectabilityRecord, DetectabilityTable
 
 #: draws from an effect's prior for its median least size

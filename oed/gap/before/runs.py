@@ -20,7 +20,7 @@ from oed.gap.data import state
 from oed.gap.data.problem import GapProblem, assemble
 from oed.measurement import Measurement, Series
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 #: covariates that a condition may state
 CONDITIONS = ("time", "direction", "feed", "payload")

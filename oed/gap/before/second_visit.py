@@ -41,7 +41,7 @@ from oed.gap.forms import discrepancy
 from oed.gap.forms import library as libraries
 from oed.measurement import Series
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 from oed.result.gap_before import SeparationRecord
 
 #: share of the readings taken that a second visit has at most

@@ -34,9 +34,7 @@ from scipy import linalg
 from oed.base.arrays import Array, Index
 from oed.gap.cause.folds import Paths
 from oed.gap.data.problem import GapProblem
-from oed.noise.banded import SharedFactor
-from oed.noise.factor import Chains, Innovations
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw, SharedFactor
 from oed.result.gap import ClosureRecord
 
 #: draws of the bootstrap
@@ -82,9 +80,8 @@ def closure(
 
     def predict(held: Index) -> tuple[Array, Array]:
         errors, log_evidences, parts = [], [], []
-        held_out = noise.hold_out(held)
-        for values, information in zip(scored, informations, strict=True):
-            white = held_out.innovations(values)
+        innovations = noise.innovations(held, scored)
+        for white, information in zip(innovations, informations, strict=True):
             mean, log_evidence = learn(information, white)
             errors.append(white[:, -1] - white[:, :-1] @ mean)
             log_evidences.append(log_evidence)
@@ -150,10 +147,9 @@ class RunNoise:
 
     def __init__(self, problem: GapProblem, law: NoiseLaw) -> None:
         self._factor = law.factor(problem.structure)
-        self._chains = Chains(self._factor.errors)
 
     def score(self, values: Array) -> Array:
-        """The noise's precision times values (N, k), as `Innovations` wants it."""
+        """The noise's precision times values (N, k), for `innovations`."""
         return self._factor.scored(self._factor.standardise(values))
 
     def information(self, slopes: Array, scored: Array) -> Information:
@@ -164,9 +160,10 @@ class RunNoise:
         product = self._factor.standardise(slopes).T @ scored
         return product[:, :-1] + np.eye(len(product)), product[:, -1]
 
-    def hold_out(self, held: Index) -> Innovations:
-        """Readings held out; those of their run predict their noise."""
-        return Innovations(self._factor, self._chains, held)
+    def innovations(self, held: Index, scored: Sequence[Array]) -> list[Array]:
+        """Innovations (h, .) of readings held out, each given the others of its run."""
+        held_out = self._factor.hold_out(held)
+        return [held_out.innovations(values) for values in scored]
 
 
 def learn(information: Information, white: Array) -> tuple[Array, float]:

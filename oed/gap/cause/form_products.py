@@ -18,7 +18,7 @@ from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
 from oed.model.size_prior import EFFECT_SIZES, UNKNOWN_SIZES
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 #: columns of each selected effect, with the size of its coefficients
 Selected = Sequence[tuple[Index, float]]

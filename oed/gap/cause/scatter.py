@@ -31,8 +31,8 @@ from oed.gap.data.diagnosis import AGAIN, DATA_SHEET, ON_THE_SPOT, ExcessScatter
 from oed.gap.data.evidence import RATE, SHAPE
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import UNKNOWN_SIZES
-from oed.noise.law import NoiseLaw
-from oed.noise.prior import KNOWN_TO
+from oed.noise import NoiseLaw
+from oed.noise_law import KNOWN_TO
 from oed.result.fit_limits import chi2_is_large
 
 #: share of an unknown alone that recurs at each pose and is not smooth: as likely

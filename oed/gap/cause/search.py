@@ -25,8 +25,8 @@ from oed.gap.data.evidence import Grams, WhitenedColumns
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms.library import Library
 from oed.model.size_prior import EFFECT_SIZES
-from oed.noise.law import NoiseLaw
-from oed.noise.outliers import Outliers
+from oed.noise import NoiseLaw
+from oed.noise_law import Outliers
 
 #: log evidence below the best at which sets are not taken further
 BEHIND = 14.0

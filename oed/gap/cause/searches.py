@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from oed import noise_law
 from oed.base.arrays import Array
 from oed.gap.cause.compare import compare, probabilities
 from oed.gap.cause.hypothesis import Hypothesis, Key
@@ -27,9 +28,8 @@ from oed.gap.forms import library as libraries
 from oed.gap.forms.discrepancy import IN_A_RUN
 from oed.gap.forms.library import Library
 from oed.model.effect import Effect
-from oed.noise import outliers as outlier_search
-from oed.noise.law import NoiseLaw
-from oed.noise.outliers import Outliers
+from oed.noise import NoiseLaw
+from oed.noise_law import Outliers
 
 #: noise level, in units of the stated one, that is beyond its prior
 LOUD = 2.0
@@ -217,9 +217,9 @@ def detect_outliers(
 ) -> Outliers | None:
     """Outliers under a law, with columns (N, k) of prior N(0, 1) in the model."""
     held = np.hstack([problem.slopes, columns])
-    precision = outlier_search.with_columns(law.factor(problem.structure), held)
-    return outlier_search.detect(
-        problem.residual, precision, statement=problem.statement
+    factor = law.factor(problem.structure).widened(held)
+    return noise_law.detect_outliers(
+        problem.residual, factor, statement=problem.statement
     )
 
 

@@ -37,7 +37,7 @@ from oed.gap.cause.hypothesis import Hypothesis, Key
 from oed.gap.cause.search import Search
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 from oed.result.gap import ClosureRecord
 
 #: probability among the hypotheses of a gap from which one is asked of withheld runs

@@ -8,7 +8,7 @@ from typing import Literal
 
 from oed.base.arrays import Array
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 from oed.result.gap import (
     AnswerRecord,
     ClosureRecord,

@@ -27,7 +27,7 @@ from oed.base.arrays import Array, Index
 from oed.gap.data.metric import Metric
 from oed.gap.data.problem import GapProblem
 from oed.model.size_prior import EFFECT_SIZES
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 #: share of a column's energy, before anything absorbs of it, up to which what remains of
 #: it in some direction is rounding

@@ -1,7 +1,7 @@
 """Noise laws that all hypotheses share, weighted so that sums over them integrate.
 
 The noise law is not known before the gap is, and the evidence of a hypothesis is an
-integral over laws u with the prior p(u) of `oed.noise.prior`:
+integral over laws u with the prior p(u) of `oed.noise_law`:
 
     p(r | h) = integral p(r | h, u) p(u) du.
 
@@ -26,11 +26,8 @@ from scipy import special
 from oed.base.arrays import Array
 from oed.gap.data import evidence
 from oed.gap.data.problem import GapProblem
-from oed.noise.law import NoiseLaw
-from oed.noise.marginal import ResidualModel
-from oed.noise.prior import SPARSE, NoisePrior, noise_prior
-from oed.noise.process import Laws
-from oed.noise.proposal import find_mode, polish, root_about, signed, split_student
+from oed.noise import Laws, NoiseLaw
+from oed.noise_law import NoisePrior, ResidualModel, draw_laws
 
 #: points of a model's posterior, by which its evidence is computed
 POINTS = 48
@@ -70,24 +67,10 @@ def posterior(problem: GapProblem, columns: Array) -> LawPosterior:
         log_prior = -0.5 * (u**2).sum(axis=1) - 0.5 * u.shape[1] * np.log(2.0 * np.pi)
         return np.asarray(-values - log_prior)
 
-    mode = np.zeros(prior.dimensions - 1)
-    if len(mode):
-        mode = find_mode(cost, prior.starts()[:, 1:], FARTHEST)
-        mode = polish(cost, mode, FARTHEST)
-    # where all but the common factor is stated, or the mode is in a corner, as where
-    # rows are copies of others, one law is possible
-    draws, log_evidence = np.tile(mode, (EACH, 1)), -float(cost(mode[None])[0])
-    if len(mode):
-        proposal = split_student(cost, mode, signed(root_about(cost, mode)))
-        points = proposal.points(POINTS)
-        points = points[np.abs(points).max(axis=1) < FARTHEST]
-        if len(points):
-            log_weights = -cost(points) - proposal.log_density(points)
-            total = float(special.logsumexp(log_weights))
-            draws = points[_systematic(points, np.exp(log_weights - total))]
-            log_evidence = total - float(np.log(POINTS))
-    law = NoiseLaw(_laws(problem, mode[None]))
-    return LawPosterior(compressed, law, draws, log_evidence)
+    starts = prior.starts()[:, 1:]
+    drawn = draw_laws(cost, starts, FARTHEST, points=POINTS, draws=EACH)
+    law = NoiseLaw(_laws(problem, drawn.mode[None]))
+    return LawPosterior(compressed, law, drawn.draws, drawn.log_integral)
 
 
 def mixture(
@@ -107,20 +90,9 @@ def mixture(
     return list(zip(drawn, map(float, log_weights), strict=True))
 
 
-def _systematic(points: Array, weights: Array) -> list[int]:
-    """Numbers (EACH,) of points drawn by their weights, spread along the widest axis."""
-    offsets = points - weights @ points
-    _, vectors = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
-    order = np.argsort(offsets @ signed(vectors)[:, -1])
-    levels = (np.arange(EACH) + 0.5) / EACH
-    places = np.searchsorted(np.cumsum(weights[order]), levels)
-    return [int(k) for k in order[np.minimum(places, len(order) - 1)]]
-
-
 def _prior(problem: GapProblem) -> NoisePrior:
     """The prior of the laws; its first scale, the common factor, is kept at 1."""
-    prior = noise_prior(problem.structure)
-    return dataclasses.replace(prior, amounts=SPARSE)
+    return NoisePrior.of(problem.structure).sparse()
 
 
 def _laws(problem: GapProblem, u: Array) -> Laws:

@@ -22,7 +22,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.data.signature import exact_readings
 from oed.mechanism.kinematics import AssemblyError
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 #: steps to the most probable point, and departure from its linear model that ends them
 STEPS, STILL = 16, 0.3

@@ -6,8 +6,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Index
 from oed.gap.data.problem import GapProblem
-from oed.noise.factor import WideFactor
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 
 class Metric:
@@ -25,7 +24,7 @@ class Metric:
         """
         factor = law.factor(problem.structure, rows)
         self.size = len(factor.order)
-        self._root = WideFactor(factor, problem.slopes)
+        self._root = factor.widened(problem.slopes)
         #: log determinant of Sigma + H Lambda H^T
         self.log_det = self._root.log_det
 

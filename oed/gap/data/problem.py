@@ -19,15 +19,12 @@ import numpy as np
 import pandas as pd
 
 from oed.base.arrays import Array, Index
-from oed.estimation import identification
+from oed.estimation import identify
 from oed.gap.data import state as states_of
 from oed.gap.data.signature import Signature, signature
 from oed.measurement import Measurement, Response, Series, reading_structure
 from oed.model.effect import Effect, State
-from oed.noise.law import NoiseLaw
-from oed.noise.process import stated_laws
-from oed.noise.statement import NoiseStatement
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, NoiseLaw, NoiseStatement, ReadingStructure
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -88,7 +85,7 @@ class GapProblem:
     @property
     def stated_law(self) -> NoiseLaw:
         """The law that is stated."""
-        return NoiseLaw(stated_laws(self.structure))
+        return NoiseLaw(Laws.stated(self.structure))
 
     def signature(
         self,
@@ -157,7 +154,7 @@ def prepare(
     (75,)
     """
     series = tuple(series)
-    theta = identification.identify(measurement, series, y).theta
+    theta = identify(measurement, series, y).theta
     return assemble(measurement, series, covariates, theta, y, gravity=gravity)
 
 

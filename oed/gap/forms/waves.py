@@ -24,7 +24,7 @@ from oed.gap.forms import carriers
 from oed.gap.forms import discrepancy as discrepancies
 from oed.gap.forms.carriers import JOINTS, Carrier
 from oed.gap.forms.library import Atom, Library
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 IN_TIME, ALONG_TRAVEL = "a wave in time", "a wave along the travel"
 #: waves of each kind that stay

@@ -21,7 +21,7 @@ from oed.gap.data.problem import GapProblem
 from oed.gap.forms import library as libraries
 from oed.gap.forms.library import Library
 from oed.model.effect import Effect
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 
 
 @dataclasses.dataclass(frozen=True)

@@ -30,7 +30,7 @@ from oed.base.arrays import Array, Index, Mask
 from oed.gap.data.problem import GapProblem
 from oed.gap.forms import carriers
 from oed.gap.places.draws import Draws, LikelyForms, draw_energies
-from oed.noise.law import NoiseLaw
+from oed.noise import NoiseLaw
 from oed.result.gap import PlaceRecord
 
 #: draws of the posterior

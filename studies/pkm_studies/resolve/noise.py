@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from oed.measurement import Measurement
 from oed.model.instrument import Setup
-from oed.noise.statement import NoiseStatement
+from oed.noise import NoiseStatement
 from pkm_studies import quantities
 from pkm_studies.base import Location, suggest
 from pkm_studies.study import Study

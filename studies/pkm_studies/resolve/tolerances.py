@@ -12,12 +12,7 @@ from scipy import special
 from oed.base import units
 from oed.base.arrays import Array
 from oed.dataset.digests import is_counted
-from oed.estimation.fleet import (
-    MachineInformation,
-    fleet_prior,
-    readings_information,
-    rescaled,
-)
+from oed.history import MachineInformation, fleet_prior
 from oed.model.instrument import Setup
 from oed.model.machine import CommonTolerance, Machine, Parameter
 from oed.model.parameter_vector import ParameterVector
@@ -141,8 +136,8 @@ def _information(
     block = np.array(section.covariance)[np.ix_(indices, indices)] * np.outer(
         scale, scale
     )
-    information = readings_information(value, block, start, prior)
-    return rescaled(information, tolerance / prior, shift)
+    information = MachineInformation.of_posterior(value, block, start, prior)
+    return information.rescaled(tolerance / prior, shift)
 
 
 #: least eigenvalue of a correlation matrix: nearer to 0 one combination has no error left

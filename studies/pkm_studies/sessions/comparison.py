@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from oed.estimation import session_change
-from oed.estimation.session_change import (
+from oed.history import (
     CombinationChange,
     Session,
     SessionChange,
     SingleCause,
+    compare_sessions,
 )
 from oed.result import (
     CorrectedSection,
@@ -61,7 +61,7 @@ def compare(before: Path, after: Path) -> SessionReport:
     _check_same(tables, results, after)
     names = list(tables[0])
     shared = tables[0].values()
-    change = session_change.compare(
+    change = compare_sessions(
         names,
         np.array([p.nominal for p in shared]),
         np.array([p.prior_sd for p in shared]),

@@ -12,9 +12,14 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array
-from oed.estimation import session_drift
-from oed.estimation.session_change import CombinationChange, Session
-from oed.estimation.session_drift import SessionDrift
+from oed.history import (
+    CombinationChange,
+    Session,
+    SessionDrift,
+    estimate_drift,
+    next_calibration,
+    provable_growth,
+)
 from oed.result import ParameterEstimate, StudyResult
 from pkm_studies.acceptance import promised_accuracy
 from pkm_studies.base import InputError, Stream
@@ -26,8 +31,12 @@ from pkm_studies.sessions.comparison import SessionReport
 from pkm_studies.user_code import Consent
 
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
-#: probability of a false alarm, and combinations that are printed
-ALARM, SHOWN = 0.01, 10
+#: probability of a false alarm
+ALARM = 0.01
+#: probability of proving a drift that is called provable
+POWER = 0.9
+#: combinations that are printed
+SHOWN = 10
 #: limit of the rms error over that right after a calibration, where none is given
 LIMIT = 2.0
 
@@ -65,7 +74,7 @@ def machine_history(
     """
     sessions = _sessions(folders)
     names, table, posteriors = comparison.posteriors(sessions.results, sessions.folders)
-    drifted = session_drift.drift(
+    drifted = estimate_drift(
         names,
         np.array([p.nominal for p in table.values()]),
         np.array([p.prior_sd for p in table.values()]),
@@ -247,9 +256,7 @@ def _due(
     """When the rms error of each component reaches its limit."""
     rng = Stream.HISTORY.rng(sessions.results[-1].seed)
     for error in errors:
-        due = session_drift.next_calibration(
-            error.maps, drifted, error.after, error.limit, rng
-        )
+        due = next_calibration(error.maps, drifted, error.after, error.limit, rng)
         after, limit = (units.number(v, error.unit) for v in (error.after, error.limit))
         yield (
             f"{error.name}: rms {after:.3g} {error.unit} right after the last session;"
@@ -273,16 +280,17 @@ def _provable(
     every = "" if sessions.unit == "session" else f", one every {spacing:.0f} days,"
     yield (
         f"There is no date for the next calibration. Sessions like these{every} prove with"
-        f" probability {session_drift.POWER:g} that an rms error grows a {sessions.unit} by"
+        f" probability {POWER:g} that an rms error grows a {sessions.unit} by"
     )
     for error in errors:
-        growth = session_drift.provable_growth(
+        growth = provable_growth(
             error.maps,
             posteriors,
             np.array([p.nominal for p in table.values()]),
             np.array([p.prior_sd for p in table.values()]),
             more,
             ALARM,
+            POWER,
             rng,
         )
         sizes = units.from_si(growth, error.unit) / spacing

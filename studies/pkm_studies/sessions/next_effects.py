@@ -21,9 +21,7 @@ from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief, weights_of
 from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series, reading_structure
-from oed.noise.covariance import Noise
-from oed.noise.law_noise import noise_under
-from oed.noise.process import stated_laws
+from oed.noise import Laws, Noise
 from oed.result.verdict import SURE
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (
@@ -131,7 +129,7 @@ def noise_with_effects(
     changes = effects.readings.take(slice(0, len(structure)))
     columns = np.hstack([changes.columns, np.diag(changes.scatter)])
     wider = dataclasses.replace(structure, effects=structure.standardise(columns))
-    return noise_under(wider, stated_laws(wider))
+    return Laws.stated(wider).noise(wider)
 
 
 def outlook_with_effects(

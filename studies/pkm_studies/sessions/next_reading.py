@@ -16,8 +16,7 @@ from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design import candidates, next_reading
 from oed.design.candidates import Candidates
 from oed.design.next_reading import Belief
-from oed.estimation import identification
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate, IdentificationError, identify
 from oed.measurement import Measurement, Series
 from oed.result import trust
 from pkm_studies import quantities
@@ -131,7 +130,7 @@ class Adviser:
             estimate = _fit(
                 self.base, state.measurement, taken.series, taken.y, effects
             )
-        except identification.IdentificationError as error:
+        except IdentificationError as error:
             raise explain_error(state, error) from error
         return FittedReadings(state, estimate, effects)
 
@@ -372,15 +371,13 @@ def _fit(
     most = state.study.identify.max_iterations
     stages = state.resolved.identification_stages
     try:
-        return identification.identify(
+        return identify(
             measurement, series, y, stages=stages, max_iterations=most, noise=noise
         )
-    except identification.IdentificationError:
+    except IdentificationError:
         if len(stages) == 1:
             raise
-        return identification.identify(
-            measurement, series, y, max_iterations=most, noise=noise
-        )
+        return identify(measurement, series, y, max_iterations=most, noise=noise)
 
 
 def _objections(

@@ -10,12 +10,10 @@ import msgspec
 import numpy as np
 
 import oed
-from oed import dataset
+from oed import dataset, posterior
 from oed.base import own_files
 from oed.measurement import Measurement, Series
-from oed.posterior import posterior
-from oed.posterior.checkpoint import Checkpoint
-from oed.posterior.posterior import Posterior
+from oed.posterior import Checkpoint, Posterior
 from oed.result import StudyResult
 from pkm_studies import files
 from pkm_studies.resolve import comments_of

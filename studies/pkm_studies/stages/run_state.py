@@ -17,7 +17,7 @@ import numpy as np
 
 from oed.base.arrays import Array, Mask
 from oed.measurement import Measurement, Series
-from oed.noise.prior import LEAST_FREEDOM
+from oed.noise_law import LEAST_FREEDOM
 from oed.result import EstimateSection, GoodnessSection, StudyResult
 from pkm_studies import describe
 from pkm_studies.base import Progress, Stream
@@ -35,11 +35,10 @@ if TYPE_CHECKING:
     from oed.checks import CheckedSession
     from oed.compensate.effects.fit import CorrectedEstimate
     from oed.compensate.effects.mixture import AnswerMixture
-    from oed.estimation.identification import Estimate
+    from oed.estimation import Estimate
     from oed.gap.data.diagnosis import Diagnosis
     from oed.identifiability import Assessment
-    from oed.posterior.checkpoint import Checkpoint
-    from oed.posterior.posterior import Posterior
+    from oed.posterior import Checkpoint, Posterior
     from pkm_studies.stages.design.select import ChosenDesign
     from pkm_studies.stages.plan.section import PlanOutcome
 

@@ -18,8 +18,8 @@ from oed.checks.mistakes import Given, trials
 from oed.checks.mistakes.scope import cuts_are_coarse, part_scopes, whole_scopes
 from oed.measurement import Measurement, reading_structure
 from oed.model import mount
-from oed.noise import Laws, ReadingStructure, prior
-from oed.noise.law_noise import noise_under
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import log_prior_of_scale, scale_over_stated
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 ONE = Laws(
@@ -84,7 +84,7 @@ def test_noise_of_a_law_has_its_covariance(
     structure = one if kind == "laser" else structure_of(one)
     groups = len(structure.names)
     laws = dataclasses.replace(ONE, scale=np.full((1, groups), 1.3))
-    noise = noise_under(structure, laws)
+    noise = laws.noise(structure)
     precision = np.linalg.inv(in_si(structure, laws))
     values = np.random.default_rng(1).standard_normal((len(structure), 2))
     scale = np.abs(precision @ values).max()
@@ -129,7 +129,7 @@ def test_the_screening_maximises_a_normal_density(bar: checks.SessionReadings) -
         for scale in screen.scales:
             covariance = scale**2 * np.eye(len(r)) + h @ h.T
             density = stats.multivariate_normal.logpdf(r, np.zeros(len(r)), covariance)
-            weight = prior.log_prior_of_scale(np.array([scale]), is_assumed=False)[0]
+            weight = log_prior_of_scale(np.array([scale]), is_assumed=False)[0]
             values.append(density + weight + 0.5 * len(r) * np.log(2.0 * np.pi))
         return float(max(values))
 
@@ -151,10 +151,10 @@ def test_the_screening_maximises_a_normal_density(bar: checks.SessionReadings) -
 
 def test_scales_have_the_prior_of_their_coordinate() -> None:
     u = np.array([-3.0, -0.5, 0.0, 0.7, 3.0, 6.0])
-    scale = np.exp(prior.SCALE_SD * prior.heavy_scale(u))
-    density = prior.log_prior_of_scale(scale, is_assumed=False)
+    scale = scale_over_stated(u)
+    density = log_prior_of_scale(scale, is_assumed=False)
     assert density == pytest.approx(-0.5 * u**2, abs=1e-9)
-    decades = prior.log_prior_of_scale(10.0**u, is_assumed=True)
+    decades = log_prior_of_scale(10.0**u, is_assumed=True)
     assert decades == pytest.approx(-0.5 * u**2, abs=1e-9)
 
 

@@ -7,7 +7,7 @@ import pytest
 from kernel.dense_noise import dense_covariance
 from oed.checks.session import CheckedLaw
 from oed.measurement import reading_structure
-from oed.noise import LEVEL, Laws
+from oed.noise import Laws, SharedError
 
 
 def law_of(scale: dict[str, float], level: float = 0.0) -> CheckedLaw:
@@ -39,7 +39,7 @@ def test_the_size_is_the_largest_standard_deviation() -> None:
     law = law_of({first: 3.0, second: 0.5}, level=0.8)
     laws = law.laws(structure)
     dense = np.diag(dense_covariance(structure, laws))
-    assert set(structure.kinds.tolist()) >= {LEVEL}
+    assert set(structure.kinds.tolist()) >= {SharedError.LEVEL}
     assert law.size(structure) == pytest.approx(np.sqrt(dense.max()))
 
 

@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from shipped_models import a3_head, pose_tracker, prs_spindle
 
 from oed.compensate.adjustment import AdjustableMachine, AdjustmentPlan
-from oed.estimation.identification import fit_machines
+from oed.estimation import fit_machines
 from oed.identifiability import parameter_covariance
 from oed.measurement import Measurement
 from oed.mechanism import Kinematics

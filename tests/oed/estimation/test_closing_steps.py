@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from shipped_models import linear_delta, pose_tracker
 
-from oed.estimation import identification
+from oed.estimation import IdentificationError, identification, identify
 from oed.estimation.fit_stages import ReadingsFit
-from oed.estimation.identification import IdentificationError, identify
 from oed.measurement import Measurement
 from oed.mechanism import AssemblyError
 from oed.model import mount

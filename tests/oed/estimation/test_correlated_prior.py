@@ -12,9 +12,7 @@ from kernel import a3_plans
 from oed import checks, identifiability
 from oed.accuracy import budget_model
 from oed.checks import fit as check_fit
-from oed.estimation import identification
-from oed.estimation.identification import identify
-from oed.estimation.run_prediction import predict_runs
+from oed.estimation import identification, identify, predict_runs
 from oed.gap import assemble
 from oed.measurement import Measurement, Series, draw_parameters, draw_readings
 from oed.model import CommonTolerance

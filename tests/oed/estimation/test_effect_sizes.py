@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, special, stats
 
-from oed.estimation import discrepancy
-from oed.estimation.discrepancy import HEALTHY, LARGE, SMALL
+from oed.estimation import Discrepancy, discrepancy
 
 #: draws; the standard error of a mean is 1.6 % of the standard deviation
 COUNT = 4000
@@ -32,7 +31,9 @@ def exact_mixture(
     return evidence, mean, variance
 
 
-@pytest.mark.parametrize("sizes", [SMALL, LARGE], ids=["small", "large"])
+@pytest.mark.parametrize(
+    "sizes", [Discrepancy.SMALL, Discrepancy.LARGE], ids=["small", "large"]
+)
 @pytest.mark.parametrize("score", [(0.0, 0.0), (3.0, -1.0), (40.0, 10.0)])
 def test_draws_are_those_of_the_mixture(
     score: tuple[float, float], sizes: np.ndarray
@@ -68,20 +69,28 @@ def test_evidence_of_one_effect_is_that_by_quadrature() -> None:
 
 def test_effects_without_readings_keep_their_prior() -> None:
     rng = np.random.default_rng(2)
-    drawn = discrepancy.sample_effects(np.zeros((1, 1)), np.zeros(1), SMALL, rng, COUNT)
-    shares = (drawn.size[:, None] == SMALL).mean(axis=0)
-    assert np.abs(shares - 1.0 / len(SMALL)).max() < 5.0 * np.sqrt(0.25 / COUNT)
+    drawn = discrepancy.sample_effects(
+        np.zeros((1, 1)), np.zeros(1), Discrepancy.SMALL, rng, COUNT
+    )
+    shares = (drawn.size[:, None] == Discrepancy.SMALL).mean(axis=0)
+    assert np.abs(shares - 1.0 / len(Discrepancy.SMALL)).max() < 5.0 * np.sqrt(
+        0.25 / COUNT
+    )
     assert drawn.log_evidence == pytest.approx(0.0, abs=1e-9)
 
 
 def test_small_sizes_are_about_those_of_a_healthy_machine() -> None:
-    assert np.exp(np.log(SMALL).mean()) == pytest.approx(HEALTHY)
+    assert np.exp(np.log(Discrepancy.SMALL).mean()) == pytest.approx(
+        Discrepancy.HEALTHY
+    )
 
 
 def test_the_same_generator_gives_the_same_draws() -> None:
     def drawn() -> np.ndarray:
         score = np.array([5.0, 0.0])
         rng = np.random.default_rng(3)
-        return discrepancy.sample_effects(np.eye(2), score, SMALL, rng, 50).coefficients
+        return discrepancy.sample_effects(
+            np.eye(2), score, Discrepancy.SMALL, rng, 50
+        ).coefficients
 
     assert (drawn() == drawn()).all()

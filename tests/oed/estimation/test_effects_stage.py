@@ -13,9 +13,8 @@ from shipped_models import backlash, encoder_scale
 
 from kernel.planar_session import ruler_session
 from oed.compensate.effects.expected_columns import expected_columns
-from oed.estimation import identify
-from oed.estimation.discrepancy import LARGE, SMALL, SampledEffects
-from oed.estimation.estimate import Estimate
+from oed.estimation import Discrepancy, Estimate, identify
+from oed.estimation.discrepancy import SampledEffects
 
 EFFECTS = [backlash.effect, encoder_scale.effect]
 SAG = 60e-6  # m: some twenty times the noise
@@ -66,12 +65,12 @@ def fitted(sag: float, seed: int, sizes: np.ndarray) -> Fit:
 
 @pytest.fixture(scope="module")
 def straight() -> Fit:
-    return fitted(0.0, 1, SMALL)
+    return fitted(0.0, 1, Discrepancy.SMALL)
 
 
 @pytest.fixture(scope="module")
 def bent() -> Fit:
-    return fitted(SAG, 1, LARGE)
+    return fitted(SAG, 1, Discrepancy.LARGE)
 
 
 def test_a_rigid_machine_is_hardly_less_certain(straight: Fit) -> None:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from oed.estimation.fitter import Minima, _Steps, minimise
+from oed.estimation import Minima, minimise
+from oed.estimation.fitter import READINGS_ROUNDED, _Steps
 from oed.mechanism import AssemblyError
 
 
@@ -20,8 +21,8 @@ class Curve:
     slope: Callable[[np.ndarray], np.ndarray]
 
     @property
-    def rounding(self) -> np.ndarray:
-        return 1e-15 * np.abs(self.y)
+    def magnitude(self) -> np.ndarray:
+        return np.abs(self.y)
 
     def residuals(self, machines: np.ndarray, z: np.ndarray) -> np.ndarray:
         predicted = np.array([self.model(row) for row in z])
@@ -149,21 +150,21 @@ def test_rounding_that_is_allowed_is_that_of_each_machines_own_readings() -> Non
     """
     residual = np.array([[3.0, -4.0, 0.0], [10.0, 0.0, 20.0]])
     rounding = np.array([[1e-3, 1e-4, 1.0], [1e-2, 7.0, 1e-5]])
-    problem = Rounded(residual, rounding)
+    problem = Rounded(residual, rounding / READINGS_ROUNDED)
     steps = _Steps(problem, np.zeros((2, 1)), np.ones(1))
     by_hand = np.array([2.0 * (3e-3 + 4e-4), 2.0 * (1e-1 + 2e-4)])
-    every = steps._rounding(np.arange(2))
+    every = steps._rounding_of_sums(np.arange(2))
     assert every == pytest.approx(by_hand, rel=1e-6)
     for one in range(2):
-        assert steps._rounding(np.array([one])) == pytest.approx(every[[one]])
+        assert steps._rounding_of_sums(np.array([one])) == pytest.approx(every[[one]])
 
 
 @dataclasses.dataclass
 class Rounded:
-    """Residuals (m, N) that are the same everywhere, with their rounding errors."""
+    """Residuals (m, N) that are the same everywhere, with their magnitudes."""
 
     values: np.ndarray
-    rounding: np.ndarray
+    magnitude: np.ndarray
 
     def residuals(self, machines: np.ndarray, z: np.ndarray) -> np.ndarray:
         return self.values[machines]

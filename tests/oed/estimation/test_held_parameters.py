@@ -12,8 +12,7 @@ from shipped_models import height_probe, linear_delta, planar_2dof, pose_tracker
 from kernel.printer_bed import ARM, SIGMA, bed, heights
 from oed import Measurement, mount
 from oed.base import Array
-from oed.estimation import identify
-from oed.estimation.held_parameters import contradicted_parameters
+from oed.estimation import contradicted_parameters, identify
 from oed.measurement import draw_parameters, draw_readings
 from oed.model.series import Series
 from oed.result import HeldParameter

@@ -12,8 +12,12 @@ from shipped_models import ball_bar, calliper, height_probe, linear_delta
 
 from kernel import a3_plans
 from kernel.cases import CASES
-from oed.estimation.coordinates import identifiable_coordinates
-from oed.estimation.identification import Estimate, IdentificationError, identify
+from oed.estimation import (
+    Estimate,
+    IdentifiableCoordinates,
+    IdentificationError,
+    identify,
+)
 from oed.measurement import Measurement, Series, draw_parameters, draw_readings
 from oed.model import mount
 
@@ -126,7 +130,7 @@ def test_without_noise_what_is_seen_is_recovered(
 ) -> None:
     """The seen directions of a small error come back, the lost ones stay at nominal."""
     m, series = bar
-    local = identifiable_coordinates(m, [series], m.nominal, m.sigma([series]))
+    local = IdentifiableCoordinates.of(m, [series], m.nominal, m.sigma([series]))
     rng = np.random.default_rng(4)
     z, w = rng.standard_normal(18), rng.standard_normal(3)
     truth = m.nominal + 1e-3 * (local.basis @ z + local.null_basis @ w)
@@ -154,7 +158,7 @@ def test_coordinates_split_theta_into_seen_and_unseen(
         (*printer, 1),
         (probe, [probe.series("probe", flat)], 1),
     ):
-        local = identifiable_coordinates(m, series, m.nominal, m.sigma(series))
+        local = IdentifiableCoordinates.of(m, series, m.nominal, m.sigma(series))
         assert local.null_basis.shape[1] == unseen
         n, r = local.basis.shape
         assert r + unseen == m.free.sum()

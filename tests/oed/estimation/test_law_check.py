@@ -9,9 +9,8 @@ from scipy import stats
 
 from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
-from oed.estimation.law_check import CONTRADICTED, check_law
-from oed.noise import Laws, ReadingStructure, stated_laws
-from oed.noise.law_noise import errors_of
+from oed.estimation.law_stage import P_CONTRADICTED, check_law
+from oed.noise import Laws, ReadingStructure
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def test_the_covariance_of_sums_is_that_of_a_dense_matrix(
 ) -> None:
     values = np.random.default_rng(1).standard_normal((len(structure), 4))
     exact = values.T @ dense_covariance(structure, law) @ values
-    assert errors_of(structure, law).covariance_of(values) == pytest.approx(exact)
+    assert law.errors(structure).covariance_of(values) == pytest.approx(exact)
 
 
 def test_the_ratio_and_the_widening_are_those_of_dense_matrices(
@@ -60,7 +59,7 @@ def test_the_ratio_and_the_widening_are_those_of_dense_matrices(
     expected = np.trace(fit @ (scatter(gain) - scatter(gain_c)) @ fit.T)
     check = check_law(structure, law, residual, slopes)
     assert check.ratio == pytest.approx(np.sum((fit @ z) ** 2) / expected, rel=1e-6)
-    t = dense_covariance(structure, stated_laws(structure))
+    t = dense_covariance(structure, Laws.stated(structure))
     information = slopes.T @ np.linalg.solve(t, slopes)
     least_squares = np.linalg.solve(information, np.linalg.solve(t, slopes).T)
     variances = least_squares @ c @ least_squares.T @ information
@@ -79,7 +78,7 @@ def test_readings_of_the_law_are_rarely_contradicted(
         residual = slopes @ rng.standard_normal(6) + errors
         contradicted += check_law(structure, law, residual, slopes).is_contradicted
     rate = stats.binomtest(contradicted, count).proportion_ci(0.999)
-    assert rate.low < CONTRADICTED < rate.high
+    assert rate.low < P_CONTRADICTED < rate.high
 
 
 def test_noise_of_single_readings_leaves_nothing_to_test(

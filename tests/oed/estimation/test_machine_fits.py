@@ -7,8 +7,7 @@ import pytest
 from oracles import a3_geometry as a3
 
 from kernel import a3_plans
-from oed.estimation import identification
-from oed.estimation.identification import fit_machines, identify
+from oed.estimation import fit_machines, identification, identify
 from oed.measurement import Measurement, Series, draw_parameters
 
 NOISE = 0.5e-6

@@ -11,10 +11,11 @@ from shipped_models import laser_ball_bar, planar_2dof, pose_tracker, prs_spindl
 
 from kernel import a3_plans
 from oed import Measurement, mount
-from oed.estimation import identify
-from oed.estimation.noise_summary import SCATTER, noise_numbers
+from oed.estimation import identify, noise_numbers
+from oed.estimation.noise_summary import SCATTER
 from oed.measurement import draw_parameters, reading_structure
-from oed.noise import Laws, noise_prior
+from oed.noise import Laws
+from oed.noise_law import NoisePrior
 
 position = pose_tracker.position
 
@@ -39,12 +40,15 @@ def scatter_within_run(laws: Laws, k: int) -> float:
 
 def posterior(draws: np.ndarray) -> Any:
     return SimpleNamespace(
-        prior=noise_prior(STRUCTURE), structure=STRUCTURE, draws=draws, weights=WEIGHTS
+        prior=NoisePrior.of(STRUCTURE),
+        structure=STRUCTURE,
+        draws=draws,
+        weights=WEIGHTS,
     )
 
 
 def test_means_and_deviations_are_the_draws(rng: np.random.Generator) -> None:
-    prior = noise_prior(STRUCTURE)
+    prior = NoisePrior.of(STRUCTURE)
     draws = rng.standard_normal((4, prior.dimensions))
     laws = prior.laws(draws)
     numbers = {n.kind: n for n in noise_numbers(posterior(draws), M.setups)}
@@ -66,7 +70,7 @@ def test_means_and_deviations_are_the_draws(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("factor", [1.0, 1.1, 1.4, 0.7])
 def test_scatter_departs_where_all_draws_do(factor: float) -> None:
-    prior = noise_prior(STRUCTURE)
+    prior = NoisePrior.of(STRUCTURE)
 
     def scale(u: float) -> float:
         point = np.zeros((1, prior.dimensions))
@@ -112,7 +116,7 @@ def test_the_scatter_of_a_channel_is_that_of_all_its_sources() -> None:
     )
     series = m.series("laser", command)
     structure = reading_structure(m, [series], m.nominal)
-    prior = noise_prior(structure)
+    prior = NoisePrior.of(structure)
     draws = np.zeros((1, prior.dimensions))
     draws[0] = WHITE
     scale = np.array([1.0, 0.4, -0.8, 1.5, -2.0])

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans
-from oed.estimation.estimate import Estimate
-from oed.estimation.identification import identify
-from oed.estimation.run_prediction import predict_runs
+from oed.estimation import Estimate, identify, predict_runs
 from oed.measurement import Measurement, Series, draw_readings
 from oed.posterior import Posterior, predictive_checks
 

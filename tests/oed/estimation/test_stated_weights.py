@@ -7,7 +7,7 @@ import pytest
 from shipped_models import planar_2dof, pose_tracker
 
 from oed import Measurement, mount
-from oed.estimation import identify, law_check
+from oed.estimation import identify, law_stage
 from oed.measurement import draw_parameters, draw_readings
 from oed.posterior import LogDensity
 
@@ -31,7 +31,7 @@ def readings_with_wave(amplitude: float) -> np.ndarray:
 @pytest.fixture
 def contradicted(monkeypatch):
     """Every noise law is contradicted, so that readings have their stated weights."""
-    monkeypatch.setattr(law_check, "CONTRADICTED", 2.0)
+    monkeypatch.setattr(law_stage, "P_CONTRADICTED", 2.0)
 
 
 def determined_covariance(estimate):

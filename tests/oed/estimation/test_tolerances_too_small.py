@@ -14,8 +14,8 @@ import sample
 from shipped_models import a3_head, planar_2dof, pose_tracker
 
 from oed import Measurement, mount
-from oed.estimation import identify
-from oed.estimation.tolerances import tolerance_factor, with_tolerances
+from oed.estimation import identify, tolerance_factor
+from oed.estimation.contradictions import ToleranceFactor
 from oed.measurement import draw_parameters, draw_readings
 from pkm_studies.commands import main
 
@@ -78,7 +78,7 @@ def test_tolerances_that_are_right_are_kept(seed: int) -> None:
     y = draw_readings(measurement, series, truth, rng)
     estimate = identify(measurement, series, y)
     assert not tolerance_factor(measurement, series, estimate).is_sure
-    small = with_tolerances(measurement, 0.1)
+    small = ToleranceFactor(0.1, 0.0, 1.0).widened(measurement)
     judged = tolerance_factor(small, series, identify(small, series, y))
     assert judged.is_sure
     assert 5.0 < judged.factor < 20.0

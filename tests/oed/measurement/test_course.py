@@ -7,11 +7,10 @@ import pytest
 
 from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
+from oed.accuracy.budget.reading_errors import COURSE, errors_of_readings
 from oed.measurement.noise_structure import course_terms
-from oed.noise.law_noise import COURSE, errors_of, errors_of_readings, factor_of
-from oed.noise.prior import noise_prior
-from oed.noise.process import Laws, Whitening
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import NoisePrior
 
 
 def test_the_variance_grows_with_the_session() -> None:
@@ -41,22 +40,22 @@ def structure() -> ReadingStructure:
 
 @pytest.fixture(scope="module")
 def laws(structure: ReadingStructure) -> Laws:
-    prior = noise_prior(structure)
+    prior = NoisePrior.of(structure)
     draws = np.random.default_rng(2).standard_normal((3, prior.dimensions))
     return prior.laws(draws)
 
 
 def test_few_degrees_of_freedom_have_none(structure: ReadingStructure) -> None:
     terms = structure.course.shape[1]
-    assert COURSE in noise_prior(structure, 10.0 + terms).names
-    assert COURSE not in noise_prior(structure, 9.9 + terms).names
+    assert COURSE in NoisePrior.of(structure, 10.0 + terms).names
+    assert COURSE not in NoisePrior.of(structure, 9.9 + terms).names
 
 
 def test_both_roots_are_those_of_the_dense_covariance(
     structure: ReadingStructure, laws: Laws
 ) -> None:
     y = np.random.default_rng(3).standard_normal((len(structure), 4))
-    whitening = Whitening(structure, laws)
+    whitening = laws.whitening(structure)
     gram = whitening.gram(y)
     for k in range(len(laws)):
         covariance = dense_covariance(structure, laws.take([k]))
@@ -64,11 +63,11 @@ def test_both_roots_are_those_of_the_dense_covariance(
         log_determinant = np.linalg.slogdet(covariance)[1]
         assert gram[k] == pytest.approx(exact, rel=1e-9)
         assert whitening.log_determinant[k] == pytest.approx(log_determinant, abs=1e-8)
-        factor = factor_of(structure, laws.take([k]))
+        factor = laws.take([k]).factor(structure)
         white = factor.whiten(y)
         assert white.T @ white == pytest.approx(exact, rel=1e-9)
         assert factor.log_det == pytest.approx(log_determinant, abs=1e-8)
-        sums = errors_of(structure, laws.take([k])).covariance_of(y)
+        sums = laws.take([k]).errors(structure).covariance_of(y)
         assert sums == pytest.approx(y.T @ covariance @ y, rel=1e-9)
 
 
@@ -88,7 +87,7 @@ def test_without_its_error_the_rest_is_that_of_a_law_without_one(
 
 def test_draws_have_its_covariance(structure: ReadingStructure, laws: Laws) -> None:
     law = dataclasses.replace(laws.take([0] * 4000), course=np.full(4000, 3.0))
-    drawn = Whitening(structure, law).draw(np.random.default_rng(5))
+    drawn = law.whitening(structure).draw(np.random.default_rng(5))
     covariance = dense_covariance(structure, law.take([0]))
     first, last = drawn[:, 0], drawn[:, -1]
     assert np.var(last) == pytest.approx(covariance[-1, -1], rel=0.1)

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from oed.base import Array
-from oed.noise.factor import Chains, Errors, Innovations, LinearFactor
+from oed.noise import Errors, LinearFactor
 
 N, STARTS = 14, (0, 6)
 CARRIED = np.repeat([0.6, 0.3, 0.9], (6, 4, 4))  # of each chain
@@ -73,7 +73,7 @@ def test_innovations_are_those_of_conditioning(
     held, values = rng.permutation(N)[:5], rng.standard_normal((N, 2))
     dense = in_place(errors)
     factor = LinearFactor(errors)
-    innovations = Innovations(factor, Chains(errors), held)
+    innovations = factor.hold_out(held)
     scored = factor.scored(factor.standardise(values))
     white = innovations.innovations(scored)
     others = np.setdiff1d(np.arange(N), held)

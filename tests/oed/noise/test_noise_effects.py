@@ -7,12 +7,8 @@ import pytest
 
 from kernel import bar_circles
 from kernel.dense_noise import dense_covariance
-from oed.noise.law_noise import noise_under
-from oed.noise.marginal import ResidualModel
-from oed.noise.outliers import robust_residuals
-from oed.noise.prior import noise_prior
-from oed.noise.process import Laws, Whitening, stated_laws
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import NoisePrior, ResidualModel, robust_residuals
 
 EFFECTS = 5
 
@@ -27,7 +23,7 @@ def structure() -> ReadingStructure:
 
 @pytest.fixture(scope="module")
 def laws(structure: ReadingStructure) -> Laws:
-    prior = noise_prior(structure)
+    prior = NoisePrior.of(structure)
     draws = np.random.default_rng(2).standard_normal((3, prior.dimensions))
     return prior.laws(draws)
 
@@ -41,8 +37,8 @@ def test_products_and_determinant_are_those_of_dense_matrices(
     structure: ReadingStructure, laws: Laws
 ) -> None:
     y = np.random.default_rng(3).standard_normal((len(structure), 4))
-    whitening = Whitening(structure, laws)
-    determinant_first = Whitening(structure, laws).log_determinant
+    whitening = laws.whitening(structure)
+    determinant_first = laws.whitening(structure).log_determinant
     gram = whitening.gram(y)
     for k in range(len(laws)):
         covariance = dense(structure, laws, k)
@@ -57,7 +53,7 @@ def test_readings_of_each_law_of_their_own(
     structure: ReadingStructure, laws: Laws
 ) -> None:
     y = np.random.default_rng(4).standard_normal((len(laws), len(structure), 1))
-    gram = Whitening(structure, laws).gram(y)
+    gram = laws.whitening(structure).gram(y)
     for k in range(len(laws)):
         exact = y[k, :, 0] @ np.linalg.solve(dense(structure, laws, k), y[k, :, 0])
         assert gram[k, 0, 0] == pytest.approx(exact, rel=1e-9)
@@ -66,7 +62,7 @@ def test_readings_of_each_law_of_their_own(
 def test_noise_under_a_law_whitens_with_the_effects(
     structure: ReadingStructure, laws: Laws
 ) -> None:
-    noise = noise_under(structure, laws)
+    noise = laws.noise(structure)
     unit = structure.unit
     precision = np.linalg.inv(dense(structure, laws, 0) * unit[:, None] * unit)
     white = noise.whiten(np.eye(len(structure)))
@@ -82,7 +78,7 @@ def test_noise_under_a_law_whitens_with_the_effects(
 
 def test_draws_have_the_covariance(structure: ReadingStructure, laws: Laws) -> None:
     count = 4000
-    errors = Whitening(structure, laws.take([0] * count)).draw(np.random.default_rng(5))
+    errors = laws.take([0] * count).whitening(structure).draw(np.random.default_rng(5))
     wanted = np.diag(dense(structure, laws, 0))
     ratio = (errors**2).mean(axis=0) / wanted
     # 4000 draws: a standard error of 2.2 %
@@ -105,7 +101,7 @@ def test_the_evidence_of_a_law_far_below_the_stated_noise_is_no_garbage(
 ) -> None:
     """Against a triangle of all columns, which squares no condition number."""
     rng = np.random.default_rng(7)
-    law = stated_laws(structure, scale=scale)
+    law = Laws.stated(structure, scale=scale)
     # more effects than readings: they take all that is not noise
     effects = 50.0 * rng.standard_normal((len(structure), 2 * len(structure)))
     wide = dataclasses.replace(structure, effects=effects)

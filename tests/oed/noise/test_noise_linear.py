@@ -19,12 +19,8 @@ from oed.gap import GapProblem
 from oed.gap.cause.closure import RunNoise
 from oed.gap.data import evidence
 from oed.gap.data.laws import linear_model, log_evidences
+from oed.noise import Laws, NoiseLaw, NoiseStatement, ReadingStructure, SharedError
 from oed.noise.banded import ROWS, ChainFactor, SharedFactor
-from oed.noise.law import NoiseLaw
-from oed.noise.outliers import with_columns
-from oed.noise.process import Laws
-from oed.noise.statement import NoiseStatement
-from oed.noise.structure import KNOWN, LEVEL, RENEWED, ReadingStructure
 
 
 def chains(size: int, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -85,7 +81,7 @@ def with_stated_errors(problem: GapProblem, share: float) -> GapProblem:
         structure,
         decouple=sparse.csr_array(whole),
         columns=np.hstack([structure.columns, rng.uniform(0.1, 0.5, (size, 2))]),
-        kinds=np.append(structure.kinds, [KNOWN, KNOWN]),
+        kinds=np.append(structure.kinds, [SharedError.KNOWN, SharedError.KNOWN]),
         statement=NoiseStatement(carried=share, reach=3.0),
     )
     return dataclasses.replace(problem, structure=structure)
@@ -138,7 +134,7 @@ def test_what_is_held_out_is_predicted_as_by_dense_conditioning(
     reading = problem.rows.groupby(["setup", "run", "order"]).ngroup().to_numpy()
     some = rng.permutation(reading.max() + 1)[: reading.max() // 5]
     for held in (np.flatnonzero(np.isin(reading, some)), problem.members[1]):
-        white = noise.hold_out(held).innovations(noise.score(values))
+        (white,) = noise.innovations(held, [noise.score(values)])
         others = np.setdiff1d(np.arange(len(problem)), held)
         cross = np.linalg.solve(
             dense[np.ix_(others, others)], dense[np.ix_(others, held)]
@@ -178,10 +174,10 @@ def test_the_precision_with_columns_is_that_of_the_whole_covariance(
     problem = case.circles()
     law, columns = case.law(problem), rng.standard_normal((len(problem), 6))
     dense = np.linalg.inv(dense_covariance(problem, law) + columns @ columns.T)
-    precision = with_columns(law.factor(problem.structure), columns)
-    assert_allclose(precision.diagonal, np.diag(dense), rtol=1e-9)
-    values = rng.standard_normal(len(problem))
-    assert_allclose(precision.apply(values), dense @ values, atol=1e-10)
+    factor = law.factor(problem.structure).widened(columns)
+    assert_allclose(factor.precision_diagonal(), np.diag(dense), rtol=1e-9)
+    values = rng.standard_normal((len(problem), 2))
+    assert_allclose(factor.precision(values), dense @ values, atol=1e-10)
 
 
 def test_the_memory_of_long_runs_is_that_of_their_readings(
@@ -198,7 +194,14 @@ def test_the_memory_of_long_runs_is_that_of_their_readings(
         unit=np.ones(size),
         decouple=None,
         columns=rng.standard_normal((size, 4)),
-        kinds=np.array([LEVEL, RENEWED, RENEWED, RENEWED]),
+        kinds=np.array(
+            [
+                SharedError.LEVEL,
+                SharedError.RENEWED,
+                SharedError.RENEWED,
+                SharedError.RENEWED,
+            ]
+        ),
     )
     law = noise_law(0.5, 0.6, 8.0, 0.64, seat_sd=0.3)
     values = rng.standard_normal((size, 4))

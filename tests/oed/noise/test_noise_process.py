@@ -1,6 +1,7 @@
 """The noise process: linear-time whitening against dense matrices, and its draws."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,12 +10,8 @@ from shipped_models import laser_ball_bar, prs_spindle
 from kernel import bar_circles
 from oed.measurement import Measurement, reading_structure
 from oed.model import mount
-from oed.noise.law_noise import factor_of
-from oed.noise.marginal import NoisePosterior, ResidualModel, integrate
-from oed.noise.outliers import Precision, detect
-from oed.noise.prior import noise_prior
-from oed.noise.process import Laws, Whitening, stated_laws
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import NoisePosterior, NoisePrior, ResidualModel, detect_outliers
 
 GIMBAL = {"at_x": 0.0, "at_y": -0.7, "at_z": 0.2}
 
@@ -69,9 +66,9 @@ def test_whitening_is_that_of_dense_matrices(
 ) -> None:
     structure = request.getfixturevalue(name)
     rng = np.random.default_rng(0)
-    prior = noise_prior(structure)
+    prior = NoisePrior.of(structure)
     laws = prior.laws(rng.standard_normal((3, prior.dimensions)))
-    whitening = Whitening(structure, laws)
+    whitening = laws.whitening(structure)
     y = rng.standard_normal((len(structure), 4))
     gram = whitening.gram(y)
     for k in range(3):
@@ -79,7 +76,7 @@ def test_whitening_is_that_of_dense_matrices(
         exact = y.T @ np.linalg.solve(dense, y)
         log_determinant = np.linalg.slogdet(dense)[1]
         assert gram[k] == pytest.approx(exact, rel=1e-11, abs=1e-9)
-        factor = factor_of(structure, laws.take([k]))
+        factor = laws.take([k]).factor(structure)
         white = factor.whiten(y)
         assert white.T @ white == pytest.approx(exact, rel=1e-11, abs=1e-9)
         assert factor.log_det == pytest.approx(log_determinant, abs=1e-9)
@@ -88,7 +85,7 @@ def test_whitening_is_that_of_dense_matrices(
 
 def test_draws_have_the_covariance(circles: ReadingStructure) -> None:
     laws = Laws(*(np.array(v) for v in ([[1.5]], [0.6], [5.0], [0.7], [0.4])))
-    many = Whitening(circles, laws.take([0] * 20_000))
+    many = laws.take([0] * 20_000).whitening(circles)
     errors = many.draw(np.random.default_rng(1))
     dense = covariance(circles, laws, 0)
     standard_error = dense[0, 0] / np.sqrt(20_000)
@@ -99,7 +96,7 @@ def test_standardised_laser_readings_have_unit_noise(laser: ReadingStructure) ->
     assert laser.decouple is not None
     values = np.random.default_rng(2).standard_normal((5, len(laser)))
     assert pytest.approx(values) == laser.standardise(laser.restore(values).T).T
-    assert stated_laws(laser).scale.shape == (1, len(laser.names))
+    assert Laws.stated(laser).scale.shape == (1, len(laser.names))
 
 
 def median(posterior: NoisePosterior, values: np.ndarray) -> float:
@@ -115,7 +112,7 @@ def test_runs_that_shift_are_recognised(circles: ReadingStructure) -> None:
     structure = dataclasses.replace(
         circles, columns=circles.columns[:, :1], kinds=circles.kinds[:1]
     )
-    prior = noise_prior(structure)
+    prior = NoisePrior.of(structure)
     run = structure.run[structure.chain]
     medians = []
     for size in (0.0, 3.0):
@@ -123,7 +120,7 @@ def test_runs_that_shift_are_recognised(circles: ReadingStructure) -> None:
         residual = rng.standard_normal(36) + levels[run]
         slopes = rng.standard_normal((36, 2))
         model = ResidualModel(structure, residual, slopes, np.zeros(2))
-        posterior = integrate(model, prior)
+        posterior = model.integrate(prior)
         laws = prior.laws(posterior.draws)
         medians.append(median(posterior, laws.level))
         assert 0.6 < median(posterior, laws.scale[:, 0]) < 1.6
@@ -136,7 +133,10 @@ def test_outliers_are_named() -> None:
     residual = rng.standard_normal(60)
     residual[17] += 50.0
     inverse = np.linalg.inv(np.eye(60) + np.ones((60, 60)))
-    result = detect(residual, Precision(inverse.__matmul__, np.diag(inverse)))
+    covariance = SimpleNamespace(
+        precision=inverse.__matmul__, precision_diagonal=lambda: np.diag(inverse)
+    )
+    result = detect_outliers(residual, covariance)
     assert result is not None
     assert int(np.argmax(np.abs(result.pseudo_residual - residual))) == 17
     assert abs(result.pseudo_residual[17]) < 10.0

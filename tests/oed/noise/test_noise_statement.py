@@ -29,16 +29,14 @@ from oed.measurement import (
     draw_readings,
     reading_structure,
 )
-from oed.noise import prior
-from oed.noise.law import NoiseLaw
-from oed.noise.outliers import Precision, StudentT, detect, fisher_information
-from oed.noise.process import Whitening, stated_laws
-from oed.noise.statement import NOTHING_STATED, NoiseStatement
+from oed.noise import NOTHING_STATED, Laws, Noise, NoiseLaw, NoiseStatement
+from oed.noise_law import KNOWN_TO, NoisePrior, StudentT, detect_outliers
+from oed.noise_law.outliers import fisher_information
 
 SIGMA, SEATING, SHARE, REACH, RUN = 0.5e-6, 0.8e-6, 0.4, 3.0, 0.7e-6
 STATED = NoiseStatement(seating=SEATING, carried=SHARE, reach=REACH)
 #: independent errors of unit size
-ONES = Precision(lambda v: v, np.ones(60))
+ONES = Noise(np.ones(60))
 NOTHING_ELSE = NoiseStatement(
     levels=frozenset({"length"}),
     seating=0.0,
@@ -67,9 +65,9 @@ def test_an_assumed_noise_has_one_scale_that_follows_the_readings(
     # some ten degrees of freedom: two standard deviations of a scale
     assert posterior.weights @ scale[:, 0] == pytest.approx(factor, rel=0.45)
     names = ("noise of all readings", "noise of a", "noise of b")
-    two = prior.NoisePrior(names, 2, statement=statement, is_common=True)
+    two = NoisePrior(names, 2, statement=statement, is_common=True)
     scales = two.laws(np.array([[-1.0, 0, 0], [1.0, 0, 0], [0.0, -1.0, 0.0]])).scale
-    expected = [[0.1, 0.1], [10.0, 10.0], [np.exp(-17 / 16 * prior.SCALE_SD), 1.0]]
+    expected = [[0.1, 0.1], [10.0, 10.0], [KNOWN_TO ** (-17 / 16), 1.0]]
     assert scales == pytest.approx(np.array(expected))
 
 
@@ -115,11 +113,11 @@ def test_the_stated_covariance_holds_what_is_stated(run: float) -> None:
     assert covariance == pytest.approx(exact, rel=1e-9, abs=1e-9 * SIGMA**2)
     assert noise.sigma == pytest.approx(np.sqrt(np.diag(exact)))
     structure = reading_structure(m, [series], m.nominal)
-    law = stated_laws(structure)
+    law = Laws.stated(structure)
     process = SIGMA**2 * dense_covariance(structure, law)
     assert process == pytest.approx(exact, rel=1e-9, abs=1e-9 * SIGMA**2)
     y = np.random.default_rng(0).standard_normal((24, 2))
-    gram = Whitening(structure, law).gram(structure.standardise(y))[0]
+    gram = law.whitening(structure).gram(structure.standardise(y))[0]
     assert gram == pytest.approx(y.T @ np.linalg.solve(exact, y), rel=1e-9)
     budget_share = budget_model(m, [series], m.nominal).readings
     whole = budget_share.weigh(exact / SIGMA**2, {})
@@ -190,23 +188,23 @@ def test_designs_take_the_seating_as_unknowns_of_each_run() -> None:
     assert inner == pytest.approx(information, rel=1e-6, abs=1e-8 * scale)
 
 
-def law_coordinates(statement: NoiseStatement, run: float = 0.0) -> prior.NoisePrior:
+def law_coordinates(statement: NoiseStatement, run: float = 0.0) -> NoisePrior:
     m = stating(statement, run)
-    return prior.noise_prior(reading_structure(m, [circles(m)], m.nominal))
+    return NoisePrior.of(reading_structure(m, [circles(m)], m.nominal))
 
 
 def test_what_is_stated_narrows_the_prior_and_nought_takes_it_out() -> None:
     wide = law_coordinates(NOTHING_STATED)
     assert wide.names == (
-        "noise of cup.length", prior.CARRIED, prior.REACH, prior.RUN, prior.SEAT,
-        prior.COURSE,
+        "noise of cup.length", NoisePrior.CARRIED, NoisePrior.REACH, NoisePrior.RUN, NoisePrior.SEAT,
+        NoisePrior.COURSE,
     )  # fmt: skip
     assert law_coordinates(NOTHING_ELSE).names == ("noise of cup.length",)
     levels = frozenset({"length"})
     stated = law_coordinates(dataclasses.replace(STATED, levels=levels), RUN)
     assert stated.names[1:] == (
-        prior.CARRIED, prior.REACH, prior.STATED_RUN, prior.STATED_SEATING,
-        prior.COURSE,
+        NoisePrior.CARRIED, NoisePrior.REACH, NoisePrior.STATED_RUN, NoisePrior.STATED_SEATING,
+        NoisePrior.COURSE,
     )  # fmt: skip
     rng = np.random.default_rng(1)
     drawn = stated.laws(rng.standard_normal((20_000, stated.dimensions)))
@@ -257,7 +255,7 @@ def test_stated_tails_are_drawn(dof: float) -> None:
     unit = np.sqrt((dof - 2.0) / dof)
     assert stats.kstest(e / unit, stats.t(dof).cdf).pvalue > 1e-3
     structure = reading_structure(m, [series], m.nominal)
-    whitening = Whitening(structure, stated_laws(structure, 2000))
+    whitening = Laws.stated(structure, 2000).whitening(structure)
     e = whitening.draw(rng, structure.statement, estimated=True).ravel()
     # in units of the pseudo-values' scatter, whose square is 1 / I
     information = fisher_information(StudentT(dof))
@@ -272,15 +270,17 @@ def test_stated_tails_are_drawn(dof: float) -> None:
 def test_stated_tails_go_before_those_that_are_tried() -> None:
     residual = np.random.default_rng(5).standard_normal(60)
     residual[17] += 50.0
-    assert detect(residual, ONES, statement=NOTHING_ELSE) is None
-    share = detect(residual, ONES, statement=NoiseStatement(outlier_share=0.02))
+    assert detect_outliers(residual, ONES, statement=NOTHING_ELSE) is None
+    share = detect_outliers(
+        residual, ONES, statement=NoiseStatement(outlier_share=0.02)
+    )
     assert share is not None
     assert share.density.outlier_share == 0.02
     assert int(np.argmax(np.abs(share.pseudo_residual - residual))) == 17
-    student = detect(residual, ONES, statement=NoiseStatement(student_dof=3.0))
+    student = detect_outliers(residual, ONES, statement=NoiseStatement(student_dof=3.0))
     assert student is not None
     assert student.density.dof == 3.0
-    light = detect(residual[:17], Precision(lambda v: v, np.ones(17)))
+    light = detect_outliers(residual[:17], Noise(np.ones(17)))
     assert light is None
 
 
@@ -297,7 +297,7 @@ def test_a_diagnosis_has_the_prior_of_an_identification() -> None:
     structure = reading_structure(m, [series], m.nominal)
     assert (
         law.draws.shape[1]
-        == prior.noise_prior(structure).without(prior.COURSE).dimensions - 1
+        == NoisePrior.of(structure).without(NoisePrior.COURSE).dimensions - 1
     )
     middle = NoiseLaw(gap_laws._laws(problem, np.zeros((1, 4))))
     for members in problem.members:

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from kernel import a3_plans
+from oed import posterior
 from oed.estimation import Estimate, identify
 from oed.measurement import Measurement, Series, draw_parameters, draw_readings
-from oed.posterior import laplace, posterior
-from oed.posterior.log_density import OutOfBoundsError
+from oed.posterior import OutOfBoundsError
 
 #: one that readings determine, and one that lost directions move
 SEEN, LOST = "dq1", "da2x"
@@ -80,7 +80,7 @@ def test_draws_are_those_of_exact_rejection(
     m, estimate, exact = bounded()
     rng = np.random.default_rng(8)
     if sampler == "laplace":
-        drawn = laplace.draw_approximation(m, [SERIES], Y, estimate, rng, 4000).theta
+        drawn = posterior.draw_approximation(m, [SERIES], Y, estimate, rng, 4000).theta
         assert len(drawn) == 4000
     else:
         result = posterior.sample(
@@ -125,6 +125,6 @@ def test_readings_that_contradict_bounds_are_refused() -> None:
     m = m.with_setups([dataclasses.replace(setup, nuisances=tuple(nuisances))])
     estimate = identify(m, [SERIES], Y)
     rng = np.random.default_rng(1)
-    for sampler in (posterior.sample, laplace.draw_approximation):
+    for sampler in (posterior.sample, posterior.draw_approximation):
         with pytest.raises(OutOfBoundsError, match=r"bounds of cup\.cup_"):
             sampler(m, [SERIES], Y, estimate, rng)

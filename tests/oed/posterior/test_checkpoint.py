@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from kernel.delta_probe import problem
+from oed import posterior
 from oed.base.whole_file import whole_file
-from oed.posterior import chains, posterior
-from oed.posterior.checkpoint import Checkpoint
-from oed.posterior.posterior import Posterior
+from oed.posterior import Checkpoint, Posterior, chains
 
 #: steps of the test's chain and of a block: three blocks and a short one
 STEPS, BLOCK = 64, 20

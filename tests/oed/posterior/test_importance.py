@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from kernel.delta_probe import problem
-from oed.posterior import importance, posterior
+from oed import posterior
+from oed.posterior import LogDensity, importance
 from oed.posterior.importance import draw_weighted, resample
-from oed.posterior.log_density import LogDensity
 from oed.posterior.proposals import StudentProposal
 from oed.result import largest_pareto_k
 

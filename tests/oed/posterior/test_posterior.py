@@ -11,11 +11,11 @@ from scipy import special
 
 from kernel import a3_plans
 from kernel.delta_probe import problem
+from oed import posterior
 from oed.base import own_files
 from oed.estimation import identify
 from oed.measurement import draw_readings
-from oed.posterior import posterior
-from oed.posterior.posterior import Sampler
+from oed.posterior import Sampler
 
 #: steps of a chain whose draws are not judged: past the first check, not at one
 SHORT = 60

@@ -10,7 +10,8 @@ from scipy import stats
 
 from kernel.delta_probe import problem
 from oed.measurement import reading_structure
-from oed.posterior.posterior_checks import DISCREPANCIES, predictive_checks
+from oed.posterior import predictive_checks
+from oed.posterior.posterior_checks import DISCREPANCIES
 
 problem_once = functools.cache(functools.partial(problem, distances=False))
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import sample
 
-from oed.estimation import session_change
+from oed import history
 from pkm_studies.commands import main
 from pkm_studies.sessions import comparison
 
@@ -49,7 +49,7 @@ def drifting(machine: Path, tmp_path: Path) -> Path:
 
 def test_a_combination_in_words_has_one_unit() -> None:
     coefficients = {"z2": 1.0, "z1": -1.00001, "D": 0.5, "beta1": -2.0}
-    change = session_change.CombinationChange(coefficients, 0.1, 0.1, 0.3)
+    change = history.CombinationChange(coefficients, 0.1, 0.1, 0.3)
     unit = {"z1": "mm", "z2": "mm", "D": "mm", "beta1": "mrad"}
     words = "z2 less z1 plus 0.5 times D less 2 mm per mrad of beta1"
     assert comparison.combination_words(change, unit) == (words, "mm")

@@ -19,11 +19,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from oed.base.arrays import Array, Index, Mask
-from oed.estimation.fitter import READINGS_ROUNDED, minimise
-from oed.estimation.identification import IdentificationError, identify
+from oed.estimation import IdentificationError, identify, minimise
 from oed.identifiability import posterior_covariance
 from oed.measurement import Measurement, Series
-from oed.noise.covariance import Noise
+from oed.noise import Noise
 
 #: distance to the minimum, in posterior standard deviations, of the last step: its square
 #: is a small share of any interval
@@ -163,11 +162,9 @@ class _CapturedReadings:
     basis: Array
 
     @functools.cached_property
-    def rounding(self) -> Array:
-        """Rounding errors (m, N) of the whitened residuals."""
-        every = np.arange(len(self.y))
-        sizes = READINGS_ROUNDED * np.abs(self.y)
-        return self._whiten(every, sizes)
+    def magnitude(self) -> Array:
+        """Sizes (m, N) of the whitened readings."""
+        return self._whiten(np.arange(len(self.y)), np.abs(self.y))
 
     def theta(self, machines: Index, z: Array) -> Array:
         """Parameters (s, n), SI."""

@@ -26,7 +26,7 @@ from oed.compensate.effects.workspace import CorrectedAccuracy
 from oed.gap.data.diagnosis import UNKNOWN
 from oed.measurement import Measurement
 from oed.model.machine import Machine
-from oed.posterior.posterior import Posterior
+from oed.posterior import Posterior
 from oed.result import (
     CorrectedSection,
     EffectEstimate,

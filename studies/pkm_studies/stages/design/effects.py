@@ -10,7 +10,7 @@ from oed.base.arrays import Index
 from oed.compensate.effects.planned_effects import PlannedEffects
 from oed.design.blocks import information
 from oed.design.exchange import Choice
-from oed.estimation.discrepancy import HEALTHY
+from oed.estimation import Discrepancy
 from oed.identifiability import prior_information
 from oed.measurement import Measurement, Series
 from oed.result import AllowedEffects, RecordingSection
@@ -75,7 +75,7 @@ def chosen_size(table: DesignTable) -> float:
     few that are: its effects have the typical size that a fit expects of a healthy
     machine. A plan for these loses little on a machine without effects or with large ones.
     """
-    return HEALTHY if isinstance(table.effects, str) else 1.0
+    return Discrepancy.HEALTHY if isinstance(table.effects, str) else 1.0
 
 
 def check_allowed(

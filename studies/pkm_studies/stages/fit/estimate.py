@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from oed.base import units
 from oed.base.arrays import Array
 from oed.base.text import rounded
-from oed.estimation.estimate import AT_PRIOR, WEAK, Estimate
+from oed.estimation import Estimate
 from oed.identifiability import Identifiability
 from oed.measurement import Measurement, Series
 from oed.result import (
@@ -128,9 +128,9 @@ def _covariance(measurement: Measurement, estimate: Estimate) -> list[list[float
 
 def _how_well(shrinkage: float) -> str:
     """How much the readings narrow a tolerance; `shrinkage` is posterior over prior."""
-    if shrinkage <= WEAK:
+    if shrinkage <= Estimate.WEAK:
         return "seen"
-    return "weak" if shrinkage <= AT_PRIOR else "prior"
+    return "weak" if shrinkage <= Estimate.AT_PRIOR else "prior"
 
 
 def _rms_by_channel(values: Array, names: np.ndarray) -> dict[str, float]:

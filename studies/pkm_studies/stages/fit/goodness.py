@@ -18,7 +18,7 @@ from oed.checks.goodness import Goodness
 from oed.checks.sentences import misfits
 from oed.dataset import Dataset
 from oed.dataset.file_rows import file_of
-from oed.estimation.run_prediction import RunPrediction
+from oed.estimation import RunPrediction
 from oed.result import GoodnessSection, MistakeRecord, OutlierRecord
 from pkm_studies.resolve import ResolvedStudy, noise_is_a_guess
 from pkm_studies.stages.run_state import Measured

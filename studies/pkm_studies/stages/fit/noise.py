@@ -8,10 +8,9 @@ import msgspec
 
 from oed.base import units
 from oed.base.text import rounded
-from oed.estimation.estimate import Estimate
-from oed.estimation.noise_summary import noise_numbers
+from oed.estimation import Estimate, noise_numbers
 from oed.model.instrument import Setup
-from oed.noise.law import reach_words
+from oed.noise import reach_phrase
 from oed.result import GoodnessSection, NoiseRecord
 from oed.result.fit_limits import ALARM, noise_ratio
 
@@ -89,7 +88,7 @@ def _words(numbers: Sequence[NoiseRecord], stated_as: str, longest: int) -> list
         if number.kind == "carried":
             phrases.append(
                 f"a share of {size} of the variance of single readings{of} is carried"
-                f" along a run, {reach_words(reach[0], longest)}"
+                f" along a run, {reach_phrase(reach[0], longest)}"
             )
             continue
         stated = (

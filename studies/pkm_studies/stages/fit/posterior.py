@@ -11,9 +11,9 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array
 from oed.base.linear_algebra import by_size
-from oed.estimation.identification import Estimate
+from oed.estimation import Estimate
 from oed.measurement import Measurement
-from oed.posterior.posterior import MIXED_RHAT, Posterior
+from oed.posterior import MIXED_RHAT, Posterior
 from oed.result import IMPORTANCE, Marginal, PosteriorSection, PredictiveCheckRecord
 from oed.result.record import finite_or_none
 from pkm_studies.tables import PosteriorTable

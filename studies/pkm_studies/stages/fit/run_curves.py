@@ -15,7 +15,7 @@ import numpy as np
 from oed.base import units
 from oed.base.arrays import Array, Index
 from oed.compensate import compensated_joints
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.gap.data.state import phase_along_runs
 from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError

@@ -21,10 +21,10 @@ import numpy as np
 
 from oed.base import units
 from oed.base.arrays import Array, Mask
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.measurement import Measurement, Series, reading_structure
 from oed.model.instrument import Channel
-from oed.noise.process import Whitening, stated_laws
+from oed.noise import Laws
 from oed.result import HeldOutSection, HeldOutVerdict
 
 #: ends of a 95 % interval
@@ -154,7 +154,7 @@ def _noise_draws(
 ) -> Array:
     """Errors (m, N), SI, of new readings: one for each draw of the noise law."""
     structure = reading_structure(measurement, [series], drawn.theta[0])
-    laws = stated_laws(structure, len(drawn.law), drawn.estimate.scatter)
+    laws = Laws.stated(structure, len(drawn.law), drawn.estimate.scatter)
     fitted = drawn.estimate.noise_posterior
     if fitted is not None:
         law = fitted.prior.laws(drawn.law)
@@ -165,7 +165,7 @@ def _noise_draws(
             if kind in kinds:
                 scale[:, k] = law.scale[:, kinds.index(kind)]
         laws = dataclasses.replace(law, scale=scale)
-    errors = Whitening(structure, laws).draw(
+    errors = laws.whitening(structure).draw(
         rng, structure.statement, estimated=fitted is not None
     )
     return structure.restore(errors)

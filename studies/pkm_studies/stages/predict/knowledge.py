@@ -23,12 +23,12 @@ from oed.compensate import NO_TOOL
 from oed.compensate.effects.absorbed import absorbing_shift
 from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.expected_columns import ExpectedColumns
-from oed.estimation.estimate import Estimate
+from oed.estimation import Estimate
 from oed.identifiability import parameter_covariance
 from oed.measurement import Measurement, Series
 from oed.mechanism.kinematics import AssemblyError
-from oed.noise.law_noise import LawNoise
-from oed.posterior.laplace import ApproximateDraws
+from oed.noise import LawNoise
+from oed.posterior import ApproximateDraws
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

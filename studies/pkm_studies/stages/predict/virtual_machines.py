@@ -10,7 +10,7 @@ from oed.accuracy import prediction
 from oed.accuracy.maps import driven_errors
 from oed.accuracy.prediction import Reference, Spread
 from oed.base.arrays import Array
-from oed.estimation.identification import fit_machines
+from oed.estimation import fit_machines
 from oed.measurement import Measurement, Series, draw_parameters
 
 #: machines that go through the check together

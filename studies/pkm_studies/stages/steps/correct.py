@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from oed import posterior
 from oed.base.arrays import Array
 from oed.checks.judgement import goodness_of_delivered
 from oed.compensate.effects.answer_fits import with_constants
@@ -19,10 +20,9 @@ from oed.compensate.effects.fit import (
 )
 from oed.compensate.effects.senses import TurnedRuns, find_turned_runs
 from oed.compensate.effects.workspace import predict_corrected
-from oed.estimation.identification import IdentificationError
+from oed.estimation import IdentificationError
 from oed.gap.data.signature import untestable
 from oed.model.effect import Effect
-from oed.posterior import laplace, posterior
 from pkm_studies import catalogue
 from pkm_studies.base import Stream
 from pkm_studies.resolve import (
@@ -207,7 +207,7 @@ def _add_true_alarms(state: Fitted, section: CorrectedSection) -> Fitted:
 
 def _approximate(corrected: CorrectedEstimate, rng: np.random.Generator) -> Array:
     """Draws (m, n) of parameters and effects without a posterior."""
-    return laplace.draw_approximation(
+    return posterior.draw_approximation(
         corrected.measurement,
         corrected.series,
         corrected.readings.y,

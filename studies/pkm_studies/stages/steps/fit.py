@@ -6,13 +6,19 @@ import dataclasses
 
 import msgspec
 
+from oed import posterior
 from oed.base.arrays import Array
 from oed.checks.judgement import goodness_of_delivered
-from oed.estimation import fit_warnings, identification, run_prediction
-from oed.estimation.held_parameters import contradicted_parameters
-from oed.estimation.tolerances import tolerance_factor, with_tolerances
+from oed.estimation import (
+    Estimate,
+    IdentificationError,
+    contradicted_parameters,
+    identify,
+    predict_runs,
+    tolerance_factor,
+    with_warnings,
+)
 from oed.measurement import mode_jumps
-from oed.posterior import posterior, posterior_checks
 from oed.result import GoodnessSection
 from oed.result.verdict import percent
 from pkm_studies.base import Stream
@@ -59,7 +65,7 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         measurement, readings.series, readings.y, estimate, state.doubtful_values
     )
     estimate = dataclasses.replace(estimate, chi2=fitted_as.chi2, dof=fitted_as.dof)
-    estimate = fit_warnings.with_warnings(measurement, estimate)
+    estimate = with_warnings(measurement, estimate)
     state = add_delivered(state, fitted_as)
     fixed = []
     if readings.truth is None:
@@ -74,17 +80,17 @@ def fit_parameters(state: Measured, start: Array | None = None) -> Fitted:
         section = msgspec.structs.replace(section, combinations=combinations)
     curves = run_curves.fitted_curves(measurement, readings.series, estimate)
     section = msgspec.structs.replace(section, runs=curves)
-    runs = run_prediction.predict_runs(measurement, readings.series, estimate)
+    runs = predict_runs(measurement, readings.series, estimate)
     goodness = add_left_out(_goodness(state, estimate), runs)
     fitted = promote(Fitted, state, estimate=estimate)
     fitted = fitted.add_sections(estimate=section, goodness=goodness)
     return fitted.add_warnings(*section.warnings, *surprises(runs))
 
 
-def _identify(state: Measured, start: Array | None) -> identification.Estimate:
+def _identify(state: Measured, start: Array | None) -> Estimate:
     """The fit; where it fails, the error opens with what the check of readings found."""
     try:
-        return identification.identify(
+        return identify(
             state.measurement,
             state.readings.series,
             state.readings.y,
@@ -93,11 +99,11 @@ def _identify(state: Measured, start: Array | None) -> identification.Estimate:
             start=start,
             max_iterations=state.study.identify.max_iterations,
         )
-    except identification.IdentificationError as error:
+    except IdentificationError as error:
         raise explain_error(state, error) from error
 
 
-def _enlarge_tolerances(state: Measured, estimate: identification.Estimate) -> Measured:
+def _enlarge_tolerances(state: Measured, estimate: Estimate) -> Measured:
     """The state with tolerances that the readings ask for, where stated ones are too small.
 
     What an earlier session knows is no tolerance of a drawing, and stays; so do the
@@ -117,21 +123,19 @@ def _enlarge_tolerances(state: Measured, estimate: identification.Estimate) -> M
         f" {percent(judged.probability)}): the fit takes all tolerances {factor:.2g} times"
         " as large; correct [prior] or the nominal numbers"
     )
-    larger = with_tolerances(measurement, factor)
+    larger = judged.widened(measurement)
     return state.replace(measurement=larger).add_warnings(warning)
 
 
-def explain_error(
-    state: Measured, error: identification.IdentificationError
-) -> identification.IdentificationError:
+def explain_error(state: Measured, error: IdentificationError) -> IdentificationError:
     """The error, opened by what the check of the readings found."""
     checked = state.checked
     if checked is None or not checked.findings:
         return error
-    return identification.IdentificationError(f"{checked.findings[0].sentence} {error}")
+    return IdentificationError(f"{checked.findings[0].sentence} {error}")
 
 
-def _goodness(state: Measured, estimate: identification.Estimate) -> GoodnessSection:
+def _goodness(state: Measured, estimate: Estimate) -> GoodnessSection:
     """The section with the estimated noise."""
     section = with_noise(state.goodness, estimate, state.measurement.setups)
     if not state.study.noise.assumed:
@@ -146,7 +150,7 @@ def _refuse_mode_jump(state: Measured, theta: Array) -> None:
     """Raises IdentificationError where the fit mirrors the machine."""
     jumps, count = mode_jumps(state.measurement, state.readings.series, theta)
     if jumps:
-        raise identification.IdentificationError(
+        raise IdentificationError(
             f"the fit carries {jumps} of {count} poses into another (mirrored) assembly"
             " mode; check the machine's numbers, the poses and the units of the"
             " readings"
@@ -175,7 +179,7 @@ def sample_posterior(state: Fitted) -> Fitted:
     )
     corner = state.study.report.corner
     section = posterior_section(state.measurement, state.estimate, draws, corner)
-    checks = posterior_checks.predictive_checks(
+    checks = posterior.predictive_checks(
         state.measurement,
         state.readings.series,
         state.readings.y,

@@ -8,6 +8,7 @@ from typing import get_args
 import msgspec
 import numpy as np
 
+from oed import posterior
 from oed.accuracy.budget import budget_model, budget_of
 from oed.accuracy.maps import ErrorMaps, Reference
 from oed.accuracy.prediction import Spread
@@ -17,8 +18,7 @@ from oed.compensate.effects.effect_maps import SessionStates
 from oed.compensate.effects.unmodelled import ExpectedEffects, expected_effects
 from oed.gap.data import problem as problems
 from oed.measurement import Measurement, Series
-from oed.posterior import laplace
-from oed.posterior.laplace import ApproximateDraws
+from oed.posterior import ApproximateDraws
 from oed.result import PredictionSection, SpreadRecord, ToolAccuracy, trust
 from pkm_studies.base import Stream
 from pkm_studies.resolve import GapRequest
@@ -108,7 +108,7 @@ def _draws(state: Fitted) -> ApproximateDraws:
         theta, laws = sampled.pooled, sampled.noise_law
         laws = laws.reshape(len(theta), laws.shape[2])
         return ApproximateDraws(theta, laws, float(np.nanmin(sampled.ess)))
-    return laplace.draw_approximation(
+    return posterior.draw_approximation(
         state.measurement,
         state.readings.series,
         state.readings.y,

@@ -22,20 +22,32 @@ from scipy import special
 
 from oed.base.arrays import Array
 from oed.base.linear_algebra import triangle_of_sums
-from oed.noise.prior import NoisePrior
-from oed.noise.process import BATCH_NUMBERS, Laws, Whitening
-from oed.noise.proposal import find_mode, kernels_at, root_about, split_student
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law.prior import NoisePrior
+from oed.noise_law.proposal import (
+    MAX_COORDINATE,
+    KernelMixture,
+    find_mode,
+    kernels_at,
+    root_about,
+    split_student,
+)
 
 #: laws drawn in a round
 DRAWS = 320
 #: equally weighted laws that a first round is worth, below which there is a second
-ENOUGH_DRAWS = 100.0
-#: coordinates beyond which a law is not looked at, in prior sd
-FARTHEST = 8.0
-#: how far the mode stays from there, prior sd: readings without noise have theirs at the
+MIN_EFFECTIVE_DRAWS = 100.0
+#: largest coordinate of the mode, prior sd: readings without noise have theirs at the
 #: end, and draws must fit beyond it
-ROOM = 1.0
+MAX_MODE = MAX_COORDINATE - 1.0
+#: numbers in the largest array of one batch of laws: 8 MB
+BATCH_NUMBERS = 1_000_000
+#: rounds in which kernels are placed anew at laws drawn from them
+PLACEMENTS = 2
+#: laws drawn in each of these rounds
+PLACEMENT_LAWS = 640
+#: factor on the width of kernels: tails that a proposal lacks give large weights
+KERNEL_WIDENING = 1.3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,8 +78,71 @@ class ResidualModel:
         ]
         return concatenate_solutions(parts)
 
+    def cost(self, prior: NoisePrior, u: Array) -> Array:
+        """Minus log posterior (L,) of laws at coordinates (L, d)."""
+        log_marginal = self.solve(prior.laws(u)).log_marginal
+        return np.asarray(0.5 * (u**2).sum(axis=1) - log_marginal)
+
+    def most_probable(self, prior: NoisePrior, near: Array | None = None) -> Array:
+        """The most probable coordinates (d,), from several starts, or from one near."""
+        starts = prior.starts() if near is None else near[None]
+        return find_mode(lambda u: self.cost(prior, u), starts, MAX_MODE)
+
+    def integrate(self, prior: NoisePrior, mode: Array | None = None) -> NoisePosterior:
+        """The posterior of the noise law, and of z with the law integrated out.
+
+        mode  (d,) most probable coordinates; sought by default
+
+        Where a first round of laws is worth too few, a second is drawn where the first has
+        weight, and all are weighted by both rounds' density together (`oed.noise_law.proposal`).
+        """
+        if mode is None:
+            mode = self.most_probable(prior)
+
+        def cost(u: Array) -> Array:
+            return self.cost(prior, u)
+
+        root = root_about(cost, mode)
+        first = split_student(cost, mode, root)
+        draws, solutions, target = self._solve_at(prior, first.points(DRAWS))
+        log_weights = target - first.log_density(draws)
+        weights = special.softmax(log_weights)
+        if 1.0 / (weights @ weights) < MIN_EFFECTIVE_DRAWS:
+            second = kernels_at(draws, log_weights)
+            further, more, more_target = self._solve_at(prior, second.points(DRAWS))
+            draws = np.vstack([draws, further])
+            solutions = concatenate_solutions([solutions, more])
+            target = np.concatenate([target, more_target])
+            densities = first.log_density(draws), second.log_density(draws)
+            weights = special.softmax(target - np.logaddexp(*densities))
+        mean = weights @ solutions.mean
+        offsets = solutions.mean - mean
+        of_law = solutions.root
+        covariance = np.einsum("l,lik,ljk->ij", weights, of_law, of_law, optimize=True)
+        covariance += np.einsum("l,li,lj->ij", weights, offsets, offsets)
+        return NoisePosterior(
+            prior=prior,
+            structure=self.structure,
+            draws=draws,
+            weights=weights,
+            mode=mode,
+            root=root,
+            mean=mean,
+            covariance=covariance,
+            solutions=solutions,
+        )
+
+    def _solve_at(
+        self, prior: NoisePrior, points: Array
+    ) -> tuple[Array, Solutions, Array]:
+        """Points (L, d) that are not too far, their solutions, their log posteriors (L,)."""
+        draws = points[np.abs(points).max(axis=1) < MAX_COORDINATE]
+        solutions = self.solve(prior.laws(draws))
+        log_prior = -0.5 * (draws**2).sum(axis=1)
+        return draws, solutions, solutions.log_marginal + log_prior
+
     def _solve(self, laws: Laws) -> Solutions:
-        whitening = Whitening(self.structure, laws)
+        whitening = laws.whitening(self.structure)
         gram = whitening.gram(np.column_stack([self.slopes, self.residual]))
         prior = np.column_stack([np.eye(len(self.centre)), -self.centre])
         products = gram + prior.T @ prior
@@ -163,72 +238,16 @@ class NoisePosterior:
         spread = np.einsum("mij,mj->mi", self.solutions.root[number], normal)
         return self.solutions.mean[number] + spread, self.draws[number]
 
+    def kernels(self, model: ResidualModel, rng: np.random.Generator) -> KernelMixture:
+        """Kernels at laws that are drawn anew under a model.
 
-def integrate(
-    model: ResidualModel, prior: NoisePrior, mode: Array | None = None
-) -> NoisePosterior:
-    """The posterior of the noise law, and of z with the law integrated out.
-
-    mode  (d,) most probable coordinates; sought by default
-
-    Where a first round of laws is worth too few, a second is drawn where the first has
-    weight, and all are weighted by both rounds' density together (`oed.noise.proposal`).
-    """
-    if mode is None:
-        mode = most_probable(model, prior)
-
-    def cost(u: Array) -> Array:
-        return _cost(model, prior, u)
-
-    root = root_about(cost, mode)
-    first = split_student(cost, mode, root)
-    draws, solutions, target = _solve_at(model, prior, first.points(DRAWS))
-    log_weights = target - first.log_density(draws)
-    weights = special.softmax(log_weights)
-    if 1.0 / (weights @ weights) < ENOUGH_DRAWS:
-        second = kernels_at(draws, log_weights)
-        further, more, more_target = _solve_at(model, prior, second.points(DRAWS))
-        draws = np.vstack([draws, further])
-        solutions = concatenate_solutions([solutions, more])
-        target = np.concatenate([target, more_target])
-        densities = first.log_density(draws), second.log_density(draws)
-        weights = special.softmax(target - np.logaddexp(*densities))
-    mean = weights @ solutions.mean
-    offsets = solutions.mean - mean
-    of_law = solutions.root
-    covariance = np.einsum("l,lik,ljk->ij", weights, of_law, of_law, optimize=True)
-    covariance += np.einsum("l,li,lj->ij", weights, offsets, offsets)
-    return NoisePosterior(
-        prior=prior,
-        structure=model.structure,
-        draws=draws,
-        weights=weights,
-        mode=mode,
-        root=root,
-        mean=mean,
-        covariance=covariance,
-        solutions=solutions,
-    )
-
-
-def _solve_at(
-    model: ResidualModel, prior: NoisePrior, points: Array
-) -> tuple[Array, Solutions, Array]:
-    """Points (L, d) that are not too far, their solutions, their log posteriors (L,)."""
-    draws = points[np.abs(points).max(axis=1) < FARTHEST]
-    solutions = model.solve(prior.laws(draws))
-    return draws, solutions, solutions.log_marginal - 0.5 * (draws**2).sum(axis=1)
-
-
-def _cost(model: ResidualModel, prior: NoisePrior, u: Array) -> Array:
-    """Minus log posterior (L,) at coordinates (L, d)."""
-    log_marginal = model.solve(prior.laws(u)).log_marginal
-    return np.asarray(0.5 * (u**2).sum(axis=1) - log_marginal)
-
-
-def most_probable(
-    model: ResidualModel, prior: NoisePrior, near: Array | None = None
-) -> Array:
-    """The most probable coordinates (d,), from several starts, or from one near them."""
-    starts = prior.starts() if near is None else near[None]
-    return find_mode(lambda u: _cost(model, prior, u), starts, FARTHEST - ROOM)
+        The few laws of a fit leave gaps between them in five dimensions.
+        """
+        with np.errstate(divide="ignore"):
+            kernels = kernels_at(self.draws, np.log(self.weights))
+        for _ in range(PLACEMENTS):
+            laws = kernels.draw(rng, PLACEMENT_LAWS)
+            log_target = -model.cost(self.prior, laws)
+            log_weights = log_target - kernels.log_density(laws)
+            kernels = kernels_at(laws, log_weights, KERNEL_WIDENING)
+        return kernels

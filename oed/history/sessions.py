@@ -17,6 +17,10 @@ Each session is linear at its own estimate, so that what no session determines p
 little differently in each. A level that is free along such a direction would make a
 change of what both determine well look undetermined. Level and change have therefore no
 part in directions that all sessions together leave more open than one tolerance.
+
+A drift is a straight line for each combination: p(t) = a + v (t - t_last), v the change per
+unit of time. What the line leaves of the sessions is chi2 as well: a machine that was
+knocked does not drift.
 """
 
 from __future__ import annotations
@@ -25,19 +29,26 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
-from scipy import special
+from scipy import optimize, special
 
 from oed.base.arrays import Array
+from oed.base.linear_algebra import covariance_root
 from oed.identifiability import analyse
 
 #: information about a change, in tolerances, below which it counts as undetermined: a
 #: standard deviation of ten tolerances
-LEAST_INFORMATION = 1e-2
+MIN_INFORMATION = 1e-2
 #: share of a combination's sd below which a parameter does not belong to it
-LEAST_SHARE = 0.01
+MIN_SD_SHARE = 0.01
 #: largest eigenvalue of a posterior covariance over the prior's: what no reading
 #: determines has 1, up to rounding
-PRIOR_SHARE = 1.0 - 1e-9
+MAX_INFORMED = 1.0 - 1e-9
+#: directions of drift that the proof is a mean over
+N_DIRECTIONS = 200
+#: log of the largest factor on the usual growth within which the provable one is sought
+LOG_BRACKET = 12.0
+#: p-value below which the sessions do not lie on a line, and intervals are widened
+P_UNEVEN = 0.01
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -45,7 +56,7 @@ class CombinationChange:
     """Change of a combination of parameters that both sessions determine.
 
     coefficients  by parameter, the pivot first with 1, then those that contribute most
-                  to sd; what contributes less than LEAST_SHARE is left out
+                  to sd; what contributes less than MIN_SD_SHARE is left out
     change, sd    second session less the first, and its standard deviation
     p_value       of no change, two-sided, for this combination alone
     """
@@ -123,7 +134,7 @@ class ChangeEstimate:
         return len(self.white)
 
 
-def compare(
+def compare_sessions(
     names: Sequence[str], nominal: Array, tolerance: Array, sessions: Sequence[Session]
 ) -> SessionChange:
     """Compare two sessions under the prior N(nominal (n,), diag(tolerance (n,))^2).
@@ -157,7 +168,7 @@ def estimate_change(
     basis = np.linalg.qr(level)[0] if level.size else level
     slope, estimates = (_without(basis, _without(basis, v)) for v in (slope, estimates))
     vectors, singular, right = np.linalg.svd(slope, full_matrices=False)
-    determined = singular**2 > LEAST_INFORMATION
+    determined = singular**2 > MIN_INFORMATION
     white = vectors[:, determined].T @ estimates
     rest = float(estimates @ estimates - white @ white)
     freedom = len(estimates) - level.shape[1] - len(white)
@@ -178,7 +189,7 @@ def likelihood(
     """
     scaled = session.covariance / np.outer(tolerance, tolerance)
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-    informed = values < PRIOR_SHARE
+    informed = values < MAX_INFORMED
     values, vectors = values[informed], vectors[:, informed]
     mean = vectors.T @ ((session.mean - nominal) / tolerance)
     root = np.sqrt(1.0 / values - 1.0)[:, None] * vectors.T
@@ -194,7 +205,7 @@ def _determined_span(roots: Sequence[Array]) -> Array:
 def _within(root: Array, estimate: Array, span: Array) -> tuple[Array, Array]:
     """Root (k, q) and estimates (k,) within a span (n, q), without what says nothing."""
     vectors, singular, right = np.linalg.svd(root @ span, full_matrices=False)
-    informed = singular**2 > LEAST_INFORMATION
+    informed = singular**2 > MIN_INFORMATION
     reduced = singular[informed, None] * right[informed]
     return reduced, vectors[:, informed].T @ estimate
 
@@ -221,7 +232,7 @@ def combinations(
         unit = tolerance[pivot]
         share = np.abs(row) * np.linalg.norm(inverse, axis=1) / sd
         ranked = np.argsort(-share, kind="stable")
-        others = [k for k in ranked if share[k] >= LEAST_SHARE and k != pivot]
+        others = [k for k in ranked if share[k] >= MIN_SD_SHARE and k != pivot]
         coefficients = {names[pivot]: 1.0}
         for k in others:
             coefficients[names[k]] = float(row[k] * unit / tolerance[k])
@@ -242,7 +253,7 @@ def _causes(
     causes = []
     for name, column, unit in zip(names, root.T, tolerance, strict=True):
         information = float(column @ column)
-        if information <= LEAST_INFORMATION:
+        if information <= MIN_INFORMATION:
             continue
         estimate = float(column @ white) / information
         rest = chi2 - estimate**2 * information
@@ -256,3 +267,168 @@ def _causes(
             )
         )
     return tuple(sorted(causes, key=lambda c: c.chi2))
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class SessionDrift:
+    """Drift over the sessions, per unit of time, in the units of the parameters.
+
+    chi2, dof, p_value  test of no drift at all
+    rest, rest_dof      chi2 of what a line leaves, and its degrees of freedom
+    widening            factor on all standard deviations where a line does not suit
+    combinations        that the sessions determine, the surest drift first
+    rate                (n,) drift of each parameter; 0 along undetermined directions
+    covariance          (n, n) of `rate`, widened
+    undetermined        number of directions whose drift stays unseen
+    """
+
+    chi2: float
+    dof: int
+    p_value: float
+    rest: float
+    rest_dof: int
+    widening: float
+    combinations: tuple[CombinationChange, ...]
+    rate: Array
+    covariance: Array
+    undetermined: int
+
+
+def estimate_drift(
+    names: Sequence[str],
+    nominal: Array,
+    tolerance: Array,
+    sessions: Sequence[Session],
+    times: Array,
+) -> SessionDrift:
+    """Drift of parameters (n,) over sessions at times (k,), priors as in `compare_sessions`.
+
+    Raises ValueError for fewer than two different times.
+    """
+    since = np.asarray(times, dtype=float) - np.max(times)
+    span = float(np.ptp(since))
+    if span <= 0.0:
+        raise ValueError("a drift needs sessions at two different times")
+    change = estimate_change(sessions, nominal, tolerance, since / span)
+    root, white, dof = change.root, change.white, change.dof
+    rest, rest_dof = change.rest, change.rest_dof
+    uneven = rest_dof > 0 and special.chdtrc(rest_dof, rest) < P_UNEVEN
+    widening = float(np.sqrt(rest / rest_dof)) if uneven else 1.0
+    scale = tolerance / span
+    back = np.linalg.pinv(root) if dof else np.zeros((len(tolerance), 0))
+    covariance = widening**2 * back @ back.T * np.outer(scale, scale)
+    rates = [
+        _per_time(c, span, widening)
+        for c in combinations(names, tolerance, root, white)
+    ]
+    return SessionDrift(
+        chi2=change.chi2,
+        dof=dof,
+        p_value=_p_value(change.chi2, dof, widening),
+        rest=rest,
+        rest_dof=rest_dof,
+        widening=widening,
+        combinations=tuple(rates),
+        rate=(back @ white) * scale,
+        covariance=covariance,
+        undetermined=len(tolerance) - dof,
+    )
+
+
+def _p_value(chi2: float, dof: int, widening: float) -> float:
+    return float(special.chdtrc(dof, chi2 / widening**2)) if dof else 1.0
+
+
+def _per_time(
+    change: CombinationChange, span: float, widening: float
+) -> CombinationChange:
+    """A change over the whole span as a rate."""
+    rate, sd = change.change / span, widening * change.sd / span
+    return CombinationChange(
+        change.coefficients, rate, sd, float(2.0 * special.ndtr(-abs(rate / sd)))
+    )
+
+
+def provable_growth(
+    maps: Array,
+    sessions: Sequence[Session],
+    nominal: Array,
+    tolerance: Array,
+    counts: Sequence[int],
+    alarm: float,
+    power: float,
+    rng: np.random.Generator,
+) -> Array:
+    """Growth (len(counts),) of an rms error, SI a session, that so many sessions prove.
+
+    maps    (m, np) pose errors per parameter
+    counts  of equally spaced sessions, each with the mean information of those given
+    alarm   probability of a false alarm
+    power   probability of the proof
+
+    The drift's direction is random in the tolerances. Its proof is by the noncentral chi2
+    of the test: n sessions have the information L n (n^2 -
+    1) / 12 of the change between two of them, L that of one.
+    """
+    from scipy import stats  # takes a second to import
+
+    roots = [likelihood(s, nominal, tolerance)[0] for s in sessions]
+    _, singular, right = np.linalg.svd(np.vstack(roots), full_matrices=False)
+    informed = singular >= np.sqrt(len(sessions))
+    root = singular[informed, None] / np.sqrt(len(sessions)) * right[informed]
+    direction = (
+        rng.standard_normal((N_DIRECTIONS, int(informed.sum()))) @ right[informed]
+    )
+    growth = np.sqrt(np.mean((direction * tolerance @ maps.T) ** 2, axis=1))
+    information = np.sum((direction @ root.T) ** 2, axis=1) / growth**2
+    dof = int(informed.sum())
+    critical = special.chdtri(dof, alarm)
+
+    def excess(log_growth: float, count: int) -> float:
+        times = count * (count**2 - 1) / 12.0
+        squared = np.exp(2.0 * log_growth) * information * times
+        return float(np.mean(stats.ncx2.sf(critical, dof, squared)) - power)
+
+    usual = -0.5 * float(np.median(np.log(information)))
+    bracket = (usual - LOG_BRACKET, usual + LOG_BRACKET)
+    solutions = [optimize.brentq(excess, *bracket, args=(n,)) for n in counts]
+    return np.exp(solutions)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class NextCalibration:
+    """When the error reaches its limit, in time after the last session.
+
+    time       median over the drifts that the sessions allow; inf where it never does
+    low, high  95 % interval
+    """
+
+    time: float
+    low: float
+    high: float
+
+
+def next_calibration(
+    maps: Array,
+    drifted: SessionDrift,
+    after: float,
+    limit: float,
+    rng: np.random.Generator,
+    draws: int = 4000,
+) -> NextCalibration:
+    """When the rms error of a component over the workspace exceeds a limit, SI.
+
+    maps   (m, np) pose errors per parameter, in the order of the drift's names
+    after  rms error right after the last calibration
+
+    With the drift v the squared rms error is after^2 + t^2 mean (maps v)^2.
+    """
+    root = covariance_root(drifted.covariance)
+    normal = rng.standard_normal((draws, len(drifted.rate)))
+    rates = drifted.rate + normal @ root.T
+    growth = np.sqrt(np.mean((rates @ maps.T) ** 2, axis=1))
+    room = np.sqrt(max(limit**2 - after**2, 0.0))
+    with np.errstate(divide="ignore"):
+        times = room / growth
+    low, median, high = np.quantile(times, [0.025, 0.5, 0.975], method="lower")
+    return NextCalibration(float(median), float(low), float(high))

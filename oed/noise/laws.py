@@ -1,19 +1,20 @@
-"""The noise of readings as a process: laws, their covariance in linear time, draws.
+"""Noise laws of readings: their covariance in linear time, whitening, draws.
 
 In units of the stated noise, a chain of readings (one channel of a run) has the error
 
     e_k = s [ sqrt(1 - f) white_k + sqrt(f) carried_k + a level + c . seat + shared
               + d . course ]
 
-with white_k and level independent standard normal, carried_k an Ornstein-Uhlenbeck
-process with correlation exp(-|k - l| / reach), s the channel's own, seat the set-up's unknowns that the run
-seated anew, with slopes c, and shared the errors that instrument and study state. The
-course of the session goes through all runs (`oed.measurement.noise_structure`).
+with white_k and level independent standard normal, carried_k an Ornstein-Uhlenbeck process
+with correlation exp(-|k - l| / reach), s the channel's own scale, seat the unknowns of the
+set-up that the run seats anew, with slopes c, and shared the errors that instrument and
+study state. The course of the session goes through all runs
+(`oed.measurement.noise_structure`).
 
-White and carried error have a banded root (`oed.noise.banded`); what a run shares is a
-matrix of a few columns, taken out by the Woodbury identity (`oed.noise.banded`). Both are
-linear in the number of readings. A session's course and effects that the model lacks are
-columns that all readings share, V, with C + V V^T for C.
+White and carried errors have a banded root; what a run shares is a matrix of a few columns,
+taken out by the Woodbury identity (`oed.noise.banded`). Both are linear in the number of
+readings. A session's course and effects that the model lacks are columns V that all
+readings share: the covariance is C + V V^T.
 """
 
 from __future__ import annotations
@@ -23,16 +24,21 @@ import functools
 import math
 
 import numpy as np
+from scipy import sparse
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index
 from oed.noise.banded import ChainFactor, along_chains, taken_out
+from oed.noise.covariance import FactoredNoise, Noise
+from oed.noise.factor import Errors, LinearFactor, WideFactor
 from oed.noise.statement import NOTHING_STATED, NoiseStatement
 from oed.noise.structure import ReadingStructure
 
-#: least and largest size of an error that is far off, where one is drawn
-FAR = (5.0, 50.0)
-#: numbers in the largest array of one batch of laws
+#: least and largest size of an outlier that is drawn, over the noise of single readings
+OUTLIER_SIZES = (5.0, 50.0)
+#: numbers in the largest array of one batch of laws: 8 MB
 BATCH_NUMBERS = 1_000_000
+#: size of a part of a law, over the stated noise, from which it is described
+DESCRIBED_SIZE = 0.2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,19 +85,212 @@ class Laws:
         fields = dataclasses.fields(self)
         return Laws(*(getattr(self, field.name)[rows] for field in fields))
 
+    @classmethod
+    def stated(
+        cls, structure: ReadingStructure, count: int = 1, scale: float = 1.0
+    ) -> Laws:
+        """The stated noise, `count` times, single readings with a scale."""
+        zero, statement = np.zeros(count), structure.statement
+        return cls(
+            scale=np.full((count, len(structure.names)), scale),
+            carried=zero + statement.carried_share,
+            reach=zero + statement.reach_median,
+            level=zero,
+            seat=zero,
+        )
 
-def stated_laws(
-    structure: ReadingStructure, count: int = 1, scale: float = 1.0
-) -> Laws:
-    """The stated noise, `count` times, single readings with a scale."""
-    zero, statement = np.zeros(count), structure.statement
-    return Laws(
-        scale=np.full((count, len(structure.names)), scale),
-        carried=zero + statement.carried_share,
-        reach=zero + statement.reach_median,
-        level=zero,
-        seat=zero,
-    )
+    def whitening(self, structure: ReadingStructure) -> Whitening:
+        """Readings of a structure under all laws."""
+        return Whitening(structure, self)
+
+    def noise(self, structure: ReadingStructure) -> LawNoise:
+        """Noise of readings under the first law, SI."""
+        law = self.take([0])
+        shared = (structure.columns * law.sizes[0, structure.kinds]) ** 2
+        sd = law.scale[0, structure.group] * np.sqrt(1.0 + shared.sum(axis=1))
+        (common,) = common_columns(structure, law)
+        if common.size:
+            sd = np.sqrt(sd**2 + (common**2).sum(axis=1))
+        alone = LinearFactor(_in_reading_units(structure, law.errors(structure)))
+        factor: LinearFactor | WideFactor = alone
+        if structure.has_effects:
+            factor = alone.widened(structure.restore(structure.effects.T).T)
+        return LawNoise(
+            structure.unit * sd, factor=factor, structure=structure, law=law
+        )
+
+    def factor(self, structure: ReadingStructure) -> LinearFactor:
+        """Root of the covariance under the first law, over the stated noise."""
+        return LinearFactor(self.errors(structure))
+
+    def errors(self, structure: ReadingStructure, rows: Index | None = None) -> Errors:
+        """Errors of readings under the first law, in units of the stated noise.
+
+        rows  (k,) readings that are taken, all by default
+
+        Their shared columns are those of the structure, times their sizes. With a course all
+        readings are one segment, and each run has columns of its own.
+        """
+        chain = structure.chain
+        order = np.lexsort((structure.position, chain))
+        if rows is not None:
+            order = order[np.isin(order, rows)]
+        ordered, position = chain[order], structure.position[order]
+        first = np.diff(ordered, prepend=-1) > 0
+        steps = np.diff(position, prepend=0.0)
+        carried = np.full(len(order), self.carried[0])
+        decay = np.exp(-np.where(first, np.inf, steps) / self.reach[0])
+        new_run = np.diff(structure.run[ordered], prepend=-1) > 0
+        starts = np.flatnonzero(new_run)
+        shared = (structure.columns * self.sizes[0, structure.kinds])[order]
+        if structure.course.size and self.course[0]:
+            course = self.course[0] * structure.course[order]
+            shared = np.hstack([_columns_by_run(shared, starts), course])
+            starts = starts[:1]
+        return Errors(
+            order=order,
+            starts=starts,
+            decay=decay if carried.any() else np.zeros(len(order)),
+            single=1.0 - carried,
+            carried=carried,
+            shared=shared,
+            scale=self.scale[0, structure.group][order],
+        )
+
+
+def _in_reading_units(structure: ReadingStructure, errors: Errors) -> Errors:
+    """Errors over the stated noise as errors of the readings, SI, channels coupled."""
+    order = errors.order
+    if structure.decouple is None:
+        return dataclasses.replace(errors, scale=errors.scale * structure.unit[order])
+    unmix = sparse.csr_array(structure.decouple[order][:, order])
+    return dataclasses.replace(errors, unmix=unmix)
+
+
+def _columns_by_run(shared: Array, starts: Index) -> Array:
+    """Columns (N, K) of errors that a run shares as columns (N, R K) of all readings."""
+    count, kinds = shared.shape
+    columns = np.zeros((count, len(starts), kinds))
+    for number, start in enumerate(starts):
+        end = starts[number + 1] if number + 1 < len(starts) else count
+        columns[start:end, number] = shared[start:end]
+    return columns.reshape(count, -1)
+
+
+def common_columns(structure: ReadingStructure, laws: Laws) -> Array:
+    """Columns (L or 1, N, k) that all readings share: effects, and the course."""
+    effects = structure.effects[None]
+    if not (structure.course.size and laws.course.any()):
+        return effects
+    size = (laws.course[:, None] * laws.scale)[:, structure.group]
+    course = structure.course * size[..., None]
+    if not structure.has_effects:
+        return course
+    repeated = np.broadcast_to(effects, (len(course), *effects.shape[1:]))
+    return np.concatenate([repeated, course], axis=-1)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class LawNoise(FactoredNoise):
+    """Noise of N readings under a law, SI.
+
+    structure  of the readings
+    law        the law, one of some laws
+    """
+
+    structure: ReadingStructure
+    law: Laws
+
+    def of_runs(self) -> tuple[Noise, Array]:
+        """As in `Noise`: effects and the course apart."""
+        structure, law = self.structure, self.law
+        (columns,) = common_columns(structure, law)
+        if not columns.size:
+            return super().of_runs()
+        alone = dataclasses.replace(law, course=np.zeros(len(law)))
+        bare = dataclasses.replace(structure, effects=np.zeros((0, 0)))
+        return alone.noise(bare), structure.restore(columns.T).T
+
+    def draw(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+        """Draws (..., N)."""
+        laws = self.law.take([0] * int(np.prod(shape[:-1])))
+        errors = laws.whitening(self.structure).draw(rng)
+        return self.structure.restore(errors).reshape(shape)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class NoiseLaw:
+    """A noise law, in units of the stated noise.
+
+    law            one of some laws
+    level          factor on everything; 1 where it is marginalised elsewhere
+    student_dof    degrees of freedom of the readings' Student t, inf where they are
+                   normal
+    outlier_share  share of readings that are far off, where the others are normal
+    """
+
+    law: Laws
+    level: float = 1.0
+    student_dof: float = np.inf
+    outlier_share: float = 0.0
+
+    def errors(self, structure: ReadingStructure, rows: Index | None = None) -> Errors:
+        """What the covariance of the readings, or of `rows`, consists of."""
+        errors = _in_reading_units(structure, self.law.errors(structure, rows))
+        return dataclasses.replace(errors, scale=self.level * errors.scale)
+
+    def factor(
+        self, structure: ReadingStructure, rows: Index | None = None
+    ) -> LinearFactor:
+        """Root of the covariance of all readings, or of the readings `rows`."""
+        return LinearFactor(self.errors(structure, rows))
+
+    def describe(self, longest: float = np.inf) -> tuple[str, ...]:
+        """The law in sentences.
+
+        longest  number of readings of the longest run
+        """
+        sentences = [
+            f"single readings scatter by {self.level:.2g} times the stated noise"
+        ]
+        run, seat = (float(sizes[0]) for sizes in (self.law.level, self.law.seat))
+        carried, reach = float(np.sqrt(self.law.carried[0])), float(self.law.reach[0])
+        if run > DESCRIBED_SIZE:
+            sentences.append(
+                f"a run repeats to {self.level * run:.2g} times the stated noise"
+            )
+        if seat > DESCRIBED_SIZE:
+            sentences.append(
+                "what a run seats anew, such as a cup on its magnet, repeats to"
+                f" {self.level * seat:.2g} times the stated noise"
+            )
+        if carried > DESCRIBED_SIZE:
+            sentences.append(
+                f"an error of {self.level * carried:.2g} times the stated noise is"
+                f" carried along {reach_phrase(reach, longest)}"
+            )
+        if np.isfinite(self.student_dof):
+            sentences.append(
+                f"readings far off are frequent (Student t with {self.student_dof:.2g}"
+                " degrees of freedom)"
+            )
+        if self.outlier_share > 0.0:
+            sentences.append(
+                f"about {100.0 * self.outlier_share:.2g} % of the readings are far off"
+            )
+        return tuple(sentences)
+
+
+def reach_phrase(reach: float, longest: float) -> str:
+    """How far an error is carried along a run, as far as its readings can show it.
+
+    reach, longest  in readings; of the error, and of the longest run
+    """
+    if reach > 0.5 * longest:
+        return f"over whole runs of up to {longest:.0f} readings"
+    if reach < 1.5:
+        return "to the next reading"
+    return f"over about {reach:.0f} readings"
 
 
 class Whitening:
@@ -245,7 +444,7 @@ class Whitening:
 
         tails      of single readings; normal by default
         estimated  whether the laws are estimates: these rest on pseudo-values, which are
-                   as informative as errors of such tails (`oed.noise.outliers`)
+                   as informative as errors of such tails (`oed.noise_law.outliers`)
         """
         count, (chains, length) = len(self.laws), self.structure.shape
         white = rng.standard_normal((2, count, chains, length))
@@ -282,19 +481,6 @@ def _rows(values: Array) -> Array:
     return values.swapaxes(0, 1).reshape(*values.shape[1::-1], -1)
 
 
-def common_columns(structure: ReadingStructure, laws: Laws) -> Array:
-    """Columns (L or 1, N, k) that all readings share: effects, and the course."""
-    effects = structure.effects[None]
-    if not (structure.course.size and laws.course.any()):
-        return effects
-    size = (laws.course[:, None] * laws.scale)[:, structure.group]
-    course = structure.course * size[..., None]
-    if not structure.has_effects:
-        return course
-    repeated = np.broadcast_to(effects, (len(course), *effects.shape[1:]))
-    return np.concatenate([repeated, course], axis=-1)
-
-
 def _student_over_pseudo(dof: float) -> float:
     """Standard deviation of a Student t error over that of its pseudo-value.
 
@@ -316,7 +502,11 @@ def _with_tails(
         chi2 = rng.chisquare(dof, errors.shape)
         return errors * np.sqrt((dof - 2.0) / chi2)
     if tails.outlier_share:
-        size = np.exp(rng.uniform(np.log(FAR[0]), np.log(FAR[1]), errors.shape))
+        size = np.exp(
+            rng.uniform(
+                np.log(OUTLIER_SIZES[0]), np.log(OUTLIER_SIZES[1]), errors.shape
+            )
+        )
         size *= rng.choice([-1.0, 1.0], errors.shape)
         far = rng.uniform(size=errors.shape) < tails.outlier_share
         return errors + np.where(far, size, 0.0)

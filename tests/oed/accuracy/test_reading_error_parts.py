@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 from kernel import bar_circles
-from oed.noise import law_noise
-from oed.noise.prior import noise_prior
-from oed.noise.process import Laws
-from oed.noise.structure import ReadingStructure
+from oed.accuracy.budget import reading_errors
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import NoisePrior
 
 FACTORS = (
     {},
-    {law_noise.CARRIED: 0.0},
-    {law_noise.LEVELS: 0.5, law_noise.SEAT: 0.0},
-    {law_noise.COURSE: 0.5},
-    {law_noise.instrument_source("bar"): 0.1, law_noise.BEYOND: 0.0},
+    {reading_errors.CARRIED: 0.0},
+    {reading_errors.LEVELS: 0.5, reading_errors.SEAT: 0.0},
+    {reading_errors.COURSE: 0.5},
+    {reading_errors.instrument_source("bar"): 0.1, reading_errors.BEYOND: 0.0},
 )
 
 
@@ -36,19 +35,19 @@ def covariance(
     single = (1.0 - share) * scale**2
     stated = np.minimum(single, 1.0)
     of = {
-        law_noise.instrument_source("bar"): np.diag(stated),
-        law_noise.BEYOND: np.diag(single - stated),
-        law_noise.CARRIED: share
+        reading_errors.instrument_source("bar"): np.diag(stated),
+        reading_errors.BEYOND: np.diag(single - stated),
+        reading_errors.CARRIED: share
         * np.exp(-distance / laws.reach[0])
         * same_chain
         * np.outer(scale, scale),
     }
     columns = structure.columns * laws.sizes[0, structure.kinds] * scale[:, None]
-    for name, kinds in law_noise.SHARED_KINDS.items():
+    for name, kinds in reading_errors.SHARED_KINDS.items():
         some = columns[:, np.isin(structure.kinds, kinds)]
         of[name] = some @ some.T * same_chain
     course = structure.course * laws.course[0] * scale[:, None]
-    of[law_noise.COURSE] = course @ course.T
+    of[reading_errors.COURSE] = course @ course.T
     return sum(factors.get(name, 1.0) ** 2 * part for name, part in of.items())
 
 
@@ -57,15 +56,15 @@ def test_errors_with_factors_are_those_of_dense_matrices(
     circles: ReadingStructure, factors: dict[str, float]
 ) -> None:
     rng = np.random.default_rng(2)
-    prior = noise_prior(circles)
+    prior = NoisePrior.of(circles)
     laws = prior.laws(rng.standard_normal((1, prior.dimensions)))
-    errors = law_noise.errors_of_readings(circles, laws, ["bar"] * len(circles))
+    errors = reading_errors.errors_of_readings(circles, laws, ["bar"] * len(circles))
     dense = covariance(circles, laws, factors)
     y = rng.standard_normal((len(circles), 3))
     exact = np.linalg.solve(dense, y)
     white = errors.whiten(y, factors)
     assert errors.weigh(y, factors) == pytest.approx(exact, rel=1e-8, abs=1e-8)
     assert white.T @ white == pytest.approx(y.T @ exact, rel=1e-9)
-    name = law_noise.instrument_source("bar")
+    name = reading_errors.instrument_source("bar")
     stated = np.minimum((1.0 - laws.carried[0]) * laws.scale[0, 0] ** 2, 1.0)
     assert errors.between(name, y) == pytest.approx(stated * y.T @ y)

@@ -11,49 +11,50 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 from scipy import special
 
 from oed.base.arrays import Array
-from oed.noise.process import Laws
-from oed.noise.statement import NOTHING_STATED, NoiseStatement
-from oed.noise.structure import (
-    LEVEL,
-    RENEWED,
-    STATED_LEVEL,
-    STATED_SEAT,
+from oed.noise import (
+    NOTHING_STATED,
+    Laws,
+    NoiseStatement,
     ReadingStructure,
+    SharedError,
 )
 
-#: sd of the log of a group's noise over the stated one, and sd from which on its tails
-#: are heavy: at four it is not 5 times the stated noise but 25 times
-SCALE_SD, HEAVY_FROM = 0.4, 4.0
+#: sd of the log of a group's noise over the stated one: data sheets are good to a half
+SCALE_SD = 0.4
+#: coordinate from which the tails of a scale are heavy: noise is 25 times the stated one
+#: there, and not 5 times
+HEAVY_FROM = 4.0
 #: least coordinate of a scale, a 170th of the stated noise: readings are rounded there,
 #: and sums of squares beside larger effects keep their digits
-LEAST_COORDINATE = -5.0
+MIN_COORDINATE = -5.0
 #: factor to which a stated noise is good: one standard deviation of that log
 KNOWN_TO = float(np.exp(SCALE_SD))
 #: sd of that log where the stated noise is an assumption: it may be wrong by a decade
 ASSUMED_SCALE_SD = float(np.log(10.0))
-#: readings beyond the unknowns, for each group, from which on they tell assumed weights
-LEAST_OF_WEIGHTS = 10
-#: degrees of freedom from which readings tell of their noise law
+#: readings beyond the unknowns, for each group, from which they determine assumed weights
+READINGS_PER_WEIGHT = 10
+#: degrees of freedom from which readings determine their noise law
 LEAST_FREEDOM = 10
-#: distance of the share that is carried along from 0 and 1, for the filter's sake
-LEAST_SHARE = 1e-6
-#: median of the share that is mostly small, and sd of its logit
-SMALL_SHARE, SMALL_SHARE_SD = 0.05, 2.5
+#: distance of the correlated share from 0 and 1, where the filter is singular
+MIN_SHARE = 1e-6
+#: median of the correlated share where it is mostly small
+SMALL_SHARE = 0.05
+#: sd of the logit of that share
+SMALL_SHARE_SD = 2.5
 #: sd of the log of the reach, in readings
 REACH_SD = 1.0
-#: what is stated: sd of the logs of a run's level and seating over it, of the logit of
-#: the share that is carried along, of the log of the reach
-STATED_SD, STATED_SHARE_SD, STATED_REACH_SD = 0.4, 0.7, 0.3
-
-#: names of coordinates: of the error that is carried along a run, of what it shares
-CARRIED, REACH, RUN, SEAT = "share carried along", "reach", "level of a run", "seating"
-COURSE = "course of the session"
-STATED_RUN, STATED_SEATING = "stated level of a run", "stated seating"
+#: sd of the logs of a run's level and of its seating over the stated ones
+STATED_SD = 0.4
+#: sd of the logit of the correlated share about the stated one
+STATED_SHARE_SD = 0.7
+#: sd of the log of the reach over the stated one
+STATED_REACH_SD = 0.3
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -79,16 +80,16 @@ def _share(u: Array) -> Array:
     between. A prior about a middle value made the intervals too narrow where all is.
     """
     share = np.sin(0.5 * np.pi * special.ndtr(u)) ** 2
-    return np.asarray(np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE))
+    return np.asarray(np.clip(share, MIN_SHARE, 1.0 - MIN_SHARE))
 
 
 def share_about(stated: float) -> Callable[[Array], Array]:
     """A share of normal coordinates whose logit is normal about a stated one's."""
-    middle = special.logit(np.clip(stated, LEAST_SHARE, 1.0 - LEAST_SHARE))
+    middle = special.logit(np.clip(stated, MIN_SHARE, 1.0 - MIN_SHARE))
 
     def share(u: Array) -> Array:
         values = special.expit(middle + STATED_SHARE_SD * u)
-        return np.asarray(np.clip(values, LEAST_SHARE, 1.0 - LEAST_SHARE))
+        return np.asarray(np.clip(values, MIN_SHARE, 1.0 - MIN_SHARE))
 
     return share
 
@@ -118,7 +119,18 @@ class NoisePrior:
     statement  what is stated
     is_common  whether all groups have one scale, and weights near the stated ones: with
                several groups, each has a factor of its own as of a stated noise
+
+    Constants are the names of coordinates other than scales: of the error that is carried
+    along a run, of what a run shares, of the session's course.
     """
+
+    CARRIED: ClassVar = "share carried along"
+    REACH: ClassVar = "reach"
+    RUN: ClassVar = "level of a run"
+    SEAT: ClassVar = "seating"
+    STATED_RUN: ClassVar = "stated level of a run"
+    STATED_SEATING: ClassVar = "stated seating"
+    COURSE: ClassVar = "course of the session"
 
     names: tuple[str, ...]
     groups: int
@@ -126,10 +138,49 @@ class NoisePrior:
     statement: NoiseStatement = NOTHING_STATED
     is_common: bool = False
 
+    @classmethod
+    def of(cls, structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:
+        """The prior that goes with readings of a structure.
+
+        freedom  readings beyond the unknowns. Where an assumed noise has few for each
+                 group, all groups have one scale, and their weights are near the
+                 assumed ones. Where a course's terms leave few in all, it is not in the
+                 model
+
+        All groups have one share carried along. With one each, a leg whose scale is wrong took
+        the weight of a channel: errors at other poses were 1.3 times those of one share.
+        """
+        statement = structure.statement
+        is_few = freedom < READINGS_PER_WEIGHT * len(structure.names)
+        is_common = statement.is_assumed and is_few
+        groups = len(structure.names)
+        scales = structure.names
+        if is_common:
+            scales = ("all readings", *(scales if groups > 1 else ()))
+        carried = () if statement.carried == 0.0 else (cls.CARRIED, cls.REACH)
+        of_kind = {
+            SharedError.LEVEL: cls.RUN,
+            SharedError.RENEWED: cls.SEAT,
+            SharedError.STATED_LEVEL: cls.STATED_RUN,
+            SharedError.STATED_SEAT: cls.STATED_SEATING,
+        }
+        shared = tuple(
+            name for kind, name in of_kind.items() if kind in structure.kinds
+        )
+        terms = structure.course.shape[1]
+        has_course = terms and freedom - terms >= LEAST_FREEDOM
+        course = (cls.COURSE,) if has_course else ()
+        names = (*(f"noise of {name}" for name in scales), *carried, *shared, *course)
+        return cls(names, groups, statement=statement, is_common=is_common)
+
     @property
     def dimensions(self) -> int:
         """Number of coordinates."""
         return len(self.names)
+
+    def sparse(self) -> NoisePrior:
+        """The prior for questions of cause, where each part may as well be absent."""
+        return dataclasses.replace(self, amounts=SPARSE)
 
     def without(self, name: str) -> NoisePrior:
         """The prior with a part taken out of the model."""
@@ -152,13 +203,15 @@ class NoisePrior:
 
         return Laws(
             scale=self._scale(u),
-            carried=self._share(of_name[CARRIED]) if CARRIED in of_name else nothing,
-            reach=self._reach(of_name.get(REACH, nothing)),
-            level=size(RUN),
-            seat=size(SEAT),
-            stated_level=factor(STATED_RUN),
-            stated_seat=factor(STATED_SEATING),
-            course=size(COURSE),
+            carried=self._share(of_name[self.CARRIED])
+            if self.CARRIED in of_name
+            else nothing,
+            reach=self._reach(of_name.get(self.REACH, nothing)),
+            level=size(self.RUN),
+            seat=size(self.SEAT),
+            stated_level=factor(self.STATED_RUN),
+            stated_seat=factor(self.STATED_SEATING),
+            course=size(self.COURSE),
         )
 
     def _scale(self, u: Array) -> Array:
@@ -172,7 +225,7 @@ class NoisePrior:
         by_group = u[:, : self.groups]
         if self.statement.is_assumed:
             return np.asarray(np.exp(ASSUMED_SCALE_SD * by_group))
-        return np.asarray(np.exp(SCALE_SD * heavy_scale(by_group)))
+        return scale_over_stated(by_group)
 
     def _share(self, u: Array) -> Array:
         """Share (L,) of the variance that is carried along."""
@@ -191,13 +244,18 @@ class NoisePrior:
         The middle of the prior, an error that is carried far, and one that is carried
         over a few readings alone: each may be a mode of its own.
         """
-        if CARRIED not in self.names:
+        if self.CARRIED not in self.names:
             return np.zeros((1, self.dimensions))
         starts = np.zeros((3, self.dimensions))
-        place = [self.names.index(CARRIED), self.names.index(REACH)]
-        starts[1, place] = 1.5, 0.5
-        starts[2, place] = 2.5, -1.5
+        columns = [self.names.index(self.CARRIED), self.names.index(self.REACH)]
+        starts[1, columns] = 1.5, 0.5
+        starts[2, columns] = 2.5, -1.5
         return starts
+
+
+def scale_over_stated(u: Array) -> Array:
+    """Noise of single readings over the stated one, at normal coordinates."""
+    return np.asarray(np.exp(SCALE_SD * heavy_scale(u)))
 
 
 def heavy_scale(u: Array) -> Array:
@@ -205,7 +263,7 @@ def heavy_scale(u: Array) -> Array:
 
     Both tails are heavier than normal: noise may be far from a data sheet, either way.
     """
-    bounded = np.maximum(u, LEAST_COORDINATE)
+    bounded = np.maximum(u, MIN_COORDINATE)
     return np.asarray(bounded * (1.0 + (bounded / HEAVY_FROM) ** 2))
 
 
@@ -222,35 +280,3 @@ def log_prior_of_scale(scale: Array, *, is_assumed: bool) -> Array:
     shift = 0.5 * HEAVY_FROM**2 * half
     u = np.cbrt(shift + root) + np.cbrt(shift - root)
     return np.asarray(-0.5 * u**2)
-
-
-def noise_prior(structure: ReadingStructure, freedom: float = np.inf) -> NoisePrior:
-    """The prior that goes with readings of a structure.
-
-    freedom  readings beyond the unknowns. Where an assumed noise has few for each group,
-             all groups have one scale, and their weights are near the assumed ones. Where
-             a course's terms leave few in all, it is not in the model
-
-    All groups have one share carried along. With one each, a leg whose scale is wrong took
-    the weight of a channel: errors at other poses were 1.3 times those of one share.
-    """
-    statement = structure.statement
-    is_few = freedom < LEAST_OF_WEIGHTS * len(structure.names)
-    is_common = statement.is_assumed and is_few
-    groups = len(structure.names)
-    scales = structure.names
-    if is_common:
-        scales = ("all readings", *(scales if groups > 1 else ()))
-    carried = () if statement.carried == 0.0 else (CARRIED, REACH)
-    of_kind = {
-        LEVEL: RUN,
-        RENEWED: SEAT,
-        STATED_LEVEL: STATED_RUN,
-        STATED_SEAT: STATED_SEATING,
-    }
-    shared = tuple(name for kind, name in of_kind.items() if kind in structure.kinds)
-    terms = structure.course.shape[1]
-    has_course = terms and freedom - terms >= LEAST_FREEDOM
-    course = (COURSE,) if has_course else ()
-    names = (*(f"noise of {name}" for name in scales), *carried, *shared, *course)
-    return NoisePrior(names, groups, statement=statement, is_common=is_common)

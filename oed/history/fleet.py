@@ -29,13 +29,14 @@ from typing import NamedTuple
 import numpy as np
 
 from oed.base.arrays import Array
-from oed.estimation.session_change import Session, likelihood
+from oed.history.sessions import Session, likelihood
 
 #: middles of the steps of a spread over the tolerance
-GRID = (np.arange(16) + 0.5) / 16.0
-SWEEPS = 3
-#: least variance of a combination of parameters, in squared tolerances
-LEAST = 1e-6
+SPREADS = (np.arange(16) + 0.5) / 16.0
+#: passes over all spreads; their expected variances then change by less than a step
+N_SWEEPS = 3
+#: least variance of a combination of parameters, squared tolerances
+MIN_VARIANCE = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +49,26 @@ class MachineInformation:
 
     matrix: Array
     vector: Array
+
+    @classmethod
+    def of_posterior(
+        cls, value: Array, covariance: Array, nominal: Array, tolerance: Array
+    ) -> MachineInformation:
+        """The posterior (p,), (p, p) of a machine without its prior; all of one unit each.
+
+        The prior had this nominal value and standard deviation (p,).
+        """
+        root, white = likelihood(Session(value, covariance), nominal, tolerance)
+        return cls(root.T @ root, root.T @ white)
+
+    def rescaled(self, factor: Array, shift: Array) -> MachineInformation:
+        """In other tolerances and about another nominal value.
+
+        factor  (p,) the other tolerances over those of the machine
+        shift   (p,) the machine's nominal values less the others, in the other tolerances
+        """
+        matrix = self.matrix * np.outer(factor, factor)
+        return MachineInformation(matrix, self.vector * factor + matrix @ shift)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,39 +83,16 @@ class FleetPrior:
     covariance: Array
 
 
-def readings_information(
-    value: Array, covariance: Array, nominal: Array, tolerance: Array
-) -> MachineInformation:
-    """The posterior (p,), (p, p) of a machine without its prior; all of one unit each.
-
-    The prior had this nominal value and standard deviation (p,).
-    """
-    root, white = likelihood(Session(value, covariance), nominal, tolerance)
-    return MachineInformation(root.T @ root, root.T @ white)
-
-
-def rescaled(
-    machine: MachineInformation, factor: Array, shift: Array
-) -> MachineInformation:
-    """In other tolerances and about another nominal value.
-
-    factor  (p,) the other tolerances over those of the machine
-    shift   (p,) the machine's nominal values less the others, in the other tolerances
-    """
-    matrix = machine.matrix * np.outer(factor, factor)
-    return MachineInformation(matrix, machine.vector * factor + matrix @ shift)
-
-
 def fleet_prior(machines: Sequence[MachineInformation]) -> FleetPrior:
     """The prior of a further machine. Raises ValueError without machines."""
     if not machines:
         raise ValueError("a fleet has at least one machine")
     A = np.stack([m.matrix for m in machines])
     b = np.stack([m.vector for m in machines])
-    variance = np.full(b.shape[1], np.mean(GRID**2))
-    for _ in range(SWEEPS):
+    variance = np.full(b.shape[1], np.mean(SPREADS**2))
+    for _ in range(N_SWEEPS):
         for k in range(len(variance)):
-            variance[k] = _over_grid(A, b, variance, k).weights @ GRID**2
+            variance[k] = _over_grid(A, b, variance, k).weights @ SPREADS**2
     _, middle, about = _further_machine(A, b, variance)
     mean, covariance = middle.copy(), about.copy()
     for k in range(len(variance)):
@@ -104,7 +102,7 @@ def fleet_prior(machines: Sequence[MachineInformation]) -> FleetPrior:
         mean += average - middle
         covariance += np.tensordot(grid.weights, grid.covariances, axes=1) - about
         covariance += (change * grid.weights[:, None]).T @ change
-    return FleetPrior(mean, _at_least(covariance, LEAST))
+    return FleetPrior(mean, _at_least(covariance, MIN_VARIANCE))
 
 
 class _Grid(NamedTuple):
@@ -119,7 +117,7 @@ def _over_grid(A: Array, b: Array, variance: Array, k: int) -> _Grid:
     """Spread k over the grid, the others at their variance."""
     changed = variance.copy()
     machines = []
-    for spread in GRID:
+    for spread in SPREADS:
         changed[k] = spread**2
         machines.append(_further_machine(A, b, changed))
     evidence = np.array([m[0] for m in machines])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kernel.dense_noise import dense_covariance
-from oed.noise.law_noise import (
+from oed.accuracy.budget.reading_errors import (
     BEYOND,
     CARRIED,
     LEVELS,
@@ -14,8 +14,7 @@ from oed.noise.law_noise import (
     errors_of_readings,
     instrument_source,
 )
-from oed.noise.process import Laws
-from oed.noise.structure import LEVEL, RENEWED, ReadingStructure
+from oed.noise import Laws, ReadingStructure, SharedError
 
 N = 12
 #: scales above and below the stated noise, a share carried along, a level, a seat
@@ -42,7 +41,7 @@ def structure(rng: np.random.Generator) -> ReadingStructure:
         unit=np.ones(N),
         decouple=None,
         columns=np.column_stack([np.ones(N), rng.standard_normal(N)]),
-        kinds=np.array([LEVEL, RENEWED]),
+        kinds=np.array([SharedError.LEVEL, SharedError.RENEWED]),
     )
 
 

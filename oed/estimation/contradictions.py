@@ -1,7 +1,8 @@
-"""Score tests of what a fit holds exactly: fixed parameters, unknowns of instruments.
+"""What readings contradict: values that a fit holds exactly, and all tolerances.
 
-Of whitened residuals r, and slopes c over a held parameter, only the part counts that no
-free parameter explains, whatever its prior. Freed alone, the parameter changes by c.r /
+Score tests of fixed parameters and of unknowns that instruments hold: of whitened residuals
+r, and slopes c over a held parameter, only the part counts that no free parameter
+explains, whatever its prior. Freed alone, the parameter changes by c.r /
 c.c, and where its held value is exact,
 
     t^2 = (c.r)^2 / (c.c s^2),    s^2 = (r.r - (c.r)^2 / c.c) / (N - rank - 1),
@@ -11,6 +12,21 @@ Influence in Regression, added variables). What only chooses a frame has no c an
 Held parameters that differ by their number alone are tested moved together as well. What
 is found is freed, and the others are tested beside it; p-values are times the number of
 the tests (Bonferroni).
+
+Evidence of a common factor on all tolerances: to first order the whitened readings are
+r = H z + e, with z ~ N(0, s^2 I) in tolerances and e ~ N(0, w^2 I) in the stated noise.
+With H = U D V^T and a = U^T r, of r dimensions,
+
+    -2 log p(r | s, w) = sum_k [ log(w^2 + s^2 d_k^2) + a_k^2 / (w^2 + s^2 d_k^2) ]
+                         + (N - r) log w^2 + (|r|^2 - |a|^2) / w^2.
+
+Tolerances of a drawing may be too small by a decade, all of them alike where a unit or a class
+of fit is wrong: they then hold the parameters at nominal, and what that leaves looks like
+noise, or like an effect. s = 1 is given up where it is improbable, and where another s leaves
+no more than noise can. Where few combinations of parameters are far from nominal and the
+others are not, nominal numbers are wrong and no tolerances: each is then of s = 1 with the
+probability 0.8. Tolerances that are too large are left: they cost little, and smaller
+ones would make what no reading determines too sure.
 """
 
 from __future__ import annotations
@@ -25,18 +41,32 @@ from scipy import special
 from oed.base import units
 from oed.base.arrays import Array
 from oed.estimation.estimate import Estimate
+from oed.estimation.law_stage import MAX_CORRELATED
 from oed.measurement import Measurement, Series
+from oed.model import Parameter
 from oed.result.fit import HeldParameter
 from oed.result.fit_limits import FAR
 
 #: probability that a study whose held values are exact has one reported
-LEVEL = 0.01
-#: degrees of freedom, beside all parameters, from which residuals tell their scatter
-LEAST_FREEDOM = 3
-#: share of slopes, or of singular values, that is rounding
-ROUNDING = 1e-6
+FALSE_ALARM = 0.01
+#: degrees of freedom, beside all parameters, that the scatter of residuals needs
+MIN_FREEDOM = 3
+#: share of slopes, or of singular values, below which they are rounding
+RANK_TOLERANCE = 1e-6
 #: parameters whose changes are named
-NAMED = 3
+MAX_NAMED = 3
+#: factors on the tolerances: four a decade, up to thirty times
+FACTORS = 10.0 ** (np.arange(7) / 4.0)
+#: prior probability that the tolerances are as stated
+P_AS_STATED = 0.95
+#: probability of tolerances as stated below which they are given up
+P_GIVEN_UP = 0.05
+#: share of the combinations that are far where few nominal numbers are wrong
+FAR_SHARE = 0.2
+#: noise over the stated one: 20 a decade
+NOISE_LEVELS = 10.0 ** (np.arange(-20, 81) / 20.0)
+#: scale of the log of the noise over the stated one, of a Cauchy density
+LOG_NOISE_SCALE = 0.4
 
 #: names of parameters that move together
 Names = tuple[str, ...]
@@ -64,7 +94,7 @@ def contradicted_parameters(
     }
     contradicted = []
     tests = _tests(columns, residual, explained)
-    while min((t.p_value for t in tests.values()), default=1.0) < LEVEL:
+    while min((t.p_value for t in tests.values()), default=1.0) < FALSE_ALARM:
         names = min(tests, key=lambda key: tests[key].p_value)
         column, test = columns.pop(names), tests[names]
         change = test.change * np.isin(whole.names, names)
@@ -123,16 +153,16 @@ def _tests(
     size = np.linalg.norm(explained, axis=0)
     scaled = explained[:, size > 0.0] / size[size > 0.0]
     vectors, values, _ = np.linalg.svd(scaled, full_matrices=False)
-    basis = vectors[:, values > ROUNDING]
+    basis = vectors[:, values > RANK_TOLERANCE]
     freedom = len(residual) - basis.shape[1] - 1
-    if freedom < LEAST_FREEDOM:
+    if freedom < MIN_FREEDOM:
         return {}
     r = residual - basis @ (basis.T @ residual)
     tests = {}
     for names, column in columns.items():
         c = column - basis @ (basis.T @ column)
         length = float(np.linalg.norm(c))
-        if length <= ROUNDING * np.linalg.norm(column):
+        if length <= RANK_TOLERANCE * np.linalg.norm(column):
             continue
         change = float(c @ r) / length**2
         scatter = float(np.linalg.norm(r - change * c)) / np.sqrt(freedom)
@@ -159,7 +189,9 @@ def _record(
     unit_of = {p.name: units.display(p.unit) for p in whole.parameters}
     unit, held = unit_of[names[0]], float(np.mean(theta[np.isin(whole.names, names)]))
     scaled = np.abs(change) / sd
-    largest = [whole.names[k] for k in np.argsort(-scaled)[:NAMED] if scaled[k] > 0.0]
+    largest = [
+        whole.names[k] for k in np.argsort(-scaled)[:MAX_NAMED] if scaled[k] > 0.0
+    ]
     by_name = dict(zip(whole.names, change, strict=True))
     shifts = []
     for s in series:
@@ -178,4 +210,83 @@ def _record(
         changes={n: units.number(by_name[n], unit_of[n]) for n in largest},
         units={n: unit_of[n] for n in largest},
         tool_mm=1e3 * float(np.sqrt((shift**2).sum(axis=1).mean())),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class ToleranceFactor:
+    """What readings say of all tolerances together.
+
+    factor       the most probable one, of `FACTORS`
+    probability  that they are as stated, but for few parameters
+    level        noise over the stated one with that factor
+    """
+
+    factor: float
+    probability: float
+    level: float
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether tolerances as stated are improbable, and larger ones explain it."""
+        return self.probability < P_GIVEN_UP and self.level <= MAX_CORRELATED
+
+    def widened(self, measurement: Measurement) -> Measurement:
+        """The measurement with all tolerances times the factor."""
+
+        def scaled(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
+            return tuple(
+                dataclasses.replace(p, tolerance=self.factor * p.tolerance)
+                for p in parameters
+            )
+
+        machine = measurement.machine.with_parameters(
+            scaled(measurement.machine.parameters)
+        )
+        setups = [
+            dataclasses.replace(s, nuisances=scaled(s.nuisances))
+            for s in measurement.setups.values()
+        ]
+        kinematics = measurement.kinematics.with_priors_of(machine)
+        return Measurement(machine, setups, kinematics)
+
+
+def tolerance_factor(
+    measurement: Measurement, series: Sequence[Series], estimate: Estimate
+) -> ToleranceFactor:
+    """The factor by readings linear about an estimate, under the stated noise."""
+    noise = measurement.noise(series)
+    free = estimate.prior_sd > 0.0
+    jacobian = measurement.jacobian(series, estimate.theta)
+    slopes = noise.whiten(measurement.in_prior_units(jacobian, free))
+    change = np.where(free, estimate.theta - measurement.nominal, 0.0)
+    residual = noise.whiten(estimate.residuals + jacobian @ change)
+    return _most_probable(slopes, residual)
+
+
+def _most_probable(slopes: Array, residual: Array) -> ToleranceFactor:
+    """The factor for whitened slopes (N, n) and residuals (N,) about nominal."""
+    directions, singular, _ = np.linalg.svd(slopes, full_matrices=False)
+    along = (directions.T @ residual) ** 2
+    outside = max(float(residual @ residual - along.sum()), 0.0)
+    freedom = len(residual) - len(singular)
+    noise = NOISE_LEVELS[None, :, None] ** 2
+    variance = noise + (FACTORS[:, None] * singular)[:, None, :] ** 2
+    each = -0.5 * (np.log(variance) + along / variance)
+    further = -0.5 * (freedom * np.log(NOISE_LEVELS**2) + outside / NOISE_LEVELS**2)
+    further = further - np.log1p((np.log(NOISE_LEVELS) / LOG_NOISE_SCALE) ** 2)
+    all_alike = each.sum(axis=2) + further
+    few = np.logaddexp(np.log(1.0 - FAR_SHARE) + each[:1], np.log(FAR_SHARE) + each[1:])
+    few_far = few.sum(axis=2) + further
+    others = np.log((1.0 - P_AS_STATED) / len(few))
+    prior = np.full(len(FACTORS), others - np.log(2.0))
+    prior[0] = np.log(P_AS_STATED)
+    of_all = special.logsumexp(all_alike, axis=1) + prior
+    of_few = special.logsumexp(few_far, axis=1) + prior[1:]
+    best = int(np.argmax(of_all))
+    total = special.logsumexp(np.concatenate([of_all, of_few]))
+    return ToleranceFactor(
+        factor=float(FACTORS[best]),
+        probability=float(-np.expm1(special.logsumexp(of_all[1:]) - total)),
+        level=float(NOISE_LEVELS[int(np.argmax(all_alike[best]))]),
     )

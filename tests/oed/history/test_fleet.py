@@ -13,13 +13,7 @@ import sample
 from scipy import integrate, stats
 
 from oed.base import Array
-from oed.estimation.fleet import (
-    FleetPrior,
-    MachineInformation,
-    fleet_prior,
-    readings_information,
-    rescaled,
-)
+from oed.history import FleetPrior, MachineInformation, fleet_prior
 from pkm_studies.commands import main
 from pkm_studies.study import parse
 
@@ -75,9 +69,9 @@ def test_what_readings_say_is_the_posterior_without_its_prior(
     y = slopes @ truth + 0.1 * rng.standard_normal(2)
     covariance = np.linalg.inv(100.0 * slopes.T @ slopes + np.diag(tolerance**-2))
     value = covariance @ (100.0 * slopes.T @ y + nominal / tolerance**2)
-    own = readings_information(value, covariance, nominal, tolerance)
+    own = MachineInformation.of_posterior(value, covariance, nominal, tolerance)
     other, wide = nominal + 0.3, 1.5 * tolerance
-    moved = rescaled(own, wide / tolerance, (nominal - other) / wide)
+    moved = own.rescaled(wide / tolerance, (nominal - other) / wide)
     scaled = slopes * wide
     np.testing.assert_allclose(moved.matrix, 100.0 * scaled.T @ scaled, atol=1e-6)
     expected = 100.0 * scaled.T @ (y - slopes @ other)

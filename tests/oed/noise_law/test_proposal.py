@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from oed.noise.proposal import (
+from oed.noise_law.proposal import (
     DEGREES,
     KernelMixture,
     SplitStudent,

@@ -21,14 +21,25 @@ from collections.abc import Callable
 import numpy as np
 from scipy import optimize, special
 
-from oed.base.arrays import Array
+from oed.base.arrays import Array, Index
 from oed.base.linear_algebra import eigenvectors
 
-#: step of numerical slopes and curvatures, and least curvature, in prior sd
-SLOPE_STEP, CURVATURE_STEP, LEAST_CURVATURE = 1e-4, 0.15, 0.5
-#: Newton steps after the search, at most; a step that is none, and that of their slopes,
-#: in prior sd; and by how much the cost may rise by rounding
-NEWTON_STEPS, CONVERGED, FINE_STEP, ROUNDING = 6, 3e-4, 0.01, 1e-6
+#: largest coordinate of a law that is looked at, prior sd
+MAX_COORDINATE = 8.0
+#: step of numerical gradients in a search, prior sd
+GRADIENT_STEP = 1e-4
+#: step of numerical curvatures, prior sd: wide, as the cost is not smooth to its last digit
+CURVATURE_STEP = 0.15
+#: least curvature, over that of the prior: draws are no wider than sqrt(2) prior sd
+MIN_CURVATURE = 0.5
+#: Newton steps after the search, which ends a few hundredths of a prior sd away
+MAX_NEWTON_STEPS = 6
+#: length of a Newton step below which the mode is reached, prior sd
+STEP_TOLERANCE = 3e-4
+#: step of the central differences of Newton's gradient, prior sd
+NEWTON_GRADIENT_STEP = 0.01
+#: rise of the cost that rounding explains
+COST_TOLERANCE = 1e-6
 
 #: minus log posterior density (L,), up to a constant, at coordinates (L, d)
 Cost = Callable[[Array], Array]
@@ -37,16 +48,16 @@ Cost = Callable[[Array], Array]
 def find_mode(cost: Cost, starts: Array, farthest: float) -> Array:
     """Coordinates (d,) of least cost from some starts (s, d), none beyond `farthest`."""
     dimensions = starts.shape[1]
-    steps = np.vstack([np.zeros(dimensions), np.eye(dimensions)]) * SLOPE_STEP
+    steps = np.vstack([np.zeros(dimensions), np.eye(dimensions)]) * GRADIENT_STEP
 
-    def cost_and_slope(u: Array) -> tuple[float, Array]:
+    def cost_and_gradient(u: Array) -> tuple[float, Array]:
         costs = cost(u + steps)
-        return float(costs[0]), (costs[1:] - costs[0]) / SLOPE_STEP
+        return float(costs[0]), (costs[1:] - costs[0]) / GRADIENT_STEP
 
     limits = [(-farthest, farthest)] * dimensions
     minima = [
         optimize.minimize(
-            cost_and_slope,
+            cost_and_gradient,
             start,
             jac=True,
             method="L-BFGS-B",
@@ -62,21 +73,21 @@ def polish(cost: Cost, u: Array, farthest: float) -> Array:
     """Coordinates (d,) of least cost near u (d,), where `find_mode` ended.
 
     That search ends where the cost hardly falls any more, some hundredths away, and where
-    that is depends on rounding. Newton steps go on to where the slopes vanish.
+    that is depends on rounding. Newton steps go on to where the gradient vanishes.
     """
     root = root_about(cost, u)
-    moves = FINE_STEP * np.eye(len(u))
+    moves = NEWTON_GRADIENT_STEP * np.eye(len(u))
     moves = np.vstack([np.zeros(len(u)), moves, -moves])
     lowest, least = u, np.inf
-    for _ in range(NEWTON_STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         costs = cost(u + moves)
-        if costs[0] > least + ROUNDING:
+        if costs[0] > least + COST_TOLERANCE:
             break
         lowest, least = u, float(costs[0])
         ahead, behind = np.split(costs[1:], 2)
-        slope = (ahead - behind) / (2.0 * FINE_STEP)
-        step = -root @ (root.T @ slope)
-        if np.abs(step).max() < CONVERGED:
+        gradient = (ahead - behind) / (2.0 * NEWTON_GRADIENT_STEP)
+        step = -root @ (root.T @ gradient)
+        if np.abs(step).max() < STEP_TOLERANCE:
             break
         u = np.clip(u + step, -farthest, farthest)
     return lowest
@@ -96,11 +107,57 @@ def root_about(cost: Cost, mode: Array) -> Array:
         mixed = value - ahead[i] - ahead[j] + middle
         curvature[i, j] = curvature[j, i] = mixed
     values, vectors = eigenvectors(curvature / CURVATURE_STEP**2)
-    root: Array = vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
+    root: Array = vectors / np.sqrt(np.maximum(values, MIN_CURVATURE))
     return root
 
 
-def signed(vectors: Array) -> Array:
+@dataclasses.dataclass(frozen=True, eq=False)
+class DrawnLaws:
+    """Laws of a posterior: draws (n, d), the mode (d,), the log of its integral."""
+
+    draws: Array
+    mode: Array
+    log_integral: float
+
+
+def draw_laws(
+    cost: Cost, starts: Array, farthest: float, *, points: int, draws: int
+) -> DrawnLaws:
+    """Draw laws by their cost, spread along the widest axis of the posterior.
+
+    starts    (s, d) coordinates from which the mode is sought
+    farthest  largest coordinate
+    points    number of those by which the integral is computed
+
+    Where there is no coordinate, or the mode is in a corner, as where rows are copies of
+    others, one law is possible.
+    """
+    if not starts.shape[1]:
+        mode = starts[0]
+        return DrawnLaws(np.tile(mode, (draws, 1)), mode, -float(cost(mode[None])[0]))
+    mode = polish(cost, find_mode(cost, starts, farthest), farthest)
+    proposal = split_student(cost, mode, _signed(root_about(cost, mode)))
+    sample = proposal.points(points)
+    sample = sample[np.abs(sample).max(axis=1) < farthest]
+    if not len(sample):
+        return DrawnLaws(np.tile(mode, (draws, 1)), mode, -float(cost(mode[None])[0]))
+    log_weights = -cost(sample) - proposal.log_density(sample)
+    total = float(special.logsumexp(log_weights))
+    rows = _systematic(sample, np.exp(log_weights - total), draws)
+    return DrawnLaws(sample[rows], mode, total - float(np.log(points)))
+
+
+def _systematic(points: Array, weights: Array, count: int) -> Index:
+    """Numbers (count,) of points by their weights, spread along the widest axis."""
+    offsets = points - weights @ points
+    _, vectors = np.linalg.eigh((offsets * weights[:, None]).T @ offsets)
+    order = np.argsort(offsets @ _signed(vectors)[:, -1])
+    levels = (np.arange(count) + 0.5) / count
+    ranks = np.searchsorted(np.cumsum(weights[order]), levels)
+    return order[np.minimum(ranks, len(order) - 1)]
+
+
+def _signed(vectors: Array) -> Array:
     """Vectors in columns (d, k), each with its largest component positive.
 
     An eigenvector's sign is a matter of rounding.
@@ -112,12 +169,15 @@ def signed(vectors: Array) -> Array:
 #: degrees of freedom of the Student t. Tails of 5 waste nearly all draws of ten
 #: coordinates, as six channels have: 17 of 320 were left, and intervals a third too wide
 DEGREES = 20.0
-#: distances, in standard deviations by the curvature, at which the tails are looked at;
-#: limits of what they stretch it; least rise of the cost
-STRETCH_STEPS, STRETCH_LIMITS, LEAST_RISE = (1.0, 2.0, 3.5), (0.7, 4.0), 1e-3
+#: distances from the mode at which widths are read off, standard deviations by curvature
+TAIL_DISTANCES = (1.0, 2.0, 3.5)
+#: least and largest width, over that by the curvature
+WIDTH_LIMITS = (0.7, 4.0)
+#: least rise of the cost at these distances: the cost may be flat
+MIN_RISE = 1e-3
 #: power of the weights by which kernels are placed: a single draw must not take all
-TEMPER = 0.5
-#: numbers of offsets from kernels that are computed at once
+WEIGHT_POWER = 0.5
+#: numbers of offsets from kernels that are computed at once: 4 MB
 KERNEL_VALUES = 500_000
 
 
@@ -139,10 +199,10 @@ class SplitStudent:
         """Points (count, d)."""
         uniform = _sobol(count, len(self.mode) + 1)
         share = self.behind / (self.behind + self.ahead)
-        place, chi2 = uniform[:, :-1], _chi2(uniform[:, -1:])
-        below = 0.5 * place / share
-        above = 1.0 - 0.5 * (1.0 - place) / (1.0 - share)
-        normal = special.ndtri(np.where(place < share, below, above))
+        level, chi2 = uniform[:, :-1], _chi2(uniform[:, -1:])
+        below = 0.5 * level / share
+        above = 1.0 - 0.5 * (1.0 - level) / (1.0 - share)
+        normal = special.ndtri(np.where(level < share, below, above))
         student = normal / np.sqrt(chi2 / DEGREES)
         width = np.where(student < 0.0, self.behind, self.ahead)
         return np.asarray(self.mode + (width * student) @ self.root.T)
@@ -179,11 +239,12 @@ class KernelMixture:
         return np.asarray(self.centres[number] + student @ self.root.T)
 
     def draw(self, rng: np.random.Generator, count: int) -> Array:
-        """Random points (count, d)."""
+        """`count` random points or fewer (m, d): those that are not too far."""
         number = rng.choice(len(self.weights), size=count, p=self.weights)
         normal = rng.standard_normal((count, self.centres.shape[1]))
         student = normal / np.sqrt(rng.chisquare(DEGREES, (count, 1)) / DEGREES)
-        return np.asarray(self.centres[number] + student @ self.root.T)
+        points = self.centres[number] + student @ self.root.T
+        return np.asarray(points[np.abs(points).max(axis=1) < MAX_COORDINATE])
 
     def log_density(self, u: Array) -> Array:
         """Log density (L,) at points (L, d)."""
@@ -199,19 +260,17 @@ class KernelMixture:
         return np.asarray(total - np.linalg.slogdet(self.root)[1])
 
 
-def split_student(
-    cost: Callable[[Array], Array], mode: Array, root: Array
-) -> SplitStudent:
-    """The split Student for a cost (L,) of points (L, d), minus its log density.
+def split_student(cost: Cost, mode: Array, root: Array) -> SplitStudent:
+    """The split Student for a cost.
 
     root  (d, d) of the inverse curvature at the mode
     """
-    steps = np.array(STRETCH_STEPS)[:, None, None]
+    steps = np.array(TAIL_DISTANCES)[:, None, None]
     moves = (steps * np.vstack([-root.T, root.T])).reshape(-1, len(root))
     costs = cost(mode + np.vstack([np.zeros(len(root)), moves]))
-    rise = np.maximum(costs[1:] - costs[0], LEAST_RISE)
+    rise = np.maximum(costs[1:] - costs[0], MIN_RISE)
     ratio = steps[..., 0] / np.sqrt(2.0 * rise).reshape(len(steps), -1)
-    behind, ahead = np.split(np.clip(ratio.max(axis=0), *STRETCH_LIMITS), 2)
+    behind, ahead = np.split(np.clip(ratio.max(axis=0), *WIDTH_LIMITS), 2)
     return SplitStudent(mode, root, behind, ahead)
 
 
@@ -222,7 +281,7 @@ def kernels_at(
 
     widening  of the kernels, over the best for a normal density
     """
-    weights = np.exp(TEMPER * (log_weights - log_weights.max()))
+    weights = np.exp(WEIGHT_POWER * (log_weights - log_weights.max()))
     weights /= weights.sum()
     offsets = draws - weights @ draws
     covariance = (offsets * weights[:, None]).T @ offsets

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from oed.estimation import session_change, session_drift
-from oed.estimation.session_change import Session
+from oed import history
+from oed.history import Session
 
 N, SETUP = 5, 2
 NAMES = [f"p{k}" for k in range(N)]
@@ -45,7 +45,7 @@ def test_the_change_is_that_of_one_fit_of_both_sessions() -> None:
     machine = TOLERANCE * rng.standard_normal(N)
     y1 = readings(rng, h1, machine)
     y2 = readings(rng, h2, machine + np.array([0.9, 0, 0, 0, 0]))
-    change = session_change.compare(
+    change = history.compare_sessions(
         NAMES, NOMINAL, TOLERANCE, [session(h1, y1), session(h2, y2)]
     )
     assert (change.dof, change.undetermined) == (4, 1)
@@ -94,7 +94,7 @@ def turned_sessions(angle: float) -> list[Session]:
 def test_what_no_session_determines_hides_no_other_change() -> None:
     """p0 is determined by both, however their open directions are turned."""
     sessions = turned_sessions(1e-4)
-    change = session_change.compare(NAMES, NOMINAL, TOLERANCE, sessions)
+    change = history.compare_sessions(NAMES, NOMINAL, TOLERANCE, sessions)
     assert (change.dof, change.undetermined) == (4, 1)
     (single,) = [c for c in change.combinations if c.coefficients == {"p0": 1.0}]
     variances = [s.covariance[0, 0] for s in sessions]
@@ -106,9 +106,9 @@ def test_what_no_session_determines_hides_no_other_change() -> None:
 @pytest.mark.parametrize("angle", [0.0, 1e-4, 1e-3])
 def test_a_drift_of_two_sessions_is_their_change(angle: float) -> None:
     sessions = turned_sessions(angle)
-    change = session_change.compare(NAMES, NOMINAL, TOLERANCE, sessions)
+    change = history.compare_sessions(NAMES, NOMINAL, TOLERANCE, sessions)
     times = np.array([0.0, 2.0])
-    drifted = session_drift.drift(NAMES, NOMINAL, TOLERANCE, sessions, times)
+    drifted = history.estimate_drift(NAMES, NOMINAL, TOLERANCE, sessions, times)
     assert drifted.chi2 == pytest.approx(change.chi2, rel=1e-9)
     assert (drifted.dof, drifted.rest_dof) == (change.dof, 0)
     assert drifted.p_value == pytest.approx(change.p_value, rel=1e-9)
@@ -124,6 +124,6 @@ def test_no_change_gives_uniform_p_values() -> None:
         h1, h2 = slopes(rng, 12), slopes(rng, 9)
         machine = TOLERANCE * rng.standard_normal(N)
         sessions = [session(h, readings(rng, h, machine)) for h in (h1, h2)]
-        change = session_change.compare(NAMES, NOMINAL, TOLERANCE, sessions)
+        change = history.compare_sessions(NAMES, NOMINAL, TOLERANCE, sessions)
         p_values.append(change.p_value)
     assert stats.kstest(p_values, "uniform").pvalue > 0.01

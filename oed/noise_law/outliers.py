@@ -18,29 +18,32 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 from scipy import optimize, special
 
 from oed.base.arrays import Array
-from oed.noise.factor import ROUNDING, LinearFactor
-from oed.noise.law import NoiseLaw
-from oed.noise.law_noise import factor_of
-from oed.noise.process import Laws
-from oed.noise.statement import NOTHING_STATED, NoiseStatement
-from oed.noise.structure import ReadingStructure
+from oed.noise import NOTHING_STATED, Laws, NoiseLaw, NoiseStatement, ReadingStructure
 
 #: degrees of freedom of the Student t that are tried
-DEGREES = (3.0, 4.0, 6.0, 10.0)
-#: of normal noise with strays, their share and how many times the ordinary noise they
-#: are
-SHARES, WILD = (0.005, 0.01, 0.02, 0.05), (5.0, 10.0)
+STUDENT_DOF = (3.0, 4.0, 6.0, 10.0)
+#: shares of outliers that are tried
+OUTLIER_SHARES = (0.005, 0.01, 0.02, 0.05)
+#: sizes of outliers that are tried, over the noise of the others
+OUTLIER_SCALES = (5.0, 10.0)
+#: sizes of single readings that have nothing to do with the others: a probe that touched
+#: nothing, a typing error
+GROSS_SCALES = (30.0, 100.0)
 #: log likelihood over that of normal errors, from which on tails are heavy
-WORTH = 3.0
-#: turns by which outliers are detected from what others are predicted to be without them;
-#: change at which they end
-TURNS, STILL = 12, 1e-3
+MIN_LOG_RATIO = 3.0
+#: iterations of residuals and what they are predicted to be without outliers
+MAX_ITERATIONS = 12
+#: change of a residual, over the stated noise, at which they end
+STEP_TOLERANCE = 1e-3
+#: fewest readings among which one can be recognised as far off
+MIN_READINGS = 8
 #: errors over which the information is integrated
 _GRID = np.linspace(-60.0, 60.0, 12001)
 
@@ -69,7 +72,7 @@ class StudentT:
 
 @dataclasses.dataclass(frozen=True)
 class ContaminatedNormal:
-    """Normal errors, a share of which, `strays`, is `wild` times as large."""
+    """Normal errors, a share of which is `outlier_scale` times as large."""
 
     outlier_share: float
     outlier_scale: float
@@ -95,23 +98,20 @@ class ContaminatedNormal:
 ErrorDensity = StudentT | ContaminatedNormal
 NORMAL = ContaminatedNormal(1e-12, 1.0)
 CANDIDATE_DENSITIES: tuple[ErrorDensity, ...] = (
-    *(StudentT(n) for n in DEGREES),
+    *(StudentT(dof) for dof in STUDENT_DOF),
     *(
-        ContaminatedNormal(share, wild)
-        for share, wild in itertools.product(SHARES, WILD)
+        ContaminatedNormal(share, scale)
+        for share, scale in itertools.product(OUTLIER_SHARES, OUTLIER_SCALES)
     ),
 )
-#: the same, and single readings that have nothing to do with the others: a probe that
-#: touched nothing, a typing error
+#: the same, with single gross errors
 ROBUST_DENSITIES = (
     *CANDIDATE_DENSITIES,
-    *(ContaminatedNormal(share, wild) for share in SHARES for wild in (30.0, 100.0)),
+    *(
+        ContaminatedNormal(share, scale)
+        for share, scale in itertools.product(OUTLIER_SHARES, GROSS_SCALES)
+    ),
 )
-
-
-#: of readings a stated share of which is far off, how many times the ordinary noise
-#: these are
-STATED_WILD = (*WILD, 30.0, 100.0)
 
 
 def stated_densities(statement: NoiseStatement) -> tuple[ErrorDensity, ...] | None:
@@ -126,7 +126,8 @@ def stated_densities(statement: NoiseStatement) -> tuple[ErrorDensity, ...] | No
         return None
     if share == 0.0:
         return ()
-    return tuple(ContaminatedNormal(share, wild) for wild in STATED_WILD)
+    scales = (*OUTLIER_SCALES, *GROSS_SCALES)
+    return tuple(ContaminatedNormal(share, scale) for scale in scales)
 
 
 @functools.cache
@@ -157,62 +158,39 @@ class Outliers:
         )
 
 
-@dataclasses.dataclass(frozen=True)
-class Precision:
-    """Inverse of a covariance C of N readings.
+class Covariance(Protocol):
+    """A covariance C of N readings by its inverse: noise, or the root of a covariance."""
 
-    apply     C^-1 v (N,) of a vector v (N,)
-    diagonal  (N,) of C^-1
-    """
+    def precision(self, values: Array) -> Array:
+        """C^-1 Y (N, m), for Y (N, m)."""
 
-    apply: Callable[[Array], Array]
-    diagonal: Array
+    def precision_diagonal(self) -> Array:
+        """Diagonal (N,) of C^-1."""
 
 
-def with_columns(factor: LinearFactor, columns: Array) -> Precision:
-    """The precision of C + G G^T, for the factor of C and columns G (N, k).
-
-    It is C^-1 - A A^T with A = C^-1 G V / sqrt(1 + s), G^T C^-1 G = V s V^T: products, as
-    a root of all columns of a long session is slow. The numbers s of columns that follow
-    from others are rounding about 0, and so is the diagonal of readings that the columns
-    alone determine.
-    """
-    solved = factor.precision(columns)
-    squares, axes = np.linalg.eigh(columns.T @ solved)
-    shared = (solved @ axes) / np.sqrt(1.0 + np.maximum(squares, 0.0))
-
-    def apply(values: Array) -> Array:
-        alone = factor.precision(values[:, None])[:, 0]
-        return np.asarray(alone - shared @ (shared.T @ values))
-
-    alone = factor.precision_diagonal()
-    diagonal = alone - np.einsum("nk,nk->n", shared, shared)
-    return Precision(apply, np.maximum(diagonal, ROUNDING * alone))
-
-
-def detect(
+def detect_outliers(
     residual: Array,
-    precision: Precision,
+    covariance: Covariance,
     densities: Sequence[ErrorDensity] = CANDIDATE_DENSITIES,
     statement: NoiseStatement = NOTHING_STATED,
 ) -> Outliers | None:
     """Outliers of residuals (N,) whose covariance is wide enough to hold any gap, so
     that no gap is taken for one; None where tails are light.
 
-    precision  of the residuals
     densities  that are tried; stated tails go before them, and need no evidence
 
     By e_i = (C^-1 r)_i / (C^-1)_ii, the error of predicting a reading from all others,
     these without their outliers.
     """
     stated = stated_densities(statement)
-    least = WORTH if stated is None else -np.inf
+    least = MIN_LOG_RATIO if stated is None else -np.inf
     densities = densities if stated is None else stated
     if not densities:
         return None
-    clean, root = residual, np.sqrt(precision.diagonal)
-    for turn in range(TURNS):
-        predicted = clean - precision.apply(clean) / precision.diagonal
+    clean, diagonal = residual, covariance.precision_diagonal()
+    root = np.sqrt(diagonal)
+    for iteration in range(MAX_ITERATIONS):
+        predicted = clean - covariance.precision(clean[:, None])[:, 0] / diagonal
         errors = (residual - predicted) * root
         fits = [(shape, *_fitted(shape, errors)) for shape in (NORMAL, *densities)]
         shape, scale, height = max(fits[1:], key=lambda fit: fit[2])
@@ -221,8 +199,8 @@ def detect(
         e = errors / scale
         normal = shape.weight(e) * e / fisher_information(shape)
         step = predicted + normal * scale / root - clean
-        clean = clean + (step if turn == 0 else 0.5 * step)
-        if np.abs(step).max() < STILL:
+        clean = clean + (step if iteration == 0 else 0.5 * step)
+        if np.abs(step).max() < STEP_TOLERANCE:
             break
     information = fisher_information(shape)
     odds = (
@@ -253,10 +231,6 @@ def _fitted(shape: ErrorDensity, errors: Array) -> tuple[float, float]:
     return float(np.exp(minimum.x)), -float(minimum.fun)
 
 
-#: fewest readings among which one can be recognised as far off
-FEWEST = 8
-
-
 def robust_residuals(
     structure: ReadingStructure, laws: Laws, residual: Array, slopes: Array
 ) -> Array:
@@ -264,10 +238,12 @@ def robust_residuals(
 
     slopes  (N, r) over z ~ N(0, I), which hold what the machine may do
     """
-    if len(residual) < FEWEST:
+    if len(residual) < MIN_READINGS:
         return residual.copy()
     if structure.has_effects:
         slopes = np.hstack([slopes, structure.effects])
-    precision = with_columns(factor_of(structure, laws), slopes)
-    result = detect(residual, precision, ROBUST_DENSITIES, structure.statement)
+    covariance = laws.factor(structure).widened(slopes)
+    result = detect_outliers(
+        residual, covariance, ROBUST_DENSITIES, structure.statement
+    )
     return residual.copy() if result is None else result.pseudo_residual

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from oed.noise.outliers import FEWEST, robust_residuals
-from oed.noise.process import stated_laws
-from oed.noise.structure import ReadingStructure
+from oed.noise import Laws, ReadingStructure
+from oed.noise_law import robust_residuals
+from oed.noise_law.outliers import MIN_READINGS
 
 
 def single_run(count: int) -> ReadingStructure:
@@ -32,7 +32,7 @@ def test_a_reading_far_off_is_replaced_and_the_others_are_not() -> None:
     residual = line @ np.array([20.0, -35.0]) + rng.standard_normal(60)
     mistaken = residual.copy()
     mistaken[17] += 60.0
-    clean = robust_residuals(structure, stated_laws(structure), mistaken, 100.0 * line)
+    clean = robust_residuals(structure, Laws.stated(structure), mistaken, 100.0 * line)
     assert abs(clean[17] - residual[17]) < 4.0
     others = np.arange(60) != 17
     assert np.abs(clean - residual)[others].max() < 1.0
@@ -44,7 +44,7 @@ def test_what_the_machine_may_do_is_no_outlier() -> None:
     residual = np.random.default_rng(1).standard_normal(30)
     residual[4] += 60.0
     slopes = 100.0 * np.eye(30)[:, [4]]
-    clean = robust_residuals(structure, stated_laws(structure), residual, slopes)
+    clean = robust_residuals(structure, Laws.stated(structure), residual, slopes)
     assert clean[4] == pytest.approx(residual[4], abs=1.0)
 
 
@@ -54,16 +54,16 @@ def test_a_reading_that_the_machine_takes_whole_is_no_outlier() -> None:
     residual = np.random.default_rng(3).standard_normal(30)
     residual[4] += 60.0
     slopes = 1e9 * np.eye(30)[:, [4]]
-    clean = robust_residuals(structure, stated_laws(structure), residual, slopes)
+    clean = robust_residuals(structure, Laws.stated(structure), residual, slopes)
     assert np.abs(clean - residual).max() < 1.0
 
 
 def test_few_readings_stay_as_they_are() -> None:
-    structure = single_run(FEWEST - 1)
-    residual = np.zeros(FEWEST - 1)
+    structure = single_run(MIN_READINGS - 1)
+    residual = np.zeros(MIN_READINGS - 1)
     residual[0] = 1e3
     clean = robust_residuals(
-        structure, stated_laws(structure), residual, np.zeros((FEWEST - 1, 0))
+        structure, Laws.stated(structure), residual, np.zeros((MIN_READINGS - 1, 0))
     )
     assert clean is not residual
     assert (clean == residual).all()

@@ -1,0 +1,35 @@
+"""A machine over its sessions, and machines of one model: change, drift, a fleet's prior.
+
+CombinationChange   change of a combination of parameters
+FleetPrior          parameters of a further machine of a fleet
+MachineInformation  what the readings of one machine say of its parameters
+Session             posterior of the parameters after one session
+SessionChange       what changed between two sessions
+SessionDrift        drift of all combinations over the sessions
+SingleCause         one parameter as the only one that changed
+compare_sessions    the change between two sessions
+estimate_drift      the drift over sessions
+fleet_prior         the prior of a further machine
+next_calibration    when an error reaches its limit
+provable_growth     growth of an error that some number of sessions prove
+"""
+
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from oed.history.fleet import FleetPrior, MachineInformation, fleet_prior
+    from oed.history.sessions import (
+        CombinationChange,
+        Session,
+        SessionChange,
+        SessionDrift,
+        SingleCause,
+        compare_sessions,
+        estimate_drift,
+        next_calibration,
+        provable_growth,
+    )
+else:
+    __getattr__ = door(__name__)

@@ -1,0 +1,43 @@
+"""Which noise law readings have: its prior, evidence and posterior; outliers.
+
+KNOWN_TO            factor to which a stated noise is good
+LEAST_FREEDOM       degrees of freedom from which readings determine their noise law
+NORMAL              the density of normal errors
+ErrorDensity        density of single errors: Student t, or normal with outliers
+KernelMixture       Student t kernels at laws
+NoisePosterior      the posterior of a law, as weighted draws
+NoisePrior          the prior of laws, given what is stated of the noise
+Outliers            readings far off, and residuals that replace theirs
+ResidualModel       residuals as a linear model: evidence of laws, most probable law
+StudentT            Student t of some degrees of freedom
+detect_outliers     readings that all others contradict
+draw_laws           draws laws by a cost
+log_prior_of_scale  log prior density of the noise over the stated one
+robust_residuals    residuals with those far off replaced
+scale_over_stated   noise over the stated one, at normal coordinates
+"""
+
+from typing import TYPE_CHECKING
+
+from oed.base.lazy import door
+
+if TYPE_CHECKING:
+    from oed.noise_law.marginal import NoisePosterior, ResidualModel
+    from oed.noise_law.outliers import (
+        NORMAL,
+        ErrorDensity,
+        Outliers,
+        StudentT,
+        detect_outliers,
+        robust_residuals,
+    )
+    from oed.noise_law.prior import (
+        KNOWN_TO,
+        LEAST_FREEDOM,
+        NoisePrior,
+        log_prior_of_scale,
+        scale_over_stated,
+    )
+    from oed.noise_law.proposal import KernelMixture, draw_laws
+else:
+    __getattr__ = door(__name__)
